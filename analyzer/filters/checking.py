@@ -6,17 +6,17 @@ What can never hold, or asks nothing of a row, is a mistake: the error says what
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NoReturn, TypeAlias
+from collections.abc import Iterable, Sequence
+from typing import Any, NoReturn
 
-from bilprov.analyzer.filters import moments, tree, values
+from bilprov.analyzer.filters import tree, values
 from bilprov.analyzer.filters.fields import Field, Kind, find, folded
+from bilprov.analyzer.filters.moments import Instant
 from bilprov.analyzer.filters.parts import FilterError, Part
 from bilprov.analyzer.filters.values import kind_of, owners, refuse, refuse_part, shown
 from bilprov.spec.protocol import Protocol
 
 _TURNED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
-_Ends: TypeAlias = tuple[tree.Operand, tree.Operand]
 
 
 def checked(part: Part, protocol: Protocol) -> tree.Node:
@@ -30,7 +30,7 @@ class _Checker:
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
         # What was found out about each part with &: it is asked for several times.
-        self._known: dict[int, tuple[tree.Operand, Field]] = {}
+        self._known: dict[Part, tuple[tree.Operand, Field]] = {}
 
     # Conditions
 
@@ -43,10 +43,9 @@ class _Checker:
                 return tree.Not(self.condition(part.parts[0]))
             case "compared":
                 operands, signs = part.parts[::2], part.parts[1::2]
-                nodes = tuple(map(self._comparison, operands, signs, operands[1:]))
-                return nodes[0] if len(nodes) == 1 else tree.Joined(True, nodes)
+                return _joined(True, map(self._comparison, operands, signs, operands[1:]))
         if self._field(part) is None or values.only_a_value(self._protocol, part):
-            return self._refuse_value(part)
+            self._refuse_value(part)
         operand, field = self._operand(part)
         if isinstance(operand, tree.Bits):
             return tree.Comparison(operand, "!=", tree.Constant(0))
@@ -57,14 +56,12 @@ class _Checker:
 
     def _comparison(self, left: Part, sign: Part, right: Part) -> tree.Node:
         one, other = self._fields(left, right)
-        if one and (one.kind is Kind.TEXT or sign.text.endswith("contains")):
-            other = None  # any word is text there
-        if one and other:
+        if one and other and one.kind is not Kind.TEXT and not sign.text.endswith("contains"):
             return self._two_fields(left, sign, right)
         if one:
             return self._with_value(left, sign, right)
         if other:
-            return self._turned(left, sign, right, other)
+            return self._with_value(right, self._turned(sign, other), left)
         return self._refuse_constants(left, right)
 
     def _fields(self, left: Part, right: Part) -> tuple[Field | None, Field | None]:
@@ -75,9 +72,9 @@ class _Checker:
         number (`Speed != OK`).
         """
         one, other = self._field(left), self._field(right)
-        if one and values.names_value(right, one):
+        if one and values.named(right, one) is not None:
             return one, None
-        if other and values.names_value(left, other):
+        if other and values.named(left, other) is not None:
             return None, other
         numbers = ("number", "range", "set")
         if right.kind not in numbers and values.only_a_value(self._protocol, left):
@@ -86,19 +83,18 @@ class _Checker:
             other = None
         return one, other
 
-    def _turned(self, left: Part, sign: Part, right: Part, field: Field) -> tree.Node:
-        """A comparison whose field stands on the right: `100 < speed`, `'LED' in reason`."""
-        if sign.text in _TURNED:
-            turned = _TURNED[sign.text]
-        elif sign.text.endswith("in") and "contains" in field.signs:
+    def _turned(self, sign: Part, field: Field) -> Part:
+        """The sign of a comparison whose field stands on the right: `100 < speed`."""
+        turned = _TURNED.get(sign.text)
+        if sign.text.endswith("in") and "contains" in field.signs:
             turned = sign.text.replace("in", "contains")
-        else:
+        if turned is None:
             refuse(sign, f"the name stands before {sign.text}, like {values.example(field)}")
-        return self._with_value(right, sign._replace(text=turned), left)
+        return sign._replace(text=turned)
 
     def _two_fields(self, left: Part, sign: Part, right: Part) -> tree.Node:
         (operand, one), (with_operand, other) = self._operand(left), self._operand(right)
-        if sign.text not in _TURNED:
+        if sign.text not in _TURNED or one.kind is other.kind is Kind.BYTES:
             refuse_part(right, f"is a name of the row, and {sign.text} takes values")
         if one.kind is not other.kind:
             kinds = f"{one.name} is {kind_of(one)}, {other.name} is {kind_of(other)}"
@@ -108,115 +104,87 @@ class _Checker:
         if operand == with_operand:
             refuse(right, "both sides are the same")
         self._require_sign(one, sign)
-        if one.kind not in (Kind.NUMBER, Kind.SECONDS, Kind.TRUTH, Kind.WORD):
-            refuse_part(right, f"is a name of the row; {one.name} is compared with values")
         return tree.Comparison(operand, sign.text, with_operand)
 
     def _with_value(self, left: Part, sign: Part, right: Part) -> tree.Node:
         """A comparison of a field with what is the same in all rows."""
         operand, field = self._operand(left)
         self._require_sign(field, sign)
-        if sign.text.endswith("contains"):
-            return self._containing(field, right, sign.text == "contains")
-        if sign.text.endswith("in"):
-            return self._among(operand, field, right, sign.text == "in")
-        if field.kind is Kind.WORDS:
-            kinds = right.parts if right.kind == "set" else (right,)
-            found = frozenset(str(values.word(self._protocol, kind, field)) for kind in kinds)
-            return tree.Comparison(operand, sign.text, tree.Constant(found))
-        if field.kind is Kind.CLOCK:
-            moment = values.instant(right)
-            return tree.Comparison(_clock(moment), sign.text, tree.Constant(moment.ns))
-        found_value = values.value(self._protocol, right, field)
-        if field.kind is Kind.NUMBER and isinstance(found_value, float):
-            if sign.text in ("==", "!="):
-                refuse_part(right, f"is not whole, and {field.name} always is")
-            down = sign.text in ("<=", ">")
-            found_value = math.floor(found_value) if down else math.ceil(found_value)
-        _require_possible(operand, field, sign.text, found_value, right)
-        return tree.Comparison(operand, sign.text, tree.Constant(found_value))
-
-    def _among(self, operand: tree.Operand, field: Field, right: Part, holds: bool) -> tree.Node:
+        if not sign.text.endswith("in"):
+            if sign.text.endswith("contains"):
+                return self._containing(operand, field, sign, right)
+            return self._compared(operand, field, sign.text, right)
         if right.kind not in ("set", "range"):
             refuse(right, f"in takes a set like {{{shown(right)}}} or a range like 1..2")
         several = right.parts if right.kind == "set" else (right,)
-        if field.kind is Kind.CLOCK:
-            return self._among_moments(several, holds)
-        return tree.Among(
-            operand, tuple(self._ends(operand, field, part) for part in several), holds
-        )
+        return _among(sign, operand, [self._element(operand, field, part) for part in several])
 
-    def _ends(self, operand: tree.Operand, field: Field, part: Part) -> _Ends:
-        """The ends of a range; those of a single value are the same."""
-        if part.kind == "range":
-            low, high = self._range_ends(part, field)
-            return tree.Constant(low), tree.Constant(high)
-        if self._field(part) is not None and not values.names_value(part, field):
-            end, other = self._operand(part)
-            if other.kind is not field.kind:
-                refuse_part(part, f"is {kind_of(other)}, and {field.name} is {kind_of(field)}")
-            return end, end
+    def _compared(self, operand: tree.Operand, field: Field, sign: str, part: Part) -> tree.Node:
+        """A comparison with a value. Raises FilterError if it can never hold."""
         found = values.value(self._protocol, part, field)
-        if field.kind is Kind.NUMBER and isinstance(found, float):
-            refuse_part(part, f"is not whole, and {field.name} always is")
-        _require_possible(operand, field, "==", found, part)
-        return tree.Constant(found), tree.Constant(found)
+        if isinstance(found, Instant):
+            return _at(sign, found)
+        if isinstance(found, int | float):
+            if field.kind is Kind.NUMBER and isinstance(found, float) and sign in ("==", "!="):
+                refuse_part(part, f"is not whole, and {field.name} always is")
+            values.require_possible(field, sign, found, part)
+            match operand, sign:
+                case tree.Bits(right=tree.Constant(value=int() as mask)), "==" | "!=":
+                    if int(found) & ~mask:
+                        refuse_part(part, f"has other bits than {mask}, so this never holds")
+        return tree.Comparison(operand, sign, tree.Constant(found))
 
-    def _range_ends(self, part: Part, field: Field) -> tuple[float, float]:
-        low, high = (values.value(self._protocol, end, field) for end in part.parts)
-        if isinstance(low, str | bytes | bool) or isinstance(high, str | bytes | bool):
-            refuse(
-                part,
-                f"{field.name} is {kind_of(field)}, which has no ranges: name each value",
-            )
-        if low > high:
+    def _element(self, operand: tree.Operand, field: Field, part: Part) -> tree.Node:
+        """Whether it is one of a set: a value, a name of the row, or a range."""
+        if part.kind == "range":
+            return self._ranged(operand, field, part)
+        if field.kind is Kind.CLOCK:
+            example = "14:03:20..14:03:21"
+            refuse(part, f"no row matches a moment exactly: write a range, like {example}")
+        if self._field(part) is None or values.named(part, field) is not None:
+            return self._compared(operand, field, "==", part)
+        with_operand, other = self._operand(part)
+        if other.kind is not field.kind:
+            refuse_part(part, f"is {kind_of(other)}, and {field.name} is {kind_of(field)}")
+        return tree.Comparison(operand, "==", with_operand)
+
+    def _ranged(self, operand: tree.Operand, field: Field, part: Part) -> tree.Node:
+        """Whether it is in a range; one of times of day goes over midnight if it ends before."""
+        found: list[Any] = [values.value(self._protocol, end, field) for end in part.parts]
+        low, high = found
+        if any(isinstance(end, str | bytes | bool) for end in found):
+            why = "which has no ranges: name each value"
+            refuse(part, f"{field.name} is {kind_of(field)}, {why}")
+        if field.kind is Kind.CLOCK and low.daily is not high.daily:
+            refuse(part, "times of day and times with a date do not go together in one set")
+        over = field.kind is Kind.CLOCK and low.daily and low > high
+        if low > high and not over:
             refuse(part, f"the range ends at {shown(part.parts[1])}, before it begins")
-        if field.kind is Kind.NUMBER:
-            low, high = math.ceil(low), math.floor(high)
-            if low > high:
-                refuse(part, f"no whole number is in this range, and {field.name} always is one")
-        values.require_possible(field, ">=", low, part.parts[0])
-        values.require_possible(field, "<=", high, part.parts[1])
-        return low, high
+        if field.kind is Kind.NUMBER and math.ceil(low) > high:
+            refuse(part, f"no whole number is in this range, and {field.name} always is one")
+        ends = zip((">=", "<="), part.parts, strict=True)
+        return _joined(not over, (self._compared(operand, field, *end) for end in ends))
 
-    def _among_moments(self, several: Sequence[Part], holds: bool) -> tree.Node:
-        """Ranges of moments; of a day, one that ends before it begins goes over midnight."""
-        ranges: list[tuple[moments.Instant, moments.Instant]] = []
-        for part in several:
-            if part.kind != "range":
-                refuse(
-                    part, "no row matches a moment exactly: write a range, like 14:03:20..14:03:21"
-                )
-            low, high = map(values.instant, part.parts)
-            if len({low.daily, high.daily, *(first.daily for first, _ in ranges)}) > 1:
-                refuse(part, "times of day and times with a date do not go together in one set")
-            if low > high and not low.daily:
-                refuse(part, f"the range ends at {shown(part.parts[1])}, before it begins")
-            if low > high:
-                ranges.append((low, moments.Instant(True, moments.DAY)))
-                low = moments.Instant(True, 0)
-            ranges.append((low, high))
-        ends = tuple((tree.Constant(low.ns), tree.Constant(high.ns)) for low, high in ranges)
-        return tree.Among(_clock(ranges[0][0]), ends, holds)
-
-    def _containing(self, field: Field, right: Part, holds: bool) -> tree.Node:
-        if field.kind is Kind.WORDS:
-            return tree.Contains(field.key, str(values.word(self._protocol, right, field)), holds)
-        if field.kind is Kind.BYTES:
-            data = values.value(self._protocol, right, field)
-            if not isinstance(data, bytes) or not data:
+    def _containing(
+        self, operand: tree.Operand, field: Field, sign: Part, right: Part
+    ) -> tree.Node:
+        if field.kind in (Kind.WORDS, Kind.BYTES):
+            read = values.word if field.kind is Kind.WORDS else values.value
+            found: Any = read(self._protocol, right, field)
+            if not found:
                 refuse(right, "contains takes at least one byte, like 11 or 11 ff")
-            return tree.Contains(field.key, data, holds)
+            return tree.Comparison(operand, sign.text, tree.Constant(found))
         if right.kind not in values.TEXTS or not right.text:
             refuse_part(right, f"is not a text; write {field.name} contains 'text'")
         if field.kind is Kind.TEXT:
-            return tree.Contains(field.key, right.text, holds)
+            return tree.Comparison(operand, sign.text, tree.Constant(right.text))
         same = folded(right.text)
-        found = [named for text, named in field.words.items() if same in folded(text)]
-        if not found:
+        named = [value for word, value in field.words.items() if same in folded(word)]
+        if not named:
             refuse_part(right, f"is in no {field.name}; there are {values.listed(field)}")
-        ends = tuple((tree.Constant(one), tree.Constant(one)) for one in found)
-        return tree.Among(tree.Name(field.key), ends, holds)
+        return _among(
+            sign, operand, [tree.Comparison(operand, "==", tree.Constant(one)) for one in named]
+        )
 
     # Operands
 
@@ -231,39 +199,38 @@ class _Checker:
     def _operand(self, part: Part) -> tuple[tree.Operand, Field]:
         """What a part asks the row for, and as a field: its kind and its limits."""
         if part.kind == "item":
-            whole = self._operand(part.parts[0])[1]
-            place = self._index(whole, part.parts[1])
-            byte = Field(shown(part), Kind.NUMBER, "a byte", low=0, high=255)
-            return tree.Item(whole.key, place), byte
+            return self._item(part)
         if part.kind == "bits":
-            if id(part) not in self._known:
-                left, right = part.parts
-                if self._field(left) is None:
-                    left, right = right, left
-                self._known[id(part)] = self._bits(left, right, shown(part))
-            return self._known[id(part)]
+            if part not in self._known:
+                self._known[part] = self._bits(part)
+            return self._known[part]
         field = self._field(part)
         assert field is not None
         return tree.Name(field.key), field
 
-    def _index(self, field: Field, index: Part) -> int:
+    def _item(self, part: Part) -> tuple[tree.Operand, Field]:
+        of, index = part.parts
+        _, field = self._operand(of)
         place, most = values.whole_number(index), self._protocol.data_lengths[-1]
         if place is None or place < 0:
             refuse_part(index, f"is not a position: {field.name}[0] is the first byte")
         if field.name == "data" and place >= most:
-            refuse_part(
-                index, f"is not a position: the last byte that data can have is data[{most - 1}]"
-            )
-        return place
+            last = f"the last byte that data can have is data[{most - 1}]"
+            refuse_part(index, f"is not a position: {last}")
+        byte = Field(shown(part), Kind.NUMBER, "a byte", low=0, high=255)
+        return tree.Name(field.key, place), byte
 
-    def _bits(self, left: Part, right: Part, name: str) -> tuple[tree.Operand, Field]:
+    def _bits(self, part: Part) -> tuple[tree.Operand, Field]:
+        name, (left, right) = shown(part), part.parts
+        if self._field(left) is None:
+            left, right = right, left
         if self._field(left) is None:
             self._refuse_value(left)
         operand, field = self._operand(left)
-        for part in (left, right):
-            whole = self._field(part)
+        for side in (left, right):
+            whole = self._field(side)
             if whole is not None and whole.kind is not Kind.NUMBER:
-                refuse_part(part, f"is {kind_of(whole)}, and & takes whole numbers")
+                refuse_part(side, f"is {kind_of(whole)}, and & takes whole numbers")
         if self._field(right) is not None:
             both = tree.Bits(operand, self._operand(right)[0])
             return both, Field(name, Kind.NUMBER, "bits")
@@ -284,14 +251,13 @@ class _Checker:
         text = sign.text.removeprefix("not ")
         if text in field.signs:
             return
+        why = "which has no order: use == or !="
         if field.kind is Kind.CLOCK:
             why = "which no row matches exactly: write time in 14:03:20..14:03:21"
         elif text == "contains":
             why = "which contains nothing: contains is for names, text, bytes and faults"
         elif text == "in":
             why = f"so write {values.example(field)}"
-        else:
-            why = "which has no order: use == or !="
         refuse(sign, f"{field.name} is {kind_of(field)}, {why}")
 
     def _refuse_value(self, part: Part) -> NoReturn:
@@ -305,28 +271,33 @@ class _Checker:
 
     def _refuse_constants(self, left: Part, right: Part) -> NoReturn:
         """Refuse a comparison that asks nothing of the row. Raises FilterError."""
-        words = [part for part in (left, right) if part.kind == "word"]
-        for part in words:
-            if not owners(self._protocol, part.text):
-                values.refuse_unknown(self._protocol, part)
-        first = shown(words[0]) if words else ""
-        meant = f", did you mean {owners(self._protocol, first)[0]} == {first}?" if words else ""
+        meant = ""
+        for part in (right, left):
+            if part.kind == "word":
+                names = owners(self._protocol, part.text)
+                if not names:
+                    values.refuse_unknown(self._protocol, part)
+                meant = f", did you mean {names[0]} == {shown(part)}?"
         sentence = f"two values are compared, which is the same for all rows{meant}"
         raise FilterError(sentence, left.start, right.end)
 
 
-def _require_possible(
-    operand: tree.Operand, field: Field, sign: str, found: float | str | bytes, part: Part
-) -> None:
-    """Refuse a value that the operand never has. Raises FilterError."""
-    if isinstance(found, str | bytes):
-        return
-    values.require_possible(field, sign, found, part)
-    match operand:
-        case tree.Bits(right=tree.Constant(value=int() as mask)):
-            if sign in ("==", "!=") and int(found) & ~mask:
-                refuse_part(part, f"has other bits than {mask}, so this never holds")
+def _joined(every: bool, nodes: Iterable[tree.Node]) -> tree.Node:
+    """Conditions of which all must hold, or at least one."""
+    listed = tuple(nodes)
+    return listed[0] if len(listed) == 1 else tree.Joined(every, listed)
 
 
-def _clock(moment: moments.Instant) -> tree.Operand:
-    return tree.Name(tree.TIME_OF_DAY if moment.daily else tree.DATE)
+def _among(sign: Part, operand: tree.Operand, elements: Sequence[tree.Node]) -> tree.Node:
+    """Whether a value is one of these, or (behind `not`) there is one and it is none of them."""
+    among = _joined(False, elements)
+    if not sign.text.startswith("not"):
+        return among
+    # Only a value is the same as itself: a row that lacks it passes no comparison.
+    return tree.Joined(True, (tree.Comparison(operand, "==", operand), tree.Not(among)))
+
+
+def _at(sign: str, moment: Instant) -> tree.Node:
+    """A comparison with the clock."""
+    key = tree.TIME_OF_DAY if moment.daily else tree.DATE
+    return tree.Comparison(tree.Name(key), sign, tree.Constant(moment.ns))

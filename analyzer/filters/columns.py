@@ -5,8 +5,9 @@ Numbers and bytes are arrays; words are coded, so that each word of a column is 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from functools import lru_cache, partial
+from operator import attrgetter
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,10 +21,12 @@ from bilprov.analyzer.decode.batch import (
     DeviceRows,
     HostRows,
     Mask,
+    StateColumns,
 )
 from bilprov.analyzer.decode.json_lines import JsonLine
 from bilprov.analyzer.filters.moments import DAY, STEP, offset
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
+from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.tables import MOTIONS, OUTCOMES, VALID, field_values
 
@@ -53,208 +56,184 @@ class Octets(NamedTuple):
 Column: TypeAlias = Numbers | Words | Octets
 
 
-Maker: TypeAlias = Callable[[], Column]
+Makers: TypeAlias = Mapping[str, Callable[[], Column]]
 
 NOTHING = Numbers(np.zeros((), np.int64), np.zeros((), np.bool_))
 """The column of a name that none of the rows has."""
 
 
-class Columns(ABC):
-    """The columns of some rows that came at `t` (ns), each made when it is asked for.
+class Columns:
+    """The columns of so many rows, each made by its maker when it is asked for."""
 
-    `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
-    """
-
-    def __init__(self, t: NDArray[np.int64], start: int | None) -> None:
-        self._t = t
-        self._start = start
+    def __init__(self, count: int, *makers: Makers) -> None:
+        self._count = count
+        self._makers = {key: make for each in makers for key, make in each.items()}
         self._columns: dict[str, Column] = {}
 
     def __len__(self) -> int:
-        return len(self._t)
+        return self._count
 
     def __getitem__(self, key: str) -> Column:
         if key not in self._columns:
-            self._columns[key] = self._made(key)
+            make = self._makers.get(key)
+            self._columns[key] = make() if make else NOTHING
         return self._columns[key]
 
-    def _made(self, key: str) -> Column:
-        space, _, name = key.rpartition(".")
-        if space:
-            return self._field(name) if space == "fields" else self._state(name)
-        if key == "t":
-            return Numbers(self._t / 1e9)
-        if key in (DATE, TIME_OF_DAY):
-            return self._clock(key)
-        make = self._makers().get(key)
-        return make() if make else NOTHING
 
-    def _clock(self, key: str) -> Column:
-        """The wall clock in ns: since 1970, or since local midnight."""
-        if self._start is None:
-            return NOTHING
-        wall = self._t + self._start
-        if key == DATE:
-            return Numbers(wall)
-        step, place = np.unique(wall // STEP, return_inverse=True)
-        offsets = np.array([offset(one) for one in step.tolist()], np.int64)
-        return Numbers((wall + offsets[place]) % DAY)
+def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Columns:
+    """The columns of the host's rows.
 
-    def _field(self, name: str) -> Column:
-        """A field of the instructions."""
-        return NOTHING
+    `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
+    """
+    headers, garbage, faulty = protocol.headers, rows.kind == GARBAGE, rows.verdict != VALID
 
-    @abstractmethod
-    def _state(self, variable: str) -> Column:
-        """A variable of the state, or `moving`."""
+    def of_header(place: int) -> Column:
+        values = np.array([header[place] for header in headers])
+        return Numbers(values.take(rows.header), ~garbage)
 
-    @abstractmethod
-    def _makers(self) -> Mapping[str, Maker]:
-        """What makes the other columns that there are."""
-
-
-class Side(Columns):
-    """The rows of one side."""
-
-    def __init__(self, protocol: Protocol, rows: HostRows | DeviceRows, start: int | None) -> None:
-        super().__init__(rows.t, start)
-        self._protocol = protocol
-        self._rows: Any = rows
-
-    def _state(self, variable: str) -> Column:
-        states = self._rows.states
-        if variable == "moving":
-            return _truth(states.moving)
-        if variable == "motion":
-            return Words(states[variable], [motion.value for motion in MOTIONS])
-        return Numbers(states[variable])
-
-    def _judgement(self) -> Column:
-        codes = [self._protocol.answers[outcome].code for outcome in OUTCOMES]
-        verdict = self._rows.verdict
-        return Numbers(np.array([*codes, 0]).take(verdict), verdict != NO_VERDICT)
-
-    def _faults(self) -> Column:
-        return Words(self._rows.faults.code, list(map(frozenset, self._rows.faults.kinds)))
-
-
-class HostColumns(Side):
-    """The host's rows."""
-
-    def _makers(self) -> Mapping[str, Maker]:
-        rows = self._rows
-        return {
-            "id": lambda: self._of_header(0),
-            "len": lambda: self._of_header(1),
-            "hex": lambda: Octets(rows.data, rows.offset, rows.size),
-            "data": self._data,
-            "direction": lambda: _one("host"),
-            "kind": lambda: Words(rows.kind, KINDS),
-            "name": self._name,
-            "judgement": self._judgement,
-            "faulty": lambda: _truth(rows.verdict != VALID),
-            "faults": self._faults,
-            "reason": self._reason,
-            "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
-        }
-
-    def _field(self, name: str) -> Column:
-        rows = self._rows
-        value, present = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.bool_)
-        for spec in self._protocol.instructions:
-            header = self._protocol.header_bytes[spec.id, spec.length]
-            for part in spec.fields:
-                if part.name == name:
-                    found = (rows.header == header) & (rows.kind == INSTRUCTION)
-                    values = field_values(part, rows.data, rows.offset[found])
-                    if values.dtype.kind != "i":  # wider than 64 bits with a sign
-                        value = value.astype(object)
-                    value[found] = values
-                    present |= found
-        return Numbers(value, present)
-
-    def _of_header(self, place: int) -> Column:
-        """The ID or the length in the header."""
-        values = np.array([header[place] for header in self._protocol.headers])
-        return Numbers(values.take(self._rows.header), self._rows.kind != GARBAGE)
-
-    def _data(self) -> Column:
-        size = np.where(self._rows.kind == GARBAGE, -1, self._rows.size - 1)
-        return Octets(self._rows.data, self._rows.offset + 1, size)
-
-    def _name(self) -> Column:
-        specs = [self._protocol.by_id.get(identity) for identity, _ in self._protocol.headers]
-        code = np.where(self._rows.kind == GARBAGE, np.int64(len(specs)), self._rows.header)
+    def name() -> Column:
+        specs = [protocol.by_id.get(identity) for identity, _ in headers]
+        code = np.where(garbage, np.int64(len(specs)), rows.header)
         return Words(code, [spec.name if spec else None for spec in (*specs, None)])
 
-    def _reason(self) -> Column:
-        faulty = np.flatnonzero(self._rows.verdict != VALID)
-        return _words(self._rows.reasons(faulty), faulty, len(self))
+    def reason() -> Column:
+        odd = np.flatnonzero(faulty)
+        return _words(rows.reasons(odd), odd, len(rows))
+
+    makers: Makers = {
+        "id": lambda: of_header(0),
+        "len": lambda: of_header(1),
+        "hex": lambda: Octets(rows.data, rows.offset, rows.size),
+        "data": lambda: Octets(rows.data, rows.offset + 1, np.where(garbage, -1, rows.size - 1)),
+        "direction": lambda: _one("host"),
+        "kind": lambda: Words(rows.kind, KINDS),
+        "name": name,
+        "faulty": lambda: _truth(faulty),
+        "reason": reason,
+        "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
+    }
+    fields = {key: partial(_field, protocol, rows, name) for key, name in _fields(protocol)}
+    both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
+    return Columns(len(rows), makers, fields, *both)
 
 
-class DeviceColumns(Side):
-    """The device's rows."""
+def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> Columns:
+    """The columns of the device's rows."""
 
-    def _makers(self) -> Mapping[str, Maker]:
-        rows = self._rows
-        return {
-            "hex": lambda: Octets(rows.byte, np.arange(len(rows)), np.ones(len(rows), np.int64)),
-            "direction": lambda: _one("device"),
-            "kind": lambda: _one("response"),
-            "name": self._name,
-            "response": lambda: Numbers(rows.byte),
-            "judgement": self._judgement,
-            "faulty": self._faulty,
-            "faults": self._faults,
-            "reason": self._reason,
-            "answers": lambda: Numbers(rows.sequence, rows.answering),
-            "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
-            "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
-        }
+    def name() -> Column:
+        codes = [protocol.codes.get(byte) for byte in range(256)]
+        return Words(rows.byte, [code.name if code else None for code in codes])
 
-    def _name(self) -> Column:
-        codes = [self._protocol.codes.get(byte) for byte in range(256)]
-        return Words(self._rows.byte, [code.name if code else None for code in codes])
+    def faulty() -> Column:
+        return _truth(rows.answering & (rows.verdict != VALID) | rows.faults.serious)
 
-    def _faulty(self) -> Column:
-        wrong = self._rows.answering & (self._rows.verdict != VALID)
-        return _truth(wrong | self._rows.faults.serious)
+    def reason() -> Column:
+        odd = np.flatnonzero(rows.odd)
+        return _words((record.reason for record in rows.samples(odd)), odd, len(rows))
 
-    def _reason(self) -> Column:
-        odd = np.flatnonzero(self._rows.odd)
-        return _words((record.reason for record in self._rows.samples(odd)), odd, len(self))
+    makers: Makers = {
+        "hex": lambda: Octets(rows.byte, np.arange(len(rows)), np.ones(len(rows), np.int64)),
+        "direction": lambda: _one("device"),
+        "kind": lambda: _one("response"),
+        "name": name,
+        "response": lambda: Numbers(rows.byte),
+        "faulty": faulty,
+        "reason": reason,
+        "answers": lambda: Numbers(rows.sequence, rows.answering),
+        "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
+        "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
+    }
+    both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
+    return Columns(len(rows), makers, *both)
 
 
-class LineColumns(Columns):
-    """The other rows, which are few: each is a JSON line."""
+def line_columns(lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | None) -> Columns:
+    """The columns of the other rows, which are few: each is a JSON line, and came at `t` (ns)."""
+    none = np.zeros(len(lines), np.int64)
 
-    def __init__(self, lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | None) -> None:
-        super().__init__(t, start)
-        self._lines = lines
+    def listed(value: Callable[[JsonLine], Any]) -> Callable[[], Column]:
+        return lambda: _listed([value(line) for line in lines])
 
-    def _state(self, variable: str) -> Column:
-        return self._listed(getattr(line.state, variable) for line in self._lines)
+    states = [f"state.{name}" for name in (*VARIABLES, "moving")]
+    as_they_are = ("direction", "kind", "name", "reason", "sequence", *states)
+    makers: Makers = {
+        **{name: listed(attrgetter(name)) for name in as_they_are},
+        "hex": lambda: Octets(np.zeros(1, np.uint8), none, none),
+        "faulty": listed(lambda line: bool(line.faults)),
+        "faults": listed(lambda line: frozenset(line.faults)),
+    }
+    return Columns(len(lines), makers, _of_time(t, start))
 
-    def _makers(self) -> Mapping[str, Maker]:
-        lines, none = self._lines, np.zeros(len(self), np.int64)
-        return {
-            "hex": lambda: Octets(np.zeros(1, np.uint8), none, none),
-            "direction": lambda: self._listed(line.direction for line in lines),
-            "kind": lambda: self._listed(line.kind for line in lines),
-            "name": lambda: self._listed(line.name for line in lines),
-            "faulty": lambda: self._listed(bool(line.faults) for line in lines),
-            "faults": lambda: self._listed(frozenset(line.faults) for line in lines),
-            "reason": lambda: self._listed(line.reason for line in lines),
-            "sequence": lambda: self._listed(line.sequence for line in lines),
-        }
 
-    def _listed(self, values: Iterable[Any]) -> Column:
-        """A column of values of one kind."""
-        listed = list(values)
-        numbers = [type(value) is int for value in listed]
-        if any(numbers):
-            return Numbers(np.array([value or 0 for value in listed]), np.array(numbers))
-        return _words(listed, np.arange(len(self)), len(self), None)
+def _of_side(protocol: Protocol, rows: HostRows | DeviceRows) -> Makers:
+    """What the rows of both sides have."""
+
+    def judgement() -> Column:
+        codes = [protocol.answers[outcome].code for outcome in OUTCOMES]
+        return Numbers(np.array([*codes, 0]).take(rows.verdict), rows.verdict != NO_VERDICT)
+
+    def faults() -> Column:
+        return Words(rows.faults.code, list(map(frozenset, rows.faults.kinds)))
+
+    return {"judgement": judgement, "faults": faults}
+
+
+def _of_time(t: NDArray[np.int64], start: int | None) -> Makers:
+    """The times of the rows (ns)."""
+    since: Makers = {"t": lambda: Numbers(t / 1e9)}
+    if start is None:
+        return since
+
+    def time_of_day() -> Column:
+        step, place = np.unique((t + start) // STEP, return_inverse=True)
+        offsets = np.array([offset(one) for one in step.tolist()], np.int64)
+        return Numbers((t + start + offsets[place]) % DAY)
+
+    return {**since, DATE: lambda: Numbers(t + start), TIME_OF_DAY: time_of_day}
+
+
+def _of_state(states: StateColumns) -> Makers:
+    """The variables of the predicted state, and whether the wheels turn."""
+    numbers = {
+        f"state.{name}": partial(lambda name: Numbers(states[name]), name) for name in VARIABLES
+    }
+    motions = [motion.value for motion in MOTIONS]
+    return {
+        **numbers,
+        "state.motion": lambda: Words(states["motion"], motions),
+        "state.moving": lambda: _truth(states.moving),
+    }
+
+
+@lru_cache(maxsize=8)
+def _fields(protocol: Protocol) -> list[tuple[str, str]]:
+    """The keys and the names of the instructions' fields."""
+    names = {part.name for spec in protocol.instructions for part in spec.fields}
+    return [(f"fields.{name}", name) for name in names]
+
+
+def _field(protocol: Protocol, rows: HostRows, name: str) -> Column:
+    """A field of the instructions."""
+    value, present = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.bool_)
+    for spec in protocol.instructions:
+        header = protocol.header_bytes[spec.id, spec.length]
+        for part in spec.fields:
+            if part.name == name:
+                found = (rows.header == header) & (rows.kind == INSTRUCTION)
+                values = field_values(part, rows.data, rows.offset[found])
+                if values.dtype.kind != "i":  # wider than 64 bits with a sign
+                    value = value.astype(object)
+                value[found] = values
+                present |= found
+    return Numbers(value, present)
+
+
+def _listed(values: Sequence[Any]) -> Column:
+    """A column of values of one kind."""
+    numbers = [type(value) is int for value in values]
+    if any(numbers):
+        return Numbers(np.array([value or 0 for value in values]), np.array(numbers))
+    return _words(values, np.arange(len(values)), len(values), None)
 
 
 def _truth(mask: Mask) -> Words:

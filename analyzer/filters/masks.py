@@ -16,16 +16,16 @@ from bilprov.analyzer.filters.columns import (
     NOTHING,
     Column,
     Columns,
-    DeviceColumns,
-    HostColumns,
-    LineColumns,
     Numbers,
     Octets,
     Words,
+    device_columns,
+    host_columns,
+    line_columns,
 )
 from bilprov.spec.protocol import Protocol
 
-# What compares two values, and also two arrays value by value.
+# What compares two values; all but the last two also compare two arrays value by value.
 _COMPARING: Mapping[str, Callable[[Any, Any], Any]] = {
     "==": operator.eq,
     "!=": operator.ne,
@@ -33,6 +33,8 @@ _COMPARING: Mapping[str, Callable[[Any, Any], Any]] = {
     "<=": operator.le,
     ">": operator.gt,
     ">=": operator.ge,
+    "contains": operator.contains,
+    "not contains": lambda whole, part: part not in whole,
 }
 
 
@@ -46,20 +48,20 @@ def selection(
     others = batch.others
     lines = [json_line(record) for record in others.listed]
     shown = np.array([line is not None for line in lines], np.bool_)
-    other = np.zeros(len(others), np.bool_)
     listed = [line for line in lines if line is not None]
-    other[shown] = _mask(LineColumns(listed, others.t[shown], start), test)
-    return Selection(
-        _mask(HostColumns(protocol, batch.hosts, start), test),
-        _mask(DeviceColumns(protocol, batch.devices, start), test),
-        other,
-    )
+    other = np.zeros(len(others), np.bool_)
+    if listed:
+        other[shown] = _mask(line_columns(listed, others.t[shown], start), test)
+    host, device = np.zeros(len(batch.hosts), np.bool_), np.zeros(len(batch.devices), np.bool_)
+    if len(host):
+        host = _mask(host_columns(protocol, batch.hosts, start), test)
+    if len(device):
+        device = _mask(device_columns(protocol, batch.devices, start), test)
+    return Selection(host, device, other)
 
 
 def _mask(rows: Columns, node: tree.Node) -> Mask:
     """In which rows a condition holds."""
-    if not len(rows):
-        return np.zeros(0, np.bool_)
     return np.broadcast_to(_true(rows, node), len(rows))
 
 
@@ -67,10 +69,6 @@ def _true(rows: Columns, node: tree.Node) -> Mask:
     match node:
         case tree.Comparison(left=left, sign=sign, right=right):
             return _compared(_operand(rows, left), sign, _operand(rows, right))
-        case tree.Among():
-            return _among(rows, node)
-        case tree.Contains(key=key, part=part, holds=holds):
-            return _containing(rows[key], part, holds)
         case tree.Not(part=part):
             return ~_true(rows, part)
         case tree.Joined(every=every, parts=parts):
@@ -86,26 +84,12 @@ def _joined(rows: Columns, parts: Sequence[tree.Node], every: bool) -> Mask:
     return true
 
 
-def _among(rows: Columns, node: tree.Among) -> Mask:
-    column = _operand(rows, node.left)
-    true: Mask = np.zeros((), np.bool_)
-    for low, high in node.ranges:
-        if low == high:
-            true = true | _compared(column, "==", _operand(rows, low))
-            continue
-        above = _compared(column, ">=", _operand(rows, low))
-        true = true | (above & _compared(column, "<=", _operand(rows, high)))
-    return true if node.holds else _present(column) & ~true
-
-
 def _operand(rows: Columns, operand: tree.Operand) -> Column:
     match operand:
         case tree.Constant(value=value):
             return _constant(value)
-        case tree.Name(key=key):
-            return rows[key]
-        case tree.Item(key=key, place=place):
-            return _item(rows[key], place)
+        case tree.Name(key=key, place=place):
+            return rows[key] if place is None else _item(rows[key], place)
         case tree.Bits(left=left, right=right):
             return _bits(_operand(rows, left), _operand(rows, right))
 
@@ -131,8 +115,7 @@ def _item(column: Column, place: int) -> Column:
 def _bits(left: Column, right: Column) -> Numbers:
     if not (isinstance(left, Numbers) and isinstance(right, Numbers)):
         return NOTHING
-    present = _both(left.present, right.present)
-    return Numbers(_whole(left) & _whole(right), present)
+    return Numbers(_whole(left) & _whole(right), _both(left.present, right.present))
 
 
 def _whole(column: Numbers) -> NDArray[Any]:
@@ -147,28 +130,28 @@ def _both(left: Mask | None, right: Mask | None) -> Mask | None:
     return left & right
 
 
-def _present(column: Column) -> Mask:
-    """In which rows a column has a value."""
-    match column:
-        case Numbers(present=present):
-            return np.ones((), np.bool_) if present is None else present
-        case Words(code=code, words=words):
-            return np.array([word is not None for word in words]).take(code)
-    return np.asarray(column.size >= 0)
-
-
 def _compared(left: Column, sign: str, right: Column) -> Mask:
     """In which rows two columns have values that compare so."""
-    if isinstance(left, Numbers) and isinstance(right, Numbers):
-        true = np.asarray(_COMPARING[sign](left.value, right.value), np.bool_)
-        present = _both(left.present, right.present)
-        return true if present is None else true & present
-    if isinstance(left, Octets) and isinstance(right, Octets):
-        same = _equal(left, right.data)
-        return same if sign == "==" else (left.size >= 0) & ~same
-    if not (isinstance(left, Words) and isinstance(right, Words)):
-        return np.zeros((), np.bool_)  # one side is a name that none of the rows has
-    compare = _COMPARING[sign]
+    match left, right:
+        case Numbers(), Numbers():
+            true = np.asarray(_COMPARING[sign](left.value, right.value), np.bool_)
+            present = _both(left.present, right.present)
+            return true if present is None else true & present
+        case Words(), Words():
+            return _words_compared(left, _COMPARING[sign], right)
+        case Octets(), Octets():
+            there = np.asarray(left.size >= 0)
+            if left is right:
+                return there
+            within = _containing if sign.endswith("contains") else _equal
+            true = within(left, right.data)
+            return true if sign in ("==", "contains") else there & ~true
+    return np.zeros((), np.bool_)  # one side is a name that none of the rows has
+
+
+def _words_compared(left: Words, compare: Callable[[Any, Any], Any], right: Words) -> Mask:
+    if left is right:
+        return np.array([word is not None for word in left.words]).take(left.code)
     many = len(right.words)
     holds = [
         one is not None and other is not None and compare(one, other)
@@ -191,21 +174,15 @@ def _equal(column: Octets, part: NDArray[np.uint8]) -> Mask:
     return true
 
 
-def _containing(column: Column, part: str | bytes, wanted: bool) -> Mask:
-    """In which rows a column contains a part, or (`wanted` is false) has a value without it."""
-    if isinstance(column, Words):
-        holds = [word is not None and (part in word) is wanted for word in column.words]
-        return np.array(holds, np.bool_).take(column.code)
-    if not (isinstance(column, Octets) and isinstance(part, bytes)):
-        return np.zeros((), np.bool_)  # none of the rows has the name
+def _containing(column: Octets, part: NDArray[np.uint8]) -> Mask:
+    """In which rows the bytes contain these."""
     last = len(column.data) - len(part)
     if last < 0:
-        return np.asarray((column.size >= 0) & (not wanted))
+        return np.zeros(len(column.size), np.bool_)
     hits = np.ones(last + 1, np.bool_)
-    for place, byte in enumerate(part):
+    for place, byte in enumerate(part.tolist()):
         hits &= column.data[place : last + 1 + place] == byte
     before = np.append(0, np.cumsum(hits))  # how many begin before each place
     first = np.minimum(column.start, last + 1)
     behind = np.clip(column.start + column.size - len(part) + 1, first, last + 1)
-    true = before.take(behind) > before.take(first)
-    return np.asarray((column.size >= 0) & (true if wanted else ~true))
+    return np.asarray(before.take(behind) > before.take(first))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, TypeAlias
 
-TIME_OF_DAY, DATE = "time of day", "date"
+TIME_OF_DAY, DATE = "time of day", "time"
 """The keys of a row's wall clock in ns: since local midnight, and since 1970."""
 
 
@@ -18,16 +18,13 @@ class Constant(NamedTuple):
 
 
 class Name(NamedTuple):
-    """A value of the row: the `key` of a Field, TIME_OF_DAY or DATE."""
+    """A value of the row: the `key` of a Field, TIME_OF_DAY or DATE.
+
+    With a `place` it is the byte of that number, from 0, in a value of bytes.
+    """
 
     key: str
-
-
-class Item(NamedTuple):
-    """The byte of that number, from 0, in a value of bytes."""
-
-    key: str
-    place: int
+    place: int | None = None
 
 
 class Bits(NamedTuple):
@@ -37,31 +34,18 @@ class Bits(NamedTuple):
     right: Operand
 
 
-Operand: TypeAlias = Constant | Name | Item | Bits
+Operand: TypeAlias = Constant | Name | Bits
 
 
 class Comparison(NamedTuple):
-    """Two operands of one kind with one of `== != < <= > >=` between them."""
+    """Two operands of one kind with a sign between them.
+
+    One of `== != < <= > >=`, and behind text, bytes or kinds `contains` and `not contains`.
+    """
 
     left: Operand
     sign: str
     right: Operand
-
-
-class Among(NamedTuple):
-    """Whether a value is one of those from a first to a last one, or (`holds` is false) is not."""
-
-    left: Operand
-    ranges: tuple[tuple[Operand, Operand], ...]
-    holds: bool
-
-
-class Contains(NamedTuple):
-    """Whether text, bytes or kinds contain a part, or (`holds` is false) do not."""
-
-    key: str
-    part: str | bytes
-    holds: bool
 
 
 class Joined(NamedTuple):
@@ -77,4 +61,4 @@ class Not(NamedTuple):
     part: Node
 
 
-Node: TypeAlias = Comparison | Among | Contains | Joined | Not
+Node: TypeAlias = Comparison | Joined | Not

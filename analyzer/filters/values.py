@@ -22,49 +22,53 @@ _MOST_LISTED = 12  # values that a sentence lists
 _LARGEST = 1e30
 
 
-def value(protocol: Protocol, part: Part, field: Field) -> float | str | bytes:
+def value(
+    protocol: Protocol, part: Part, field: Field
+) -> float | str | bytes | frozenset[str] | moments.Instant:
     """What a part stands for beside a field: a whole number is an int, seconds are in s.
 
     Raises FilterError for a value of another kind, and for a word that names none of its values.
     """
-    if names_value(part, field):
-        return word(protocol, part, field)
-    if part.kind == "number" and field.kind in (Kind.NUMBER, Kind.SECONDS):
-        return _measured(part, field)
-    if part.kind in ("bytes", "quoted") and field.kind is Kind.BYTES:
-        data = octets_of(part.text)
-        if data is None:
-            refuse_part(part, f"is not hex; {field.name} is bytes, written like 11 ff")
-        return data
-    if part.kind in TEXTS and field.kind is Kind.TEXT:
-        return part.text
-    if field.words:
-        return word(protocol, part, field)
-    return refuse_kind(protocol, part, field)
+    match field.kind, part.kind:
+        case Kind.NUMBER | Kind.SECONDS, "number":
+            return _measured(part, field)
+        case Kind.BYTES, "bytes" | "quoted":
+            data = octets_of(part.text)
+            if data is None:
+                refuse_part(part, f"is not hex; {field.name} is bytes, written like 11 ff")
+            return data
+        case Kind.TEXT, "word" | "quoted":
+            return part.text
+        case Kind.CLOCK, _:
+            return _instant(part)
+        case Kind.WORDS, _:
+            kinds = part.parts if part.kind == "set" else (part,)
+            return frozenset(str(word(protocol, kind, field)) for kind in kinds)
+    return word(protocol, part, field)
 
 
-def names_value(part: Part, field: Field) -> bool:
-    """Whether a part is a word, in quotes or not, that names a value of the field."""
-    return part.kind in TEXTS and field.value_of(part.text) is not None
+def named(part: Part, field: Field) -> Value | None:
+    """The value of the field that a word names, in quotes or not; None if it names none."""
+    return field.value_of(part.text) if part.kind in TEXTS else None
 
 
 def word(protocol: Protocol, part: Part, field: Field) -> Value:
     """The value of a field that a word names. Raises FilterError if it names none."""
-    if part.kind not in TEXTS:
-        return refuse_kind(protocol, part, field)
-    named = field.value_of(part.text)
-    if named is not None:
-        return named
+    known = named(part, field)
+    if known is not None:
+        return known
+    if part.kind not in TEXTS or not field.words:
+        refuse_kind(protocol, part, field)
     meant = close(part.text, field.words)
     others = owners(protocol, part.text)
     if others and not meant:
-        known = " and ".join(others[:2])
-        refuse_part(part, f"is a value of {known} and not of {field.name}, so they never meet")
+        known_of = " and ".join(others[:2])
+        refuse_part(part, f"is a value of {known_of} and not of {field.name}, so they never meet")
     hint = f"did you mean {meant}?" if meant else f"there are {listed(field)}"
     return refuse_part(part, f"is not a value of {field.name} in this grammar: {hint}")
 
 
-def instant(part: Part) -> moments.Instant:
+def _instant(part: Part) -> moments.Instant:
     """The moment that a part stands for. Raises FilterError."""
     found = moments.instant(part.text) if part.kind in ("moment", "quoted") else None
     if found is not None:
