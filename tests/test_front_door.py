@@ -133,8 +133,8 @@ module = types.ModuleType("broken")
 def body(*, error={error}):
     raise error
 module.broken = click.command("broken")(body)
-sys.modules["broken"] = module
-front_door.COMMANDS["broken"] = front_door.Row("Analyze", "broken", "broken", "")
+sys.modules["bilprov.broken"] = module
+front_door.COMMANDS["broken"] = front_door.Row("Analyze", "broken", "")
 bilprov.main(["broken"])
 """
 
@@ -228,8 +228,7 @@ def test_a_full_disk_is_one_sentence() -> None:
 @pytest.mark.parametrize("name", front_door.COMMANDS)
 def test_every_subcommand_is_where_the_table_says(name: str) -> None:
     found, _ = command_named(name)
-    if name not in ("merge", "lab score"):  # whose functions' names are words of others
-        assert str(found.name).rpartition("-")[2] == name.rpartition(" ")[2]
+    assert found.name == name.rpartition(" ")[2]
 
 
 @pytest.mark.parametrize("name", front_door.COMMANDS)
@@ -302,8 +301,7 @@ def test_a_capture_needs_no_command(words: list[str], tmp_path: Path) -> None:
 
 
 def test_the_library_hands_on_exactly_what_it_lists() -> None:
-    assert sorted(bilprov.__all__) == sorted(bilprov.API)
-    assert dir(bilprov) == sorted(bilprov.__all__)
+    assert dir(bilprov) == bilprov.__all__
     for name in bilprov.__all__:
         assert getattr(bilprov, name).__doc__
 

@@ -45,12 +45,11 @@ class InfoOptions:
 
 @command(InfoOptions)
 def info(options: InfoOptions) -> None:
-    """Show what a capture holds, when and where it was recorded and whether it is complete.
-
-    Examples:
+    """Examples:
       bilprov capture info drive.mcap
 
-    The keys of the JSON are explained in analyzer/output/capture_info.py.
+    Shows when and where it was recorded, and whether it is complete. The keys of the JSON are
+    explained in analyzer/output/capture_info.py.
     """
     from dataclasses import asdict
 
@@ -76,12 +75,10 @@ class CheckOptions:
 
 @command(CheckOptions)
 def check(options: CheckOptions) -> int:
-    """Report which parts of a capture are damaged and what is lost, in bytes and seconds.
-
-    Examples:
+    """Examples:
       bilprov capture check drive.mcap
 
-    Exit code: 0 nothing is lost, 2 something is.
+    What is lost is given in bytes and seconds. Exit code: 0 nothing is lost, 2 something is.
     """
     from bilprov.analyzer.cli.ports import Findings
     from bilprov.analyzer.doctor.capture_file import of_capture
@@ -105,9 +102,7 @@ class CutOptions:
 
 @command(CutOptions)
 def cut(options: CutOptions) -> None:
-    """Write a part of a capture.
-
-    Examples:
+    """Examples:
       bilprov capture cut drive.mcap part.mcap --start 12 --end 20
       bilprov capture cut drive.mcap faults.mcap --filter faulty
 
@@ -167,16 +162,13 @@ class RepairOptions:
 
 @command(RepairOptions)
 def repair(options: RepairOptions) -> None:
-    """Write the intact parts of a capture that is damaged or was never finished.
-
-    Examples:
+    """Examples:
       bilprov capture repair broken.mcap repaired.mcap
 
     OUT holds all raw bytes, line events and notes of conformance runs that can be read, with
-    metadata and attachments; a gap stands where something is lost. BROKEN stays as it is. bilprov
-    capture check BROKEN.mcap reports what is lost. Decoded topics are left out: bilprov capture
-    decode writes them. Ctrl-C leaves no OUT.
-    """
+    metadata and attachments; a gap stands where something is lost. BROKEN may also be a capture
+    that was never finished, and stays as it is. bilprov capture check BROKEN.mcap reports what is
+    lost. Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT."""
     from bilprov.analyzer.edit.cut import write_window
     from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
     from bilprov.analyzer.output.outputs import Window
@@ -222,9 +214,7 @@ class JoinOptions:
 
 @command(JoinOptions)
 def join(options: JoinOptions) -> None:
-    """Join captures by the time of day at which their bytes arrived.
-
-    Examples:
+    """Examples:
       bilprov capture join host.mcap device.mcap -o both.mcap
 
     Two sniffers, of which one listened to the host and one to the device, give a capture of both
@@ -233,8 +223,8 @@ def join(options: JoinOptions) -> None:
     every byte would be there twice: that is refused, with the command that cuts one of them.
 
     Raw bytes, line events and what conformance runs noted are kept as they are, with the metadata
-    and attachments of all. Decoded topics are left out: bilprov capture decode writes them.
-    Ctrl-C leaves no OUT.
+    and attachments of all. Decoded topics are left out: bilprov capture decode writes them. Ctrl-C
+    leaves no OUT.
     """
     from bilprov.analyzer.edit.join import Joined, write_joined
     from bilprov.analyzer.edit.new_capture import new_capture
@@ -270,9 +260,7 @@ class DecodeOptions:
 
 @command(DecodeOptions)
 def decode(options: DecodeOptions) -> None:
-    """Write a capture with everything decoded from it.
-
-    Examples:
+    """Examples:
       bilprov capture decode drive.mcap whole.mcap
 
     OUT holds what IN holds, and every frame, answer, state and fault decoded from its bytes,
@@ -311,16 +299,14 @@ class DiffOptions:
 
 @command(DiffOptions)
 def diff(options: DiffOptions) -> int:
-    """Show where two captures differ.
-
-    Examples:
+    """Examples:
       bilprov capture diff yesterday.mcap today.mcap
 
     Both are decoded, and aligned by the frames that the host sent, so that one frame more or less
-    does not shift the rest; after more than 20,000 missing at one place they are listed one
-    by one. Reported are frames that only one of them has, different or missing answers, bytes that
-    answer nothing, and latencies that differ by more than --latency; times of day and pauses are
-    not compared. The keys of the JSON are explained in analyzer/edit/comparison_report.py.
+    does not shift the rest; after more than 20,000 missing at one place they are listed one by one.
+    Reported are frames that only one of them has, different or missing answers, bytes that answer
+    nothing, and latencies that differ by more than --latency; times of day and pauses are not
+    compared. The keys of the JSON are explained in analyzer/edit/comparison_report.py.
 
     Exit code 1 if anything differs, 0 if nothing does, 3 if only one of them holds answers and
     nothing else differs; 2 if not all of it could be shown.

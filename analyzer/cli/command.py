@@ -77,13 +77,16 @@ def group(kind: type[Any], heading: str = "") -> Any:
 
 
 def command(
-    kind: type[Options], name: str | None = None, **attributes: Any
+    kind: type[Options], **attributes: Any
 ) -> Callable[[Callable[[Options], int | None]], click.Command]:
-    """Make a function a command that is called with its options as one value of a class."""
+    """Make a function a command that is called with its options as one value of a class.
+
+    Its docstring is the help below the sentence that stands in the front door's table.
+    """
 
     def decorated(function: Callable[[Options], int | None]) -> click.Command:
         return PageCommand(
-            name or function.__name__,
+            function.__name__,
             callback=lambda **values: function(_gathered(kind, values)),
             params=list(_parameters(kind)),
             help=function.__doc__,

@@ -32,10 +32,10 @@ class CompletionOptions:
     CompletionOptions, epilog="\n\n".join(f"{shell}: {line}" for shell, line in INSTALL.items())
 )
 def completion(options: CompletionOptions) -> None:
-    """Print the script that completes bilprov's subcommands, options and values in a shell.
-
-    Examples:
+    """Examples:
       bilprov completion bash
+
+    It completes subcommands, options and values.
     """
     script = get_completion_class(options.shell)
     assert script is not None

@@ -20,9 +20,7 @@ class ConfigOptions:
 
 @command(ConfigOptions)
 def config(options: ConfigOptions) -> None:
-    """Show the settings in force.
-
-    Examples:
+    """Examples:
       bilprov config
       bilprov config --format json
 

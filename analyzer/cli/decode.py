@@ -46,13 +46,12 @@ class DecodeOptions:
 
 @command(DecodeOptions)
 def decode(options: DecodeOptions) -> None:
-    """Decode bytes: hex like 81 05, a file of raw bytes, a capture, or - for standard input.
-
-    Examples:
+    """Examples:
       bilprov decode 81 05 20
       bilprov decode --from device --format jsonl answers.bin
 
-    The bytes are taken as sent without a pause: only the last frame can be cut short.
+    HEX is bytes like 81 05, FILE a file of raw bytes or a capture, - standard input. The bytes are
+    taken as sent without a pause: only the last frame can be cut short.
     """
     protocol, sender = protocol_in_use(), options.sender
     test = compiled(options.expression, protocol)

@@ -65,16 +65,14 @@ class ExportOptions:
 
 @command(ExportOptions)
 def export(options: ExportOptions) -> None:
-    """Write the contents of a capture for other programs.
-
-    Examples:
+    """Examples:
       bilprov export drive.mcap -o drive.csv
       bilprov export drive.mcap --filter faulty --format jsonl -o -
 
     csv, jsonl and parquet have a row for each frame, answer and fault, decoded as replay shows
-    them; docs/times.md explains their columns. pcapng has a packet for each frame, answer and
-    line event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not
-    grow with the capture. OUT appears when it is complete.
+    them; docs/times.md explains their columns. pcapng has a packet for each frame, answer and line
+    event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not grow
+    with the capture. OUT appears when it is complete.
     """
     from bilprov.analyzer.replay.capture_session import require_begun
 

@@ -51,16 +51,14 @@ class ImpairedOptions:
 
 @command(ImpairedOptions)
 def line(options: ImpairedOptions) -> int:
-    """Connect A and B through a line that loses, changes, doubles and delays bytes, both ways.
-
-    Examples:
+    """Examples:
       bilprov lab line --drop 1e-4 --delay 5ms /dev/ttyUSB0 pty
       bilprov lab line --flip 1e-3 pty pty
 
-    A and B are each a device that is opened (a path or a pyserial URL), or pty: a pseudo terminal
-    is made for a program to open, and its path printed, A before B. Without faults every byte
-    passes unchanged and at once. What arrives at a pty waits for the program that opens it, as in a
-    driver's buffer.
+    Between A and B bytes are lost, changed, doubled and delayed, both ways. A and B are each a
+    device that is opened (a path or a pyserial URL), or pty: a pseudo terminal is made for a
+    program to open, and its path printed, A before B. Without faults every byte passes unchanged
+    and at once. What arrives at a pty waits for the program that opens it, as in a driver's buffer.
 
     A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. Times are in
     milliseconds: 5ms, or 5. The order of the bytes is kept. The same seed and the same bytes give

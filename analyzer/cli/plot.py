@@ -22,15 +22,14 @@ class PlotOptions:
 
 @command(PlotOptions)
 def plot(options: PlotOptions) -> None:
-    """Draw a capture over time, as one page that loads nothing from elsewhere.
-
-    Examples:
+    """Examples:
       bilprov plot drive.mcap --html drive.html
 
-    Motion, speed and steering as the instructions predict them, anomalies with their reasons, and
-    latencies share one time axis, which the mouse wheel, touch and keys zoom. A long time without
-    traffic is folded there, with its duration beside the break. A long recording is reduced to
-    steps of time, as the page then states, so that it has a few MB at most.
+    The page loads nothing from elsewhere. Motion, speed and steering as the instructions predict
+    them, anomalies with their reasons, and latencies share one time axis, which the mouse wheel,
+    touch and keys zoom. A long time without traffic is folded there, with its duration beside the
+    break. A long recording is reduced to steps of time, as the page then states, so that it has a
+    few MB at most.
     """
     from bilprov.analyzer.output.capture_stats import file_stats
     from bilprov.analyzer.plot.page import plot_page

@@ -44,9 +44,7 @@ class PortsOptions:
 
 @command(PortsOptions)
 def ports(options: PortsOptions) -> int:
-    """List the serial ports of this machine, or examine those that are named.
-
-    Examples:
+    """Examples:
       bilprov ports
       bilprov ports /dev/ttyUSB0
       bilprov ports /dev/ttyUSB0 /dev/ttyUSB1

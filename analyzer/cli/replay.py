@@ -113,9 +113,7 @@ class ReplayOptions:
 
 @command(ReplayOptions)
 def replay(options: ReplayOptions) -> int:
-    """Look through a capture on a screen, or play it again.
-
-    Examples:
+    """Examples:
       bilprov replay drive.mcap
       bilprov replay drive.mcap --plain --rate 0 --filter faulty
       bilprov replay drive.mcap --to /dev/ttyUSB0

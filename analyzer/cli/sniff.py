@@ -143,9 +143,7 @@ class SniffOptions:
 
 @command(SniffOptions)
 def sniff(options: SniffOptions) -> int:
-    """Listen to a line, decode and log it.
-
-    Examples:
+    """Examples:
       bilprov sniff sim
       bilprov sniff /dev/ttyUSB0 /dev/ttyUSB1 -w drive.mcap
       bilprov sniff --bridge /dev/ttyUSB0 --plain
@@ -170,8 +168,8 @@ def sniff(options: SniffOptions) -> int:
     port does not end it, and a port that came back is not a fault.
 
     With --judge a table at the end (with --format jsonl a last object of kind judgement) shows
-    which parts of the document the traffic covered and what contradicts it; exit code 1 if
-    anything does.
+    which parts of the document the traffic covered and what contradicts it; exit code 1 if anything
+    does.
     """
     path, quiet = options.path, options.quiet
     style = session_style(options.style, options.plain)

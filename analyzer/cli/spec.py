@@ -48,13 +48,13 @@ class EmitOption:
         write_output(self.output, text.encode())
 
 
-@command(FormatOption, "show")
-def spec_show(options: FormatOption) -> None:
-    """Show header, instructions, responses, effects and defaults of the grammar in use.
-
-    Examples:
+@command(FormatOption)
+def show(options: FormatOption) -> None:
+    """Examples:
       bilprov spec show
       bilprov spec show --format json
+
+    Shown are header, instructions, responses, effects and defaults.
     """
     from bilprov.analyzer.output.protocol import drawn_protocol, protocol_json
 
@@ -74,12 +74,12 @@ def _require_document(protocol: Protocol, what: str) -> None:
         )
 
 
-@command(ReadingsOptions, "readings")
-def spec_readings(options: ReadingsOptions) -> None:
-    """Show how the document is read where it is silent: the default, other readings' verdicts.
-
-    Examples:
+@command(ReadingsOptions)
+def readings(options: ReadingsOptions) -> None:
+    """Examples:
       bilprov spec readings R-led-id
+
+    For each point: the default, and other readings' verdicts.
     """
     from bilprov.analyzer.cli.typed_input import meant
     from bilprov.analyzer.output.protocol import drawn_readings, readings_json
@@ -97,12 +97,12 @@ def spec_readings(options: ReadingsOptions) -> None:
     show_as(options.style, lambda: readings_json(chosen), lambda: drawn_readings(chosen))
 
 
-@command(FormatOption, "errata")
-def spec_errata(options: FormatOption) -> None:
-    """Run the document's own examples through the grammar and show where it contradicts itself.
-
-    Examples:
+@command(FormatOption)
+def errata(options: FormatOption) -> None:
+    """Examples:
       bilprov spec errata
+
+    The document's own examples are run through the grammar.
     """
     from bilprov.analyzer.output.protocol import drawn_errata, errata_json
     from bilprov.spec.errata import check
@@ -113,27 +113,23 @@ def spec_errata(options: FormatOption) -> None:
     show_as(options.style, lambda: errata_json(findings), lambda: drawn_errata(protocol, findings))
 
 
-@command(EmitOption, "c")
-def spec_emit_c(options: EmitOption) -> None:
-    """A C header with the protocol's constants, for firmware and for hosts.
-
-    Examples:
-      bilprov spec emit c -o protocol.h
+@command(EmitOption)
+def c(options: EmitOption) -> None:
+    """Examples:
+    bilprov spec emit c -o protocol.h
     """
     from bilprov.spec.emit.c import c_header
 
     options.write(c_header(protocol_in_use()))
 
 
-@command(EmitOption, "wireshark")
-def spec_emit_wireshark(options: EmitOption) -> None:
-    """A dissector in Lua for Wireshark and tshark, which reads what `export` writes as pcapng.
-
-    Examples:
+@command(EmitOption)
+def wireshark(options: EmitOption) -> None:
+    """Examples:
       bilprov spec emit wireshark -o robot.lua
 
-    Then: tshark -2 -r drive.pcapng -X lua_script:robot.lua; for Wireshark, put it into the folder
-    of personal Lua plugins.
+    It reads what `export` writes as pcapng. Then: tshark -2 -r drive.pcapng -X
+    lua_script:robot.lua; for Wireshark, put it into the folder of personal Lua plugins.
     """
     from bilprov.analyzer.decode.session import SKEW
     from bilprov.captures.schemas import MS
@@ -142,13 +138,13 @@ def spec_emit_wireshark(options: EmitOption) -> None:
     options.write(lua_dissector(protocol_in_use(), SKEW / MS))
 
 
-@command(EmitOption, "grammar")
-def spec_emit_grammar(options: EmitOption) -> None:
-    """The text of the grammar in use, to be changed and named with --grammar.
-
-    Examples:
+@command(EmitOption)
+def grammar(options: EmitOption) -> None:
+    """Examples:
       bilprov spec emit grammar -o mine.py
       bilprov spec show --grammar mine.py
+
+    The changed text is named with --grammar.
     """
 
     options.write(protocol_in_use().source)

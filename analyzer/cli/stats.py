@@ -35,16 +35,15 @@ class StatsOptions:
 
 @command(StatsOptions)
 def stats(options: StatsOptions) -> None:
-    """Count what captures hold: frames, answers, anomalies, latencies, load, time moving.
-
-    Examples:
+    """Examples:
       bilprov stats drive.mcap
       bilprov stats monday.mcap tuesday.mcap --json week.json
 
-    Each capture is decoded from its raw bytes, as replay does, and counted by itself; where there
-    are several, all of them together too. The keys of the JSON are explained in
-    analyzer/output/capture_stats.py, the CSV in stats_csv.py beside it. With --filter only what
-    passes is counted, from the first such byte to the last.
+    Counted are frames, answers, anomalies, latencies, load and time moving. Each capture is decoded
+    from its raw bytes, as replay does, and counted by itself; where there are several, all of them
+    together too. The keys of the JSON are explained in analyzer/output/capture_stats.py, the CSV in
+    stats_csv.py beside it. With --filter only what passes is counted, from the first such byte to
+    the last.
     """
     from bilprov.analyzer.output.capture_stats import file_stats, stats_of
     from bilprov.analyzer.output.charts import ASCII, BLOCKS

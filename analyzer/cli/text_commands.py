@@ -24,9 +24,7 @@ class ExplainOptions:
 
 @command(ExplainOptions)
 def explain(options: ExplainOptions) -> None:
-    """Explain bytes, bit by bit.
-
-    Examples:
+    """Examples:
       bilprov explain 81 09
       bilprov explain --from device 02
 
@@ -64,14 +62,12 @@ class EncodeOptions:
 # A negative value looks like an option; here it is taken as a value, whose range check refuses it.
 @command(EncodeOptions, context_settings={"ignore_unknown_options": True})
 def encode(options: EncodeOptions) -> None:
-    """Build the bytes of an instruction and print them in hex.
-
-    Examples:
+    """Examples:
       bilprov encode LED rgb=5
       bilprov encode Speed 80 --raw
 
-    Values are decimal, 0x hex or 0b binary; without FIELD= they are taken in order. See the
-    instructions and their fields with: bilprov spec show
+    They are printed in hex. Values are decimal, 0x hex or 0b binary; without FIELD= they are taken
+    in order. See the instructions and their fields with: bilprov spec show
 
     INSTRUCTION is a name in the grammar, FIELD one of its fields.
     """

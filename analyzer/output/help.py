@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from inspect import cleandoc
 from typing import Any
 
 import click
@@ -115,9 +116,16 @@ class PageOption(click.Option):
 
 
 class PageCommand(click.Command):
-    """A command whose help is a Page, which lists the options by their headings."""
+    """A command whose help is a Page: its `short_help`, its help, the options by their headings."""
 
     context_class = PageContext
+
+    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write what the command does, and the rest of its help."""
+        formatter.write_paragraph()
+        with formatter.indentation():
+            text = cleandoc(self.help or "")
+            formatter.write_text(f"{self.short_help}\n\n{text}" if self.short_help else text)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options below their headings; those without one are the last."""

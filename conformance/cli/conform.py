@@ -184,14 +184,13 @@ class ConformOptions:
 
 @command(ConformOptions)
 def conform(options: ConformOptions) -> int:
-    """Test a device against the document: its answers, its safety stop, its state.
-
-    Examples:
+    """Examples:
       bilprov conform sim --fault no-stop-on-bad-data --html report.html
       bilprov conform /dev/ttyUSB0 --probe tcp:127.0.0.1:7001
 
-    PORT is a path or a pyserial URL of a device that will move; sim is the built-in simulator, in
-    virtual time; emulator:simavr:FILE.elf runs a board's firmware.
+    Its answers are judged, its safety stop and its state. PORT is a path or a pyserial URL of a
+    device that will move; sim is the built-in simulator, in virtual time; emulator:simavr:FILE.elf
+    runs a board's firmware.
 
     Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
     something could not be judged. If a file or the output on the screen cannot be written, the run

@@ -75,16 +75,15 @@ class LearnOptions:
 
 @command(LearnOptions)
 def learn(options: LearnOptions) -> int:
-    """Learn a device as a Mealy machine, and compare it with the machine of the Protocol.
-
-    Examples:
+    """Examples:
       bilprov lab learn sim --svg machine.svg
       bilprov lab learn /dev/ttyUSB0 --probe tcp:127.0.0.1:7001
 
-    Every instruction with representative data and every kind of fault is sent in every state that
-    the device shows, by its answers and what the probe sees. Before each sequence the line is homed
-    and the settings are brought to rest; an unexpected answer is tried again. Where the machines
-    differ, the shortest sequences are printed as `bilprov send` lines.
+    The machine is compared with that of the Protocol. Every instruction with representative data
+    and every kind of fault is sent in every state that the device shows, by its answers and what
+    the probe sees. Before each sequence the line is homed and the settings are brought to rest; an
+    unexpected answer is tried again. Where the machines differ, the shortest sequences are printed
+    as `bilprov send` lines.
 
     Exit code: 0 the same machine, 1 another one, 2 the port or the probe cannot be used, 3 it could
     not be learned, or no probe sees the robot.

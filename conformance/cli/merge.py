@@ -28,10 +28,10 @@ from bilprov.conformance.report.json_report import report_file
 from bilprov.conformance.report.merge import (
     MergeError,
     ShardReport,
-    merge,
     require_together,
     shard_from,
 )
+from bilprov.conformance.report.merge import merge as merged_report
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,9 @@ class MergeOptions:
     verbose: bool = verbose_option()
 
 
-@command(MergeOptions, "merge")
-def merge_reports(options: MergeOptions) -> int:
-    """Merge the reports of shards into one, as if they had been one run.
-
-    Examples:
+@command(MergeOptions)
+def merge(options: MergeOptions) -> int:
+    """Examples:
       bilprov merge shard1.json shard2.json --json whole.json
 
     Each REPORT.json is what `conform --shard I/N --json` wrote. They must be of the same grammar,
@@ -71,7 +69,7 @@ def merge_reports(options: MergeOptions) -> int:
         cases = select_cases(protocol, run, line)
     except ValueError as error:
         raise MergeError(f"{parts[0].name}: {error}") from error
-    merged = merge(parts, protocol, cases)
+    merged = merged_report(parts, protocol, cases)
     report = with_expected(merged.report, known, options.expect_failures)
     console = summary_console(stderr=onto_standard_output(outputs))
     try:

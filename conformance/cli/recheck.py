@@ -35,15 +35,13 @@ class RecheckOptions:
 
 @command(RecheckOptions)
 def recheck(options: RecheckOptions) -> int:
-    """Judge a recorded run again, from its bytes and observations alone.
-
-    Examples:
+    """Examples:
       bilprov recheck run.mcap
 
-    Every byte of FILE.mcap is checked against its hash and its checksums first. Then the cases are
-    judged again by the grammar that the file carries (or bilprov --grammar FILE.py), and each case
-    is listed whose verdict, in all or on one axis, differs from the recorded one. A hash reveals
-    damage, not forgery.
+    Nothing but the bytes and the observations of the probe is used. Every byte of FILE.mcap is
+    checked against its hash and its checksums first. Then the cases are judged again by the grammar
+    that the file carries (or bilprov --grammar FILE.py), and each case is listed whose verdict, in
+    all or on one axis, differs from the recorded one. A hash reveals damage, not forgery.
 
     Exit code: 0 the same, 1 something differs, 2 the file is damaged or cannot be judged again, or
     there is no report for --json because the run strayed from its recording, 3 the same as far as

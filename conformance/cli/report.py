@@ -28,14 +28,12 @@ class ReportOptions:
 
 @command(ReportOptions)
 def report(options: ReportOptions) -> int:
-    """Write pages from what conform --json wrote, several runs side by side.
-
-    Examples:
+    """Examples:
       bilprov report run.json
       bilprov report monday.json tuesday.json --html week.html
 
-    Without --html, --junit or --markdown a table is shown here. Exit code: 0 once it is written,
-    whatever the verdicts are.
+    Pages are written with several runs side by side. Without --html, --junit or --markdown a table
+    is shown here. Exit code: 0 once it is written, whatever the verdicts are.
     """
     promise_verdict()
     outputs, verbose = outputs_of(options.outputs), options.verbose

@@ -21,7 +21,8 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
     write_each,
 )
-from bilprov.conformance.mutation.score import Score, chosen_faults, is_random, score
+from bilprov.conformance.mutation.score import Score, chosen_faults, is_random
+from bilprov.conformance.mutation.score import score as score_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,17 +64,15 @@ class ScoreOptions:
     )
 
 
-@command(ScoreOptions, "score")
-def score_suite(options: ScoreOptions) -> int:
-    """Score the suite: run it, in virtual time, against every known faulty device.
-
-    Examples:
+@command(ScoreOptions)
+def score(options: ScoreOptions) -> int:
+    """Examples:
       bilprov lab score --level smoke --random 0
 
-    Shows how many of each family are caught at each level, what survives, and which faults a group
-    of cases catches alone. A random fault counts if it failed, or if a separate search
-    distinguishes it from a conforming device. Exit code: 0 everything is caught that must be, 1
-    something is not.
+    The suite runs in virtual time. Shows how many of each family are caught at each level, what
+    survives, and which faults a group of cases catches alone. A random fault counts if it failed,
+    or if a separate search distinguishes it from a conforming device. Exit code: 0 everything is
+    caught that must be, 1 something is not.
     """
     from rich.console import Console
 
@@ -97,7 +96,7 @@ def score_suite(options: ScoreOptions) -> int:
             shown.update(task, advance=1, description=name[:40].ljust(40))
 
         jobs = options.jobs or os.cpu_count() or 1
-        found = score(protocol, faults, at=at, seed=options.seed, jobs=jobs, progress=told)
+        found = score_of(protocol, faults, at=at, seed=options.seed, jobs=jobs, progress=told)
     try:
         write_each((output.path, _as_json(found, output.path)) for output in outputs)
     finally:

@@ -60,9 +60,7 @@ class SendOptions:
 
 @command(SendOptions)
 def send(options: SendOptions) -> int:
-    """Send instructions or bytes to a device, or drive it by hand.
-
-    Examples:
+    """Examples:
       bilprov send /dev/ttyUSB0 Forward pause=500 "Speed 80" "81 05"
       bilprov send sim
 

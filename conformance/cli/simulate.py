@@ -51,16 +51,14 @@ class SimulateOptions:
 
 @command(SimulateOptions)
 def simulate(options: SimulateOptions) -> int:
-    """Serve a simulated device on a pty, or over TCP, until Ctrl-C.
-
-    Examples:
+    """Examples:
       bilprov simulate --probe-listen 127.0.0.1:0
       bilprov simulate --fault always-0 --listen 127.0.0.1:7000
       bilprov simulate --firmware firmware/build/uno.elf
 
-    The device conforms, or misbehaves with --fault. Prints one line for each thing it serves: the
-    pty's path, socket://HOST:PORT, and probe tcp:HOST:PORT, which are what sniff, replay, conform
-    and --probe take.
+    It is served on a pty, or over TCP. The device conforms, or misbehaves with --fault. Prints one
+    line for each thing it serves: the pty's path, socket://HOST:PORT, and probe tcp:HOST:PORT,
+    which are what sniff, replay, conform and --probe take.
 
     With --firmware it is a board's: the ELF file for an Arduino Uno (ATmega328P, 16 MHz), run under
     simavr. It runs as fast as the wall clock, and bytes take as long as on a wire of the grammar's

@@ -28,54 +28,27 @@ if TYPE_CHECKING:
     from bilprov.conformance.api import Options as Options
     from bilprov.conformance.api import conform as conform
 
-__all__ = [
-    "LinkError",
-    "Look",
-    "NoAnswer",
-    "Options",
-    "Refused",
-    "Robot",
-    "RobotError",
-    "conform",
-    "decode",
-    "encode",
-    "explain",
-    "judge",
-    "load_protocol",
-    "main",
-    "open_capture",
-    "read_capture",
-    "sniff",
-]
-
-# What the import hands on: name -> (module, attribute).
-API = {
-    "LinkError": ("bilprov.analyzer.transport.errors", "LinkError"),
-    "Look": ("bilprov.captures.schemas", "Look"),
-    "NoAnswer": ("bilprov.analyzer.client.driver", "NoAnswer"),
-    "Options": ("bilprov.conformance.api", "Options"),
-    "Refused": ("bilprov.analyzer.client.driver", "Refused"),
-    "Robot": ("bilprov.analyzer.client.robot", "Robot"),
-    "RobotError": ("bilprov.analyzer.client.driver", "RobotError"),
-    "conform": ("bilprov.conformance.api", "conform"),
-    "decode": ("bilprov.analyzer.api", "decode"),
-    "encode": ("bilprov.analyzer.api", "encode"),
-    "explain": ("bilprov.analyzer.api", "explain"),
-    "judge": ("bilprov.analyzer.api", "judge"),
-    "load_protocol": ("bilprov.analyzer.grammar_file", "load_protocol"),
-    "main": ("bilprov.__main__", "main"),
-    "open_capture": ("bilprov.captures.reader", "open_capture"),
-    "read_capture": ("bilprov.analyzer.api", "read_capture"),
-    "sniff": ("bilprov.analyzer.api", "sniff"),
+# What the import hands on, by module.
+_MODULES = {
+    "bilprov.__main__": "main",
+    "bilprov.analyzer.api": "decode encode explain judge read_capture sniff",
+    "bilprov.analyzer.client.driver": "NoAnswer Refused RobotError",
+    "bilprov.analyzer.client.robot": "Robot",
+    "bilprov.analyzer.grammar_file": "load_protocol",
+    "bilprov.analyzer.transport.errors": "LinkError",
+    "bilprov.captures.reader": "open_capture",
+    "bilprov.captures.schemas": "Look",
+    "bilprov.conformance.api": "Options conform",
 }
+_HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in API:
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = API[name]
-    return getattr(import_module(module), attribute)
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__

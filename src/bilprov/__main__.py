@@ -14,35 +14,34 @@ from click import exceptions
 from bilprov.analyzer.former_names import former_name
 from bilprov.analyzer.output.help import HELP_NAMES, Group
 from bilprov.analyzer.transport.ending import exit_status
+from bilprov.analyzer.version import kit_version
 
 
 class Row(NamedTuple):
-    """One command: its panel in the help, where it lives, its line in the list of commands.
+    """One command: its panel in the help, its module in the `cli` of a room, what it does.
 
     A group of commands lives nowhere: its commands are the rows whose names begin with its own.
-    Then the help is all of its page.
+    Then the last is all of its page; else it is the first sentence, and the function's docstring
+    the rest.
     """
 
     panel: str
-    module: str
-    attribute: str
+    place: str
     help: str
 
 
-ANALYZER, CONFORMANCE = "bilprov.analyzer.cli", "bilprov.conformance.cli"
 COMMANDS = {
-    "sniff": Row("Analyze", f"{ANALYZER}.sniff", "sniff", "Listen to a line, decode and log it."),
+    "sniff": Row("Analyze", "analyzer.sniff", "Listen to a line, decode and log it."),
     "replay": Row(
-        "Analyze", f"{ANALYZER}.replay", "replay", "Look through a capture, or play it again."
+        "Analyze", "analyzer.replay", "Look through a capture on a screen, or play it again."
     ),
-    "stats": Row(
-        "Analyze", f"{ANALYZER}.stats", "stats", "Count frames, answers and faults in captures."
+    "stats": Row("Analyze", "analyzer.stats", "Count frames, answers and faults in captures."),
+    "plot": Row("Analyze", "analyzer.plot", "Draw a capture over time, as a page."),
+    "export": Row(
+        "Analyze", "analyzer.export", "Write the contents of a capture for other programs."
     ),
-    "plot": Row("Analyze", f"{ANALYZER}.plot", "plot", "Draw a capture over time, as a page."),
-    "export": Row("Analyze", f"{ANALYZER}.export", "export", "Write a capture for other programs."),
     "capture": Row(
         "Analyze",
-        "",
         "",
         """Show, check, cut, join, repair and compare captures.
 
@@ -51,40 +50,42 @@ COMMANDS = {
           bilprov capture cut drive.mcap part.mcap --start 12 --end 20
         """,
     ),
-    "capture info": Row("", f"{ANALYZER}.capture", "info", "Show what a capture holds."),
-    "capture cut": Row("", f"{ANALYZER}.capture", "cut", "Write a part of a capture."),
-    "capture join": Row("", f"{ANALYZER}.capture", "join", "Join captures by time."),
-    "capture check": Row(
-        "", f"{ANALYZER}.capture", "check", "Report damaged and lost parts of a capture."
+    "capture info": Row("", "analyzer.capture", "Show what a capture holds."),
+    "capture cut": Row("", "analyzer.capture", "Write a part of a capture."),
+    "capture join": Row(
+        "",
+        "analyzer.capture",
+        "Join captures by the time of day at which their bytes arrived.",
     ),
-    "capture repair": Row(
-        "", f"{ANALYZER}.capture", "repair", "Write the intact parts of a damaged capture."
-    ),
+    "capture check": Row("", "analyzer.capture", "Report damaged and lost parts of a capture."),
+    "capture repair": Row("", "analyzer.capture", "Write the intact parts of a damaged capture."),
     "capture decode": Row(
-        "", f"{ANALYZER}.capture", "decode", "Write a capture with everything decoded from it."
+        "", "analyzer.capture", "Write a capture with everything decoded from it."
     ),
-    "capture diff": Row("", f"{ANALYZER}.capture", "diff", "Show where two captures differ."),
-    "ports": Row(
-        "Drive", f"{ANALYZER}.ports", "ports", "List serial ports, or examine those you name."
-    ),
+    "capture diff": Row("", "analyzer.capture", "Show where two captures differ."),
+    "ports": Row("Drive", "analyzer.ports", "List serial ports, or examine those you name."),
     "send": Row(
         "Drive",
-        f"{CONFORMANCE}.send",
-        "send",
-        "Send instructions to a device, or drive it by hand.",
+        "conformance.send",
+        "Send instructions or bytes to a device, or drive it by hand.",
     ),
-    "conform": Row("Test", f"{CONFORMANCE}.conform", "conform", "Run the suite against a device."),
-    "recheck": Row("Test", f"{CONFORMANCE}.recheck", "recheck", "Judge a recorded run again."),
-    "report": Row("Test", f"{CONFORMANCE}.report", "report", "Show and compare past runs."),
-    "merge": Row(
-        "Test", f"{CONFORMANCE}.merge", "merge_reports", "Merge the reports of shards into one."
+    "conform": Row(
+        "Test",
+        "conformance.conform",
+        "Test a device against the document: answers, stops, state.",
     ),
-    "simulate": Row(
-        "Test", f"{CONFORMANCE}.simulate", "simulate", "Serve a simulated device, or firmware."
+    "recheck": Row(
+        "Test", "conformance.recheck", "Judge a recorded run again, from its bytes alone."
     ),
+    "report": Row(
+        "Test",
+        "conformance.report",
+        "Show and compare runs, from what conform --json wrote.",
+    ),
+    "merge": Row("Test", "conformance.merge", "Merge the reports of shards into one."),
+    "simulate": Row("Test", "conformance.simulate", "Serve a simulated device, or firmware."),
     "lab": Row(
         "Test",
-        "",
         "",
         """Score the suite, learn devices, impair lines.
 
@@ -93,23 +94,16 @@ COMMANDS = {
           bilprov lab line --drop 1e-4 /dev/ttyUSB0 pty
         """,
     ),
-    "lab score": Row(
-        "", f"{CONFORMANCE}.score", "score_suite", "Score the suite against faulty devices."
-    ),
-    "lab learn": Row("", f"{CONFORMANCE}.learn", "learn", "Learn a device as a state machine."),
-    "lab line": Row("", f"{ANALYZER}.line", "line", "Connect two ends through an impaired line."),
+    "lab score": Row("", "conformance.score", "Score the suite against faulty devices."),
+    "lab learn": Row("", "conformance.learn", "Learn a device as a Mealy machine."),
+    "lab line": Row("", "analyzer.line", "Connect two ends through an impaired line."),
     "decode": Row(
-        "Protocol", f"{ANALYZER}.decode", "decode", "Decode bytes from hex, a file or a capture."
+        "Protocol", "analyzer.decode", "Decode bytes from hex, a file, a capture or a pipe."
     ),
-    "explain": Row(
-        "Protocol", f"{ANALYZER}.text_commands", "explain", "Explain bytes, bit by bit."
-    ),
-    "encode": Row(
-        "Protocol", f"{ANALYZER}.text_commands", "encode", "Build the bytes of an instruction."
-    ),
+    "explain": Row("Protocol", "analyzer.text_commands", "Explain bytes, bit by bit."),
+    "encode": Row("Protocol", "analyzer.text_commands", "Build the bytes of an instruction."),
     "spec": Row(
         "Protocol",
-        "",
         "",
         """Show the protocol, its readings and errata; write it for other programs.
 
@@ -118,15 +112,10 @@ COMMANDS = {
           bilprov spec emit wireshark -o robot.lua
         """,
     ),
-    "spec show": Row("", f"{ANALYZER}.spec", "spec_show", "Show the grammar in use."),
-    "spec readings": Row(
-        "", f"{ANALYZER}.spec", "spec_readings", "Show how the document is read where it is silent."
-    ),
-    "spec errata": Row(
-        "", f"{ANALYZER}.spec", "spec_errata", "Show where the document contradicts itself."
-    ),
+    "spec show": Row("", "analyzer.spec", "Show the grammar in use."),
+    "spec readings": Row("", "analyzer.spec", "Show how the document is read where it is silent."),
+    "spec errata": Row("", "analyzer.spec", "Show where the document contradicts itself."),
     "spec emit": Row(
-        "",
         "",
         "",
         """Write the grammar in use for other programs, or as it is.
@@ -136,19 +125,11 @@ COMMANDS = {
           bilprov spec emit grammar -o mine.py
         """,
     ),
-    "spec emit c": Row(
-        "", f"{ANALYZER}.spec", "spec_emit_c", "A C header, for firmware and hosts."
-    ),
-    "spec emit wireshark": Row(
-        "", f"{ANALYZER}.spec", "spec_emit_wireshark", "A dissector for Wireshark and tshark."
-    ),
-    "spec emit grammar": Row(
-        "", f"{ANALYZER}.spec", "spec_emit_grammar", "The grammar's own text, to be changed."
-    ),
-    "config": Row("Settings", f"{ANALYZER}.config", "config", "Show the settings in force."),
-    "completion": Row(
-        "Settings", f"{ANALYZER}.completion", "completion", "Print a shell's completion script."
-    ),
+    "spec emit c": Row("", "analyzer.spec", "A C header, for firmware and hosts."),
+    "spec emit wireshark": Row("", "analyzer.spec", "A dissector for Wireshark and tshark."),
+    "spec emit grammar": Row("", "analyzer.spec", "The text of the grammar in use, to be changed."),
+    "config": Row("Settings", "analyzer.config", "Show the settings in force."),
+    "completion": Row("Settings", "analyzer.completion", "Print a shell's completion script."),
 }
 """Every command by its name, those of a group behind the group's name; `help` is not listed."""
 
@@ -193,7 +174,7 @@ class Tree(Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """A group, or only the command's line in the list: its name and one sentence."""
         row = None if " " in cmd_name else COMMANDS.get(self.path + cmd_name)
-        if row is None or row.module:
+        if row is None or row.place:
             return click.Command(name=cmd_name, help=row.help) if row else None
         return Tree(cmd_name, path=f"{self.path}{cmd_name} ", help=row.help)
 
@@ -210,8 +191,10 @@ class Tree(Group):
         if name is None or command is None:  # completion asks for what does not exist
             return name, command, rest
         row = COMMANDS[self.path + name]
-        if row.module:
-            command = getattr(import_module(row.module), row.attribute)
+        if row.place:
+            module = import_module(f"bilprov.{row.place.replace('.', '.cli.')}")
+            command = getattr(module, name)
+            command.short_help = row.help
         if not any(param.name == "grammar" for param in command.params):
             command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
         if not ctx.resilient_parsing and not any(word in rest for word in HELP_NAMES):
@@ -252,23 +235,8 @@ def _meant(ctx: click.Context, args: list[str]) -> list[str]:
     return [*words, "--help"]
 
 
-def _show_version(ctx: click.Context, param: click.Parameter, asked: bool) -> None:
-    if asked and not ctx.resilient_parsing:
-        from bilprov.analyzer.version import kit_version
-
-        click.echo(f"bilprov {kit_version()}")
-        ctx.exit()
-
-
 @click.command(cls=Tree)
-@click.option(
-    "--version",
-    is_flag=True,
-    expose_value=False,
-    is_eager=True,
-    callback=_show_version,
-    help="Show the version and exit.",
-)
+@click.version_option(kit_version(), message="bilprov %(version)s")
 def front_door(grammar: str | None = None) -> None:
     """Protocol analyzer and conformance kit for the robot-car serial protocol.
 

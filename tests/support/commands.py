@@ -23,7 +23,7 @@ PATIENCE = 60.0  # s; a test that waits longer hangs
 # What would colour or widen the output of a test that somebody runs in a terminal.
 _TERMINAL = ("FORCE_COLOR", "COLUMNS")
 
-COMMANDS = [name for name, row in front_door.COMMANDS.items() if row.module]
+COMMANDS = [name for name, row in front_door.COMMANDS.items() if row.place]
 """The names of all commands that do something, like `capture cut`; groups are none."""
 
 Done = subprocess.CompletedProcess[bytes]
