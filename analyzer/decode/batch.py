@@ -7,7 +7,7 @@ them in order. A record (`records`) is one row as an object. Who decoded the row
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
@@ -38,6 +38,8 @@ INSTRUCTION, TRUNCATED, GARBAGE = range(3)
 
 NO_VERDICT = len(OUTCOMES)
 """In a column of verdicts (places in `OUTCOMES`): bytes that are no frame."""
+
+_MOTION_NAMES = np.array([motion.value for motion in MOTIONS], object)
 
 LATEST = 1 << 62
 """The latest time (ns) in columns: some time later still fits into 64 bits. It is 146 years."""
@@ -107,16 +109,16 @@ class StateColumns:
 
     def states(self) -> list[State]:
         """The state of each row as it is written; neighbours with one state share one object."""
-        columns = [self[variable] for variable in VARIABLES]
-        count = len(columns[0])
+        columns = {variable: self[variable] for variable in VARIABLES}
+        count = len(self["motion"])
         changed = np.zeros(count, np.bool_)
         changed[:1] = True
-        for column in columns:
+        for column in columns.values():
             changed[1:] |= column[1:] != column[:-1]
         first = np.flatnonzero(changed)
-        distinct = [
-            written(*row) for row in zip(*(c[first].tolist() for c in columns), strict=True)
-        ]
+        columns["moving"] = self.moving
+        columns["motion"] = _MOTION_NAMES.take(columns["motion"])
+        distinct = map(State, *(columns[name][first].tolist() for name in State.__struct_fields__))
         return repeated(distinct, np.diff(first, append=count))
 
 
@@ -428,9 +430,9 @@ def written(*values: int) -> State:
     return State(motion=motion, moving=is_moving(motion, named["speed"]), **named)
 
 
-def repeated(values: Sequence[Any], counts: NDArray[np.integer]) -> list[Any]:
+def repeated(values: Iterable[Any], counts: NDArray[np.integer]) -> list[Any]:
     """A list of each value so many times."""
-    array = np.fromiter(values, object, len(values))
+    array = np.fromiter(values, object, len(counts))
     listed: list[Any] = np.repeat(array, counts).tolist()
     return listed
 

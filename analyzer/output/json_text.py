@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bilprov.analyzer.decode.json_lines import encode_lines, json_line
+from bilprov.analyzer.decode.json_lines import encode_lines, json_lines
 from bilprov.analyzer.decode.records import Record
 
 
@@ -13,4 +13,4 @@ class JsonText:
 
     def text(self, records: Iterable[Record]) -> str:
         """The lines of the records; a record without a line gives none."""
-        return encode_lines([line for one in records if (line := json_line(one))]).decode()
+        return encode_lines(json_lines(records)).decode()
