@@ -130,7 +130,7 @@ def logging(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object
 
 
 def metadata(protocol: Protocol) -> dict[str, str]:
-    """What a capture of two taps says of itself, but for its start."""
+    """The metadata of a capture of two taps, without its start."""
     return session_metadata(
         protocol,
         ports={"host": "bench", "device": "bench"},

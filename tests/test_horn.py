@@ -82,70 +82,39 @@ def test_a_robot_with_a_horn_conforms_to_its_grammar(horn: Protocol, level: str)
 
 
 @pytest.mark.slow
-def test_a_robot_without_a_horn_fails_the_horns_grammar(protocol: Protocol, horn: Protocol) -> None:
-    only = ("*/Horn/*", "unused-id/*", "valid/LED/*", "link/*")
-
-    report = conform(Simulator(protocol), grammar=horn, options=Options(only=only))
-
-    assert report.exit == 1
-    found = failing(report.results)
-    assert {f"valid/Horn/{sound}" for sound in range(4)} <= found
-    assert all("/Horn/" in ident for ident in found)
-
-
-def test_a_robot_with_a_horn_fails_the_documents_grammar(
-    protocol: Protocol, horn: Protocol
+@pytest.mark.parametrize(
+    ("has_horn", "only", "caught"),
+    [
+        (False, ("*/Horn/*", "unused-id/*", "valid/LED/*", "link/*"), "valid/Horn/3"),
+        (True, ("unused-id/*", "valid/LED/*", "bad-data/LED/1?"), "unused-id/9/1"),
+        (True, (), "unused-id/9/1"),
+    ],
+    ids=["a grammar with a horn", "one without", "one without, all cases"],
+)
+def test_a_robot_fails_the_grammar_that_differs_by_a_horn(
+    protocol: Protocol, horn: Protocol, has_horn: bool, only: tuple[str, ...], caught: str
 ) -> None:
-    only = ("unused-id/*", "valid/LED/*", "bad-data/LED/1?")
+    robot, grammar = Simulator(horn if has_horn else protocol), protocol if has_horn else horn
 
-    report = conform(Simulator(horn), grammar=protocol, options=Options(only=only))
-
-    assert report.exit == 1
-    found = [r for r in report.results if r.verdict is Verdict.FAIL]
-    assert "unused-id/9/1" in {r.id for r in found}  # a horn that sounds
-    # It answers TOO_MANY_DATA for ID 9, and then contradicts that for all others.
-    contradicts = [r for r in found if "a device keeps to one choice" in r.reason]
-    assert {r.reading for r in contradicts} == {"R-unused-length"}
-    rest = [r.id for r in found if r not in contradicts]
-    assert all("/9/" in ident or ident.startswith("link/") for ident in rest)
-
-
-@pytest.mark.sample(1)
-@pytest.mark.slow
-@pytest.mark.parametrize("level", HORNS)
-def test_a_robot_with_a_horn_fails_the_documents_suite_at_each_level(
-    protocol: Protocol, horn: Protocol, level: str
-) -> None:
-    report = conform(Simulator(horn), grammar=protocol, options=Options(level=level))
+    report = conform(robot, grammar=grammar, options=Options(only=only))
 
     found = failing(report.results)
     assert report.exit == 1
-    # At smoke one case stands for its class; the walks meet the other lengths.
-    assert ("unused-id/9/1" in found) or level == "smoke"
-    assert "link/unused-id" in found or any("tour" in ident for ident in found)
-    for kind in ("sequence/tour/", "pipelined/tour/", "split/tour/"):
-        assert any(ident.startswith(kind) for ident in found), kind
-    assert not [ident for ident in found if ident.startswith(("valid/", "bad-data/"))]
-
-
-def test_the_bank_of_faults_follows(horn: Protocol) -> None:
-    bank = fault_bank(horn)
-
-    assert "accepts-id-9" not in bank
-    assert "accepts-id-10" in bank
-    assert "accepts-led-bit-3" in bank
+    assert caught in found
+    assert not [ident for ident in found if ident.startswith(("valid/LED", "bad-data/LED"))]
+    assert only or {"sequence", "pipelined", "split"} <= {ident.split("/")[0] for ident in found}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["accepts-id-10", "ok-to-bad-data", "never-times-out"])
-def test_the_faults_of_the_horns_grammar_are_caught(horn: Protocol, name: str) -> None:
+def test_the_bank_of_faults_follows_and_its_faults_are_caught(horn: Protocol, name: str) -> None:
     only = ("unused-id/1?/[01]", "bad-data/Horn/1?", "truncated/Horn/*")
+    bank = fault_bank(horn)
 
-    report = conform(
-        Simulator(horn, fault_bank(horn)[name]), grammar=horn, options=Options(only=only)
-    )
+    report = conform(Simulator(horn, bank[name]), grammar=horn, options=Options(only=only))
 
     assert report.exit == 1
+    assert "accepts-id-9" not in bank
 
 
 @pytest.mark.sample(1)

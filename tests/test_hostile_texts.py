@@ -198,34 +198,6 @@ def test_names_of_other_topics_do_nothing(name: str, surface: str, tmp_path: Pat
     seen(result.stdout + result.stderr)
 
 
-# -- settings --------------------------------------------------------------------------------------
-
-SETTINGS = {
-    "a key": "{text} = 1",
-    "a value": "baud = {text}",
-    "a table": "[{text}]\nbaud = 1",
-    "a device": "[device.{text}]\nport = {text}",
-    "a port": "[device.car]\nport = {text}",
-    "a command's": "[conform]\nlevel = {text}",
-    "no TOML": "{text} = = {text}",
-}
-
-
-@pytest.mark.sample(12)
-@pytest.mark.parametrize("what", SETTINGS)
-@pytest.mark.parametrize("name", [name for name in EVERY if name != "broken"])
-def test_settings_do_nothing(name: str, what: str, tmp_path: Path) -> None:
-    quoted = json.dumps(EVERY[name]).replace("\x7f", "\\u007f")
-    file = tmp_path / "bilprov" / "config.toml"
-    file.parent.mkdir()
-    file.write_text(SETTINGS[what].format(text=quoted), encoding="utf-8")
-
-    for words in (("config",), ("conform", "car", "--list"), ("decode", "00")):
-        result = command(*words, cwd=tmp_path, XDG_CONFIG_HOME=str(tmp_path))
-        assert b"Traceback" not in result.stderr
-        seen(result.stdout + result.stderr)
-
-
 # -- grammars --------------------------------------------------------------------------------------
 
 # What does not print is refused in every text of a grammar: see test_doors.py.

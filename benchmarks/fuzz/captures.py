@@ -24,6 +24,7 @@ from benchmarks.fuzz.traffic import (
     in_columns,
     records_one_by_one,
 )
+from benchmarks.product import metadata
 from bilprov.analyzer.decode.checkpoint import encoded
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.capture_file import of_capture
@@ -39,7 +40,7 @@ from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.plot.page import plot_page
 from bilprov.analyzer.replay.capture_parts import decoded_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, capture_session
-from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
+from bilprov.analyzer.replay.recorder import RecordWriter
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.analyzer.totals.timeline import Timeline
 from bilprov.analyzer.totals.totals import Totals
@@ -240,14 +241,7 @@ def _written(*, decoded: bool) -> bytes:
     protocol = load_protocol()
     path = folder() / "seed.mcap"
     path.unlink(missing_ok=True)
-    about = session_metadata(
-        protocol,
-        ports={"host": "/dev/ttyS0"},
-        line="115200 8N1",
-        timeout=50 * MS,
-        skew=0,
-        heard=("host", "device"),
-    ) | {topics.MACHINE: "fuzz"}
+    about = metadata(protocol) | {topics.MACHINE: "fuzz"}
     session = Session(protocol, timeout=50 * MS, skew=0)
     with RecordWriter(path, _START, about) as out:
         out.attach("run.json", "application/json", b"{}", 0)

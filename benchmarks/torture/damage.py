@@ -23,11 +23,12 @@ from benchmarks.fuzz.captures import (
     mended,
     own_captures,
 )
+from benchmarks.product import metadata
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.doctor.capture_file import of_capture
 from bilprov.analyzer.doctor.finding import Grade
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
+from bilprov.analyzer.replay.recorder import RecordWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture
@@ -71,10 +72,7 @@ def kinds() -> tuple[Kind, ...]:
 
 def _parts() -> tuple[bytes, ...]:
     """A recording in three parts."""
-    protocol = load_protocol()
-    about = session_metadata(
-        protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=("host", "device")
-    )
+    about = metadata(load_protocol())
     paths = [engine.folder() / f"part-{number}.mcap" for number in range(3)]
     writer: CaptureWriter = RecordWriter(paths[0], _START, {**about, PART: "1"})
     for number, path in enumerate(paths):

@@ -29,11 +29,11 @@ from random import Random
 from textwrap import indent
 from typing import NamedTuple
 
+from benchmarks.commands import bilprov_words
+from benchmarks.product import metadata
 from benchmarks.torture.harm import Harm, Progress, Row
 from benchmarks.torture.robots import Probe, served
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.replay.recorder import session_metadata
-from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
@@ -146,16 +146,16 @@ def _driver(script: str) -> Command:
 
 def _bilprov(name: str, *more: str, typed: str = "", fault: str = "") -> Command:
     """A command that has a port and no probe."""
-    words = [sys.executable, "-m", "bilprov", name]
-    return Command(lambda port, probe, folder: [*words, port, *more], typed, fault)
+    return Command(lambda port, probe, folder: bilprov_words(name, port, *more), typed, fault)
 
 
 def _seeing(name: str, *more: str, typed: str = "", fault: str = "") -> Command:
     """A command that has a port and a probe."""
-    words, rest = [sys.executable, "-m", "bilprov", *name.split()], ["--yes", *more]
-    return Command(
-        lambda port, probe, folder: [*words, port, "--probe", probe, *rest], typed, fault
-    )
+
+    def words(port: str, probe: str, folder: Path) -> list[str]:
+        return bilprov_words(*name.split(), port, "--probe", probe, "--yes", *more)
+
+    return Command(words, typed, fault)
 
 
 def _plugin(port: str, probe: str, folder: Path) -> list[str]:
@@ -164,23 +164,16 @@ def _plugin(port: str, probe: str, folder: Path) -> list[str]:
     return [sys.executable, "-m", "pytest", "-q", *alone, *options]
 
 
-def _replay(port: str, probe: str, folder: Path) -> list[str]:
-    words = [sys.executable, "-m", "bilprov", "replay"]
-    return [*words, str(drive_capture(folder)), "--to", port, "--yes"]
+def replay_to(port: str, folder: Path) -> list[str]:
+    """The command that sends a drive again."""
+    return bilprov_words("replay", str(drive_capture(folder)), "--to", port, "--yes")
 
 
 def drive_capture(folder: Path) -> Path:
     """A recording in which a robot drives with pauses."""
     path = folder / "drive.mcap"
     protocol = load_protocol()
-    about = session_metadata(
-        protocol,
-        ports={},
-        line=str(line_settings(protocol, None, None, None)),
-        timeout=50 * MS,
-        skew=0,
-        heard=("host", "device"),
-    )
+    about = metadata(protocol)
     code = protocol.answers[Outcome.VALID].code
     with CaptureWriter(path, start_wall=time.time_ns(), metadata=about, version="0") as out:
         for turn, (number, frame) in product(range(20), enumerate(_moving_frames())):
@@ -198,7 +191,7 @@ COMMANDS = {
     ),
     "send": _bilprov("send", *items(pause="pause=300"), "--yes"),
     "send, typed": _seeing("send", typed="\n".join(items(pause="pause=300")) + "\n"),
-    "replay --to": Command(_replay),
+    "replay --to": Command(lambda port, probe, folder: replay_to(port, folder)),
     "lab learn": _seeing("lab learn"),
     EXAMINES: _bilprov("ports", "--ask", "--yes", "--seconds", "0.2"),
     "plugin": Command(_plugin),

@@ -21,7 +21,7 @@ from random import Random
 from typing import NamedTuple
 
 from benchmarks.commands import Ended, Skipped, bilprov_words, run_any
-from benchmarks.torture.exits import drive_capture, items
+from benchmarks.torture.exits import items, replay_to
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.client.wire import stops
 from bilprov.analyzer.grammar_file import load_protocol
@@ -119,20 +119,14 @@ def _many() -> list[str]:
     return ["00" * 30_000] * 3
 
 
-def _listening(*taps: str) -> list[str]:
-    return bilprov_words("sniff", *taps, "--duration", str(_LISTENED))
+def _listens(*more: str) -> Command:
+    """`sniff` at a flood."""
 
+    def words(port: str, folder: Path) -> list[str]:
+        out = str(folder / "run.mcap")
+        return bilprov_words("sniff", *more, port, "-w", out, "--duration", str(_LISTENED))
 
-def _sniff(port: str, folder: Path) -> list[str]:
-    return _listening(port, "-w", str(folder / "run.mcap"))
-
-
-def _bridge(port: str, folder: Path) -> list[str]:
-    return _listening("--bridge", port, "-w", str(folder / "run.mcap"))
-
-
-def _replay(port: str, folder: Path) -> list[str]:
-    return bilprov_words("replay", str(drive_capture(folder)), "--to", port, "--yes")
+    return Command(words)
 
 
 COMMANDS = {
@@ -141,9 +135,9 @@ COMMANDS = {
     "send": _plain("send", 25, *items(pause="pause=300")),
     "send --together": _plain("send", 60_000, "--together", *_many()),
     "send, typed": _plain("send", 25, typed="\n".join(items(pause="pause=300")) + "\n"),
-    "replay --to": Command(_replay, 150),
-    "sniff": Command(_sniff),
-    "sniff --bridge": Command(_bridge),
+    "replay --to": Command(replay_to, 150),
+    "sniff": _listens(),
+    "sniff --bridge": _listens("--bridge"),
 }
 """Every command that listens to a port."""
 

@@ -18,9 +18,9 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from benchmarks.commands import Skipped, bilprov_words, run_any
+from benchmarks.product import metadata
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures import topics
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.storage.records import MAGIC, MESSAGE_HEAD, RECORD_HEAD
@@ -92,15 +92,12 @@ def _bomb(packing: bytes, size: int) -> bytes:
     return _chunk(b"", packing, packed, size=size, crc=1)
 
 
-def _own(events: Callable[[], Iterable[Chunk | Line]], **metadata: str) -> Write:
+def _own(events: Callable[[], Iterable[Chunk | Line]], **changed: str) -> Write:
     """A file of bilprov's writer, with these events."""
 
     def write(path: Path) -> None:
-        protocol = load_protocol()
-        about = session_metadata(
-            protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=("host", "device")
-        )
-        with CaptureWriter(path, start_wall=10**18, metadata=about | metadata, version="0") as out:
+        about = metadata(load_protocol()) | changed
+        with CaptureWriter(path, start_wall=10**18, metadata=about, version="0") as out:
             for event in events():
                 if isinstance(event, Chunk):
                     out.chunk(event)

@@ -8,21 +8,19 @@ that is measured by how late the feeder itself was. What is kept must be what wa
 from __future__ import annotations
 
 import os
-import signal
 import tempfile
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from random import Random
 from statistics import median
-from subprocess import PIPE, Popen, TimeoutExpired
+from subprocess import TimeoutExpired
 from typing import NamedTuple
 
-from benchmarks.commands import bilprov_words, started
 from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.unplugged_taps import Listener
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.parts import kept_parts
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 
@@ -30,7 +28,6 @@ PROMISED = 0.1  # s, at most so much is lost
 _STEP = 0.005  # s between two writes
 _AFTER = 0.3, 2.5  # s of feeding after which the kill comes
 _BYTES = {"two taps": 50, "two taps, --rotate": 1000, "--bridge": 50}  # of a write
-_PATIENCE = 60.0  # s for sniff to begin
 
 
 class Fed(NamedTuple):
@@ -53,36 +50,23 @@ def killed(form: str, seed: int) -> Kill:
     """Let `sniff` record in one of the forms, kill it, and see what is in its capture."""
     draw = Random(f"{seed} {form}")
     with ExitStack() as stack:
-        path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "killed.mcap"
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         host, device = open_pty(), open_pty()
         stack.callback(host.close)
         stack.callback(device.close)
         ports = ["--bridge", device.name] if form == "--bridge" else [host.name, device.name]
         rotated = ["--rotate", "100kB"] if "--rotate" in form else []
-        words = ["sniff", *ports, "-w", str(path), *rotated, "--quiet", "--yes"]
-        process = stack.enter_context(started(bilprov_words(*words), stderr=PIPE))
+        sniff = Listener(stack, folder, *ports, *rotated, "--yes")
         port = host.master
         if form == "--bridge":
-            port = os.open(_bridge_name(process), os.O_RDWR | os.O_NOCTTY)
+            port = os.open(sniff.served, os.O_RDWR | os.O_NOCTTY)
             stack.callback(os.close, port)
-        begin = time.monotonic() + _PATIENCE
-        while not (path.exists() or kept_parts(path)) and time.monotonic() < begin:
-            time.sleep(0.01)
         time.sleep(0.3)  # for the ports, which are opened about then
         fed = _feed(port, draw, time.monotonic() + draw.uniform(*_AFTER), _BYTES[form])
-        process.send_signal(signal.SIGKILL)
+        sniff.process.kill()
         end = time.monotonic()
-        process.wait()
-        return judged(path, fed, end)
-
-
-def _bridge_name(process: Popen[bytes]) -> str:
-    """The pty that `sniff --bridge` names."""
-    assert process.stderr is not None
-    for line in process.stderr:
-        if found := [word for word in line.decode().split() if word.startswith("/dev/")]:
-            return found[0].rstrip(".,:;")
-    raise ValueError("sniff named no pty")
+        sniff.process.wait()
+        return judged(sniff.capture, fed, end)
 
 
 def _feed(port: int, draw: Random, until: float, size: int) -> Fed:

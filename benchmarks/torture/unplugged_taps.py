@@ -122,6 +122,12 @@ class Listener:
         """What it said so far."""
         return self._errors.read_text()
 
+    @property
+    def served(self) -> str:
+        """The name of the pty that a bridge serves."""
+        until(lambda: "/dev/" in self.told, "no name of a pty")
+        return next(line for line in self.told.splitlines() if line.startswith("/dev/")).strip()
+
     def says(self, words: str) -> None:
         """Wait until it has said this."""
         until(lambda: words in self.told, f"it does not say {words!r}, but {self.told[-200:]!r}")
@@ -144,9 +150,7 @@ class Bridge:
     """Both ends of `sniff --bridge`: the host's pty, and the device, which is a plug."""
 
     def __init__(self, stack: ExitStack, sniff: Listener, plug: Plug, talk: Talk) -> None:
-        until(lambda: "/dev/" in sniff.told, "no name of a pty")
-        name = next(line for line in sniff.told.splitlines() if line.startswith("/dev/"))
-        self.host = stack.enter_context(open_port(name.strip()))
+        self.host = stack.enter_context(open_port(sniff.served))
         self.arrived, self.got = bytearray(), bytearray()
         """What the device and the host heard."""
         self._plug, self._talk = plug, talk

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 from benchmarks.adapter import Adapter
 from benchmarks.commands import bilprov_words, started
-from benchmarks.torture.exits import drive_capture, items
+from benchmarks.torture.exits import items, replay_to
 from benchmarks.torture.harm import Harm, Progress, Row
 from benchmarks.torture.robots import served
 from benchmarks.torture.unplugged_taps import TAPPED, Unplugged
@@ -68,16 +68,12 @@ def _conform(*more: str) -> Callable[[str, str, Path], list[str]]:
     )
 
 
-def _replay(port: str, probe: str, folder: Path) -> list[str]:
-    return bilprov_words("replay", str(drive_capture(folder)), "--to", port, "--yes")
-
-
 DRIVERS = {
     "send --wait": Driver(_send("--wait"), 60, waits=True, ever=True),
     "send": Driver(_send(), 60),
     "conform --reconnect": Driver(_conform("--reconnect", "5"), 4700, waits=True),
     "conform": Driver(_conform(), 4700),
-    "replay --to": Driver(_replay, 170),
+    "replay --to": Driver(lambda port, probe, folder: replay_to(port, folder), 170),
 }
 """The commands that drive; the taps are in `unplugged_taps.TAPPED`."""
 
