@@ -1,7 +1,12 @@
-"""A USB adapter that is unplugged and plugged in again: a pty under a path that stays the same."""
+"""A relay before a robot's line: counts, holds back answers, reads slowly, is unplugged.
+
+It is a pty under a path that stays the same, as a USB adapter is.
+"""
 
 from __future__ import annotations
 
+import os
+import select
 import threading
 import time
 from collections.abc import Sequence
@@ -10,6 +15,9 @@ from pathlib import Path
 
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
+
+_SLOW = 0.01  # s that a byte takes whose reader is slow
+_DRAINED = 0.06  # s without a byte, after which none is on its way
 
 
 class Adapter(AbstractContextManager["Adapter"]):
@@ -21,7 +29,12 @@ class Adapter(AbstractContextManager["Adapter"]):
     """
 
     def __init__(
-        self, link: Path, line: str, after: Sequence[int], away: float | None, late: float = 0.0
+        self,
+        link: Path,
+        line: str,
+        after: Sequence[int] = (),
+        away: float | None = None,
+        late: float = 0.0,
     ) -> None:
         self._link, self._line = link, open_port(line)
         self._away, self._late = away, late
@@ -31,6 +44,10 @@ class Adapter(AbstractContextManager["Adapter"]):
         """Whether it has been plugged in again."""
         self.passed = 0
         """Bytes of the host that it has handed on."""
+        self.last = time.monotonic()
+        """When the last byte passed (s)."""
+        self.withheld = self.slow = False
+        """Whether answers are held back, and whether the host's bytes are taken one by one."""
         self._after = list(after)
         self._over = threading.Event()
         self._pair: PtyPair | None = None
@@ -55,11 +72,14 @@ class Adapter(AbstractContextManager["Adapter"]):
         while not self._over.is_set():
             assert self._pair is not None
             ready = wait_readable([self._line], 0.01, [self._pair.master])
-            said = self._pair.read() if ready[1] else b""
+            said = self._taken(self._pair) if ready[1] else b""
             handed = said if self._left is None or self._late else said[: self._left]
             self._line.write(handed)
             self.passed += len(handed)
-            self._pair.write_some(self._line.read())
+            heard = self._line.read()
+            self._pair.write_some(b"" if self.withheld else heard)
+            if said or heard:
+                self.last = time.monotonic()
             if self._left is None:
                 continue
             self._left -= len(said)
@@ -71,6 +91,23 @@ class Adapter(AbstractContextManager["Adapter"]):
                     return
                 self._plug()
                 self.plugged_again.set()
+
+    def _taken(self, pair: PtyPair) -> bytes:
+        if not self.slow:
+            return pair.read()
+        time.sleep(_SLOW)
+        return os.read(pair.master, 1)
+
+    @property
+    def quiet(self) -> float:
+        """For how long (s) no byte has passed."""
+        return time.monotonic() - self.last
+
+    def drained(self) -> None:
+        """Wait until all that the host has sent has arrived."""
+        assert self._pair is not None
+        while select.select([self._pair.master], [], [], 0)[0] or self.quiet < _DRAINED:
+            time.sleep(0.01)
 
     def __exit__(self, *_: object) -> None:
         self._over.set()

@@ -1,24 +1,21 @@
-"""Seeded traffic for the bench: random frames of any grammar, a share of them faulty, and answers.
-
-Which frames are drawn, and which answer each gets, is said here from the kind of frame that was
-drawn; no judge is asked.
-"""
+"""Seeded traffic for the bench: random frames of a grammar, a share of them faulty, and answers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain, islice
 from random import Random
 
 from bilprov.captures.schemas import Chunk
-from bilprov.spec.codec import bad_data, raw_frame
+from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 
 FAULTY = 0.05  # share of the frames
 _BLOCK = 20_000  # frames drawn at once; the share of faulty ones is exact in each block
-_VALID = 5_000  # distinct valid frames at most
+_OF_A_HEADER = 256  # frames
 _ANSWERED = 100_000  # ns from a read of the host's bytes to that of the device's
 
 Exchange = tuple[bytes, bytes]
@@ -50,18 +47,20 @@ def blocks(protocol: Protocol, seed: int, faulty: float = FAULTY) -> Iterator[li
     """Yield blocks of random exchanges without end; the same seed gives the same.
 
     `faulty` is the share of faulty frames. Each instruction is as likely as any other, and so is
-    each value of a field. The faulty frames are in equal parts unused IDs, wrong lengths and data
-    out of range, as far as the grammar has such.
+    each outcome of a faulty frame.
     """
     draw = Random(seed)
-    ok = _answer(protocol, Outcome.VALID)
-    valid = [(_valid(protocol, draw), ok) for _ in range(_VALID)]
-    kinds = _faults(protocol)
-    share = round(_BLOCK * faulty) if kinds else 0
+    drawn = defaultdict[Outcome, list[Exchange]](list)
+    for header, length in enumerate(protocol.lengths):
+        for _ in range(_OF_A_HEADER):
+            frame = bytes([header]) + draw.randbytes(length)
+            judgement = judge(protocol, frame)
+            drawn[judgement.outcome].append((frame, bytes([judgement.response.code])))
+    valid, *faults = drawn.pop(Outcome.VALID), *drawn.values()
     while True:
         block = draw.choices(valid, k=_BLOCK)
-        for place in draw.sample(range(_BLOCK), share):
-            block[place] = draw.choice(kinds)(draw)
+        for place in draw.sample(range(_BLOCK), round(_BLOCK * faulty)):
+            block[place] = draw.choice(draw.choice(faults))
         yield block
 
 
@@ -112,47 +111,3 @@ def waited(
         t += pause
         yield Chunk(t, "host", b"".join(frame for frame, _ in batch))
         yield Chunk(t + _ANSWERED, "device", b"".join(answer for _, answer in batch))
-
-
-def _answer(protocol: Protocol, outcome: Outcome) -> bytes:
-    return bytes([protocol.answers[outcome].code])
-
-
-def _valid(protocol: Protocol, draw: Random) -> bytes:
-    spec = draw.choice(protocol.instructions)
-    data = b"".join(part.build(draw.randint(part.low, part.high)) for part in spec.fields)
-    return raw_frame(protocol, spec.id, spec.length, data)
-
-
-def _faults(protocol: Protocol) -> list[Callable[[Random], Exchange]]:
-    """A function for each kind of faulty frame that the grammar has; it draws one."""
-    unused = [
-        (identity, length)
-        for identity, length in protocol.header_bytes
-        if identity in protocol.unused_ids
-    ]
-    wrong = [
-        (spec, length)
-        for spec in protocol.instructions
-        for length in protocol.data_lengths
-        if length != spec.length and (spec.id, length) in protocol.header_bytes
-    ]
-    bad = [(spec, data) for spec in protocol.instructions for data in bad_data(spec)]
-
-    def unused_id(draw: Random) -> Exchange:
-        identity, length = draw.choice(unused)
-        frame = raw_frame(protocol, identity, length, draw.randbytes(length))
-        return frame, _answer(protocol, Outcome.UNKNOWN_ID)
-
-    def wrong_length(draw: Random) -> Exchange:
-        spec, length = draw.choice(wrong)
-        outcome = Outcome.TOO_MANY if length > spec.length else Outcome.TOO_FEW
-        frame = raw_frame(protocol, spec.id, length, draw.randbytes(length))
-        return frame, _answer(protocol, outcome)
-
-    def out_of_range(draw: Random) -> Exchange:
-        spec, data = draw.choice(bad)
-        return raw_frame(protocol, spec.id, spec.length, data), _answer(protocol, Outcome.BAD_DATA)
-
-    kinds = ((unused, unused_id), (wrong, wrong_length), (bad, out_of_range))
-    return [kind for found, kind in kinds if found]

@@ -29,12 +29,12 @@ from random import Random
 from textwrap import indent
 from typing import NamedTuple
 
+from benchmarks.adapter import Adapter
 from benchmarks.commands import bilprov_words
 from benchmarks.product import metadata
 from benchmarks.torture.harm import Harm, Progress, Row
 from benchmarks.torture.robots import Probe, served
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.cases.preamble import full_state
@@ -44,7 +44,6 @@ from bilprov.spec.fields import Outcome
 _PATIENCE = 90.0  # s until a command that was ended must have ended
 _REACHED = 30.0  # s for a phase to come
 _QUIET = 0.03  # s without a byte: a pause
-_SLOW = 0.01  # s a byte takes on a port whose other end reads slowly
 _LATE = (300, 2500)  # bytes of a run with a failure, which is tried again and minimised
 
 
@@ -56,56 +55,6 @@ def _moving_frames() -> tuple[bytes, ...]:
 def items(*, pause: str) -> list[str]:
     """What sets a robot moving and lets it drive, as `send` takes it."""
     return [*(frame.hex() for frame in _moving_frames()), pause] * 4
-
-
-class Line:
-    """A relay between a command and the simulator: counts, holds back answers, reads slowly."""
-
-    def __init__(self, port: str) -> None:
-        self.sent = 0
-        """Bytes that the command has sent."""
-        self.last = time.monotonic()
-        """When the last byte passed (s)."""
-        self.withheld = self.slow = False
-        self._near: PtyPair = open_pty()
-        self.name = self._near.name
-        self._far = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        self._over = False
-        self._thread = threading.Thread(target=self._relay, daemon=True)
-        self._thread.start()
-
-    def _relay(self) -> None:
-        while not self._over:
-            ready, _, _ = select.select([self._near.master, self._far], [], [], 0.02)
-            with suppress(OSError):
-                if self._near.master in ready:
-                    data = os.read(self._near.master, 1 if self.slow else 1 << 12)
-                    self.sent += len(data)
-                    self.last = time.monotonic()
-                    os.write(self._far, data)
-                    time.sleep(_SLOW * self.slow)
-                if self._far in ready:
-                    data = os.read(self._far, 1 << 12)
-                    self.last = time.monotonic()
-                    if not self.withheld:
-                        os.write(self._near.master, data)
-
-    def drained(self) -> None:
-        """Wait until all that the command has sent has arrived."""
-        while select.select([self._near.master], [], [], 0)[0] or self.quiet < 2 * _QUIET:
-            time.sleep(0.01)
-
-    @property
-    def quiet(self) -> float:
-        """For how long (s) no byte has passed."""
-        return time.monotonic() - self.last
-
-    def close(self) -> None:
-        """End the relay."""
-        self._over = True
-        self._thread.join()
-        os.close(self._far)
-        self._near.close()
 
 
 class Command(NamedTuple):
@@ -214,7 +163,7 @@ class Run(NamedTuple):
     """A command that runs: its process, line and probe, and the terminal or pipes that it has."""
 
     process: subprocess.Popen[bytes]
-    line: Line
+    line: Adapter
     probe: Probe
     hang_up: Callable[[], None]
     draw: Random
@@ -245,13 +194,13 @@ def _reports(run: Run) -> None:
 
 def _is_late(run: Run) -> None:
     bytes_sent = run.draw.randint(*_LATE)
-    _wait(run, lambda: run.line.sent >= bytes_sent)
+    _wait(run, lambda: run.line.passed >= bytes_sent)
 
 
 PHASES: dict[str, Callable[[Run], None]] = {
     # Python itself may lose a SIGINT until it has begun with the command.
     "before the first byte": lambda run: time.sleep(run.draw.uniform(0.1, 0.5)),
-    "homing": lambda run: _wait(run, lambda: run.line.sent > 0),
+    "homing": lambda run: _wait(run, lambda: run.line.passed > 0),
     "while moving": _moves,
     "in a pause": lambda run: _wait(run, lambda: run.line.quiet > _QUIET and run.probe.moving),
     "waiting for an answer": _waits,
@@ -374,10 +323,9 @@ def ended(case: Case, seed: int) -> Exit:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         port, probe = stack.enter_context(served(*fault))
-        line = Line(port)
-        stack.callback(line.close)
+        line = stack.enter_context(Adapter(folder / "port", port))
         told = stack.enter_context(tempfile.TemporaryFile())
-        arguments = command.words(line.name, probe.name, folder)
+        arguments = command.words(str(folder / "port"), probe.name, folder)
         started = _started(arguments, folder, command.typed, case[2], told.fileno())
         with started as (process, hang_up):
             run = Run(process, line, probe, hang_up, draw)
