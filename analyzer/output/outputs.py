@@ -54,7 +54,8 @@ class StreamOutput:
             self._write(text)
 
     def tick(self, now: int) -> None:
-        """Nothing waits here."""
+        """Notice, also while nothing is to be shown, that nobody reads any more."""
+        self._write("")
 
 
 class NoOutput:

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from io import TextIOWrapper
-from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.cli.streams import standard_streams
 from bilprov.analyzer.output import text_queue
 from bilprov.analyzer.output.text_queue import TextQueue
 
@@ -42,22 +38,6 @@ def _nobody_reads(ours: int) -> None:
     nowhere = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nowhere, ours)
     os.close(nowhere)
-
-
-def _write_little(queue: TextQueue, times: int) -> None:
-    for _ in range(times):
-        queue.write("little\n")
-        time.sleep(0.001)
-
-
-def test_a_little_text_goes_out_at_once_and_by_no_thread(pipe: Pipe) -> None:
-    ours, stream = pipe
-    with TextQueue(stream) as queue:
-        before = threading.active_count()
-        queue.write("one\n")
-
-        assert os.read(ours, 100) == b"one\n"
-        assert threading.active_count() == before
 
 
 def test_a_reader_that_pauses_holds_nobody_up_and_misses_nothing(pipe: Pipe) -> None:
@@ -111,25 +91,3 @@ def test_what_the_stream_raises_is_raised_in_the_writers_thread(pipe: Pipe) -> N
     with pytest.raises(BrokenPipeError):
         queue.close()
     queue.close()
-
-
-def test_what_the_stream_raised_is_raised_though_it_takes_all_that_follows(
-    pipe: Pipe, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ours, stream = pipe
-    monkeypatch.setattr(sys, "stdout", stream)
-    with standard_streams():  # their output is discarded once the reader has gone
-        queue = TextQueue(sys.stdout)
-        queue.write("x" * 200_000)
-        _nobody_reads(ours)
-
-        with pytest.raises(SystemExit):
-            _write_little(queue, 1000)
-        queue.close()
-
-
-def test_a_file_is_written_at_once(tmp_path: Path) -> None:
-    with (tmp_path / "out").open("w") as stream, TextQueue(stream) as queue:
-        queue.write("x" * 100_000)
-
-        assert (tmp_path / "out").stat().st_size == 100_000
