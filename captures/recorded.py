@@ -22,7 +22,7 @@ from bilprov.captures.schemas import (
     Recorded,
     Resumption,
 )
-from bilprov.captures.storage.blocks import BLOCK_MESSAGES, Messages
+from bilprov.captures.storage.blocks import BLOCK_BYTES, BLOCK_MESSAGES, Messages
 from bilprov.captures.storage.messages import Part
 from bilprov.captures.storage.records import JSON_ERRORS
 from bilprov.captures.text import printable
@@ -62,14 +62,19 @@ def batches_of(
 ) -> Iterator[Events]:
     """Yield the events among messages as arrays; arguments as in `recorded_values`."""
     held: list[Events | Chunk | Line] = []
-    rows = 0
+    rows = size = 0
     for value in _with_resumptions(map(_safe, _recorded(start, names, parts, wanted))):
         if isinstance(value, Events | Chunk | Line):
             held.append(value)
-            rows += len(value) if isinstance(value, Events) else 1
-            if rows >= BLOCK_MESSAGES:
+            if isinstance(value, Events):
+                rows += len(value)
+                size += len(value.data)
+            else:
+                rows += 1
+                size += 0 if isinstance(value, Line) else len(value.data)
+            if rows >= BLOCK_MESSAGES or size >= BLOCK_BYTES:
                 yield Events.joined(held)
-                held, rows = [], 0
+                held, rows, size = [], 0, 0
     if held:
         yield Events.joined(held)
 

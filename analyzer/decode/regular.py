@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise, repeat
 from typing import Any, NamedTuple
 
@@ -68,6 +69,15 @@ class Decoding:
     late: int
 
 
+class _Checked(NamedTuple):
+    """Of answers: the latency (ns), whether they are as expected, late, or have an anomaly."""
+
+    latency: NDArray[np.int64]
+    agrees: NDArray[np.bool_]
+    late: NDArray[np.bool_]
+    odd: NDArray[np.bool_]
+
+
 @dataclass(frozen=True, eq=False)
 class RegularBatch(Batch):
     """Regular traffic: every frame is whole, and every answer came while it was waited for.
@@ -105,6 +115,7 @@ class RegularBatch(Batch):
     @cached_property
     def hosts(self) -> HostRows:
         """The host's rows."""
+        alone = self._alone
         new = self.frames.rows(slice(self.carried, None))
         end = self.frame_end[self.carried :]
         return HostRows(
@@ -117,14 +128,15 @@ class RegularBatch(Batch):
             size=self.decoding.tables.sizes.take(new.key >> 8),
             verdict=new.verdict,
             sequence=self.first + np.arange(self.carried, len(self.frame_end)),
-            states=StateColumns(self._host_states),
-            reasons=lambda rows: [one.reason for one in self._judgements(self.hosts.frames(rows))],
+            states=StateColumns(alone._host_states),
+            reasons=lambda rows: [one.reason for one in alone._judgements(alone.carried + rows)],
         )
 
     @cached_property
     def devices(self) -> DeviceRows:
         """The device's rows."""
-        tables, count = self.decoding.tables, len(self.byte)
+        tables, count, alone = self.decoding.tables, len(self.byte), self._alone
+        states = StateColumns(partial(alone._device_states, self.hosts.states))
         if not self.decoding.paired:
             nothing = np.broadcast_to(np.int64(-1), count)
             used = tables.used.take(self.byte)
@@ -137,18 +149,16 @@ class RegularBatch(Batch):
                 latency=np.broadcast_to(np.int64(0), count),
                 agrees=np.where(used, np.int8(-1), np.int8(0)),
                 odd=~used,
-                states=StateColumns(self._device_states),
-                samples=self._samples,
+                states=states,
+                samples=alone._samples,
                 sort=self.byte.__getitem__,
             )
         verdict = self.frames.verdict[:count]
-        agrees = self.byte == tables.codes.take(verdict)
-        latency = self.t - self.frame_end[:count]
-        late = latency > self.decoding.late
+        latency, agrees, late, odd = self._checked(slice(count))
 
         def sort(rows: NDArray[np.int64]) -> NDArray[np.int64]:
             """Rows with the same number have the same kinds of anomalies."""
-            kinds = self.byte[rows].astype(np.int64) | verdict[rows].astype(np.int64) << 8
+            kinds = alone.byte[rows].astype(np.int64) | verdict[rows].astype(np.int64) << 8
             return kinds | late[rows].astype(np.int64) << 16
 
         return DeviceRows(
@@ -159,9 +169,9 @@ class RegularBatch(Batch):
             verdict=verdict,
             latency=latency,
             agrees=agrees.view(np.int8),
-            odd=~agrees | late | (latency < 0),
-            states=StateColumns(self._device_states),
-            samples=self._samples,
+            odd=odd,
+            states=states,
+            samples=alone._samples,
             sort=sort,
         )
 
@@ -193,18 +203,27 @@ class RegularBatch(Batch):
         places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
         return list(map(made.__getitem__, np.argsort(places, kind="stable").tolist()))
 
+    @property
+    def _alone(self) -> RegularBatch:
+        """The batch without its rows, for what they call.
+
+        If they held the batch that holds them, all would stay in memory until the garbage collector
+        runs, which it hardly ever does among arrays.
+        """
+        return copy(self)
+
     def _host_records(self, rows: NDArray[np.int64]) -> Iterator[HostRecord]:
         hosts = self.hosts
         end = objects(hosts.end[rows])
-        frames = hosts.frames(rows)
+        judged = self._judgements(self.carried + rows)
         return map(
             HostRecord,
             objects(hosts.t[rows]),
             end,
             end,
             repeat("instruction"),
-            frames,
-            self._judgements(frames),
+            [judgement.frame for judgement in judged],
+            judged,
             hosts.sequence[rows].tolist(),
             self._states_after(rows + 1),
         )
@@ -223,16 +242,21 @@ class RegularBatch(Batch):
                 unpaired_record(protocol, Held(at, value), anomalies.ALONE, state)
                 for at, value, state in zip(t, byte, states, strict=True)
             ]
-        devices = self.devices
-        start = self.frames.offset[rows]
-        end = start + self.decoding.tables.sizes.take(devices.header[rows])
-        judgements = self._judgements(sliced(self.data, start, end))
-        answers = map(protocol.codes.get, byte)
-        sequence, latency = devices.sequence[rows].tolist(), objects(devices.latency[rows])
+        checked = self._checked(rows)
         made = list(
-            map(DeviceRecord, t, byte, answers, judgements, sequence, latency, repeat(True), states)
+            map(
+                DeviceRecord,
+                t,
+                byte,
+                map(protocol.codes.get, byte),
+                self._judgements(rows),
+                (self.first + rows).tolist(),
+                objects(checked.latency),
+                repeat(True),
+                states,
+            )
         )
-        for at in np.flatnonzero(devices.odd[rows]).tolist():
+        for at in np.flatnonzero(checked.odd).tolist():
             made[at] = self._odd_answer(made[at], int(self.frame_end[rows[at]]))
         return made
 
@@ -245,16 +269,37 @@ class RegularBatch(Batch):
         found = anomalies.of_answer(self.decoding.protocol, held, waiting, self.decoding.skew)
         return replace(record, agrees=found.agrees, faults=found.faults)
 
-    def _judgements(self, frames: Sequence[bytes]) -> list[Judgement]:
-        steps = self.decoding.steps
-        return [steps[frame].judgement for frame in frames]
+    def _checked(self, rows: slice | NDArray[np.int64]) -> _Checked:
+        """How some of the device's rows answer the frames of the same places."""
+        latency = self.t[rows] - self.frame_end[rows]
+        agrees = self.byte[rows] == self.decoding.tables.codes.take(self.frames.verdict[rows])
+        late = latency > self.decoding.late
+        return _Checked(latency, agrees, late, ~agrees | late | (latency < 0))
+
+    def _judgements(self, rows: NDArray[np.int64]) -> Sequence[Judgement]:
+        """The judgements of some of the frames."""
+        if 2 * len(rows) < len(self.frame_end):
+            return self._judged(rows)
+        judged: list[Judgement] = self._all_judged.take(rows).tolist()
+        return judged
+
+    @cached_property
+    def _all_judged(self) -> NDArray[np.object_]:
+        """The judgements of all frames, which the records of both sides have."""
+        judged = self._judged(slice(None))
+        return np.fromiter(judged, object, len(judged))
+
+    def _judged(self, rows: slice | NDArray[np.int64]) -> list[Judgement]:
+        start, steps = self.frames.offset[rows], self.decoding.steps
+        size = self.decoding.tables.sizes.take(self.frames.key[rows] >> 8)
+        return [steps[frame].judgement for frame in sliced(self.data, start, start + size)]
 
     def _host_states(self, variable: str) -> NDArray[Any]:
         new = self.frames.rows(slice(self.carried, None))
         return self.decoding.tables.state(variable, self.data, new, values_of(self.before))
 
-    def _device_states(self, variable: str) -> NDArray[Any]:
-        column = self.hosts.states[variable]
+    def _device_states(self, hosts: StateColumns, variable: str) -> NDArray[Any]:
+        column = hosts[variable]
         first = values_of(self.before)[VARIABLES.index(variable)]
         return np.append(np.array([first], column.dtype), column).take(self.after)
 

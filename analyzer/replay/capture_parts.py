@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 TEXT_BATCH = 1 << 15
 """Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
 
-BATCH_BYTES = 1 << 18
+BATCH_BYTES = 1 << 19
 _BYTES_A_READ = 8  # as many reads as there would be of so many bytes come at once at most
 _FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
 

@@ -169,16 +169,18 @@ def message_starts(content: bytes, index: bytes = b"") -> tuple[NDArray[np.int64
 
 
 def _indexed_starts(content: bytes, index: bytes) -> tuple[NDArray[np.int64], Others] | None:
-    offsets = np.sort(np.frombuffer(index, "<u8")[1::2])
+    offsets = np.sort(np.frombuffer(index, "<u8")[1::2], kind="stable")  # each channel's are sorted
     if int(offsets[-1]) + _HEAD.itemsize > len(content):
         return None
     starts = offsets.astype(np.int64)
     heads = _heads(content, starts)
-    lengths = np.diff(starts, append=len(content)) - _FRONT
+    lengths = heads["length"].astype(np.int64)
+    ends = starts + lengths + _FRONT
     if not (
         (heads["opcode"] == records.MESSAGE).all()
-        and (heads["length"].astype(np.int64) == lengths).all()
-        and (lengths >= records.MESSAGE_HEAD.size).all()
+        and (ends[:-1] == starts[1:]).all()
+        and int(ends[-1]) == len(content)
+        and int(lengths.min()) >= records.MESSAGE_HEAD.size
     ):
         return None
     try:

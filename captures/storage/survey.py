@@ -173,12 +173,11 @@ class _Survey:
             block, sizes = block.rows(fits), sizes[fits]
             if not len(block):
                 return
-        channels, places = np.unique(block.channel, return_inverse=True)
-        counts = np.bincount(places)
-        held = np.bincount(places, sizes)
-        for channel, count, size in zip(channels.tolist(), counts, held, strict=True):
-            self._counts[channel] += int(count)
-            self._sizes[channel] += int(size)
+        counts = np.bincount(block.channel)
+        held = np.bincount(block.channel, sizes)
+        for channel in np.flatnonzero(counts).tolist():
+            self._counts[channel] += int(counts[channel])
+            self._sizes[channel] += int(held[channel])
         times = block.log_time
         first, earliest, latest = int(times[0]), int(times.min()), int(times.max())
         before = self._times or [first, earliest, earliest]
