@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import random
-import resource
 import shutil
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,227 +17,140 @@ from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.rotation import Rotation
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.parts import part_path, part_paths
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
+from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, until, write
 from tests.support import commands
 from tests.support.attaching import Talk, attached
-from tests.support.wires import PATIENCE, PtyRobot, Running, json_lines, running, served
+from tests.support.wires import PtyRobot, json_lines, served
 
 START = 1_790_000_000_000_000_000
 NAME = "drive.mcap"
 SECONDS = 3  # of traffic in the recordings that commands read
 
 
-def refused(*arguments: str, cwd: Path) -> str:
-    done = commands.command(*arguments, cwd=cwd)
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / NAME
+
+
+def refused(line: str, cwd: Path) -> str:
+    done = commands.command(*line.split(), cwd=cwd)
     lines = done.stderr.decode().splitlines()
     assert (done.returncode, done.stdout, len(lines)) == (2, b"", 1)
     return lines[0]
 
 
-@pytest.mark.parametrize("more", [(), ("--rotate", "1h")])
+@pytest.mark.parametrize("more", ["", "--rotate 1h"])
 @pytest.mark.parametrize("taken", [NAME, "drive.00001.mcap", "drive.00042.mcap"])
-def test_a_name_that_is_taken_is_told_and_kept(
-    tmp_path: Path, taken: str, more: tuple[str, ...]
-) -> None:
+def test_a_name_that_is_taken_is_told_and_kept(tmp_path: Path, taken: str, more: str) -> None:
     (tmp_path / taken).write_bytes(b"precious")
     with open_pty() as host:
-        words = refused("sniff", host.name, "-w", NAME, *more, cwd=tmp_path)
+        words = refused(f"sniff {host.name} -w {NAME} {more}", tmp_path)
     assert words.startswith(f"bilprov: {taken} exists and captures are never overwritten")
     assert (tmp_path / taken).read_bytes() == b"precious"
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def talk(pair: PtyPair, command: Running, data: bytes) -> None:
-    """Say something, and wait until it is shown, so that nothing overruns the pty."""
-    os.write(pair.master, data)
-    shown = b""
-    while shown.count(b"\n") < len(data) // 2:
-        line = command.stdout.readline()
-        assert line, command.stderr.read()
-        shown += line
-
-
-def until(condition: Callable[[], object]) -> None:
-    give_up = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < give_up
-        time.sleep(0.005)
-
-
-def kept(path: Path) -> bytes:
-    return b"".join(event.data for event in open_capture(path) if isinstance(event, Chunk))
-
-
-def speeds(draw: random.Random, frames: int) -> bytes:
-    return b"".join(bytes([0x11, draw.randrange(256)]) for _ in range(frames))
-
-
-def talk_until(
-    part: Path, host: PtyPair, command: Running, draw: random.Random, pause: float = 0.0
-) -> bytes:
+def talk_until(part: Path, one: Sniffing, draw: random.Random, pause: float = 0.0) -> bytes:
     """Say random speeds until a part of the recording is there; returns all that was said."""
     said = b""
-    command.wait_for(part.with_name("drive.00001.mcap"))
     while not part.exists():
-        data = speeds(draw, 20)
+        data = b"".join(bytes([0x11, draw.randrange(256)]) for _ in range(20))
+        write(one.host, data)
+        one.lines(20)  # so that nothing overruns the pty
         said += data
-        talk(host, command, data)
         time.sleep(pause)
     return said
 
 
 @pytest.mark.waits
-def test_a_log_goes_on_from_part_to_part_and_the_oldest_go(tmp_path: Path) -> None:
-    path = tmp_path / NAME
-    foreign = tmp_path / "drive.1.mcap"
+def test_a_log_goes_on_from_part_to_part_and_the_oldest_go(path: Path) -> None:
+    foreign = path.with_name("drive.1.mcap")
     foreign.write_bytes(b"precious")
-    with (
-        open_pty() as host,
-        running(
-            *("sniff", host.name, "-w", str(path), "--format", "jsonl"),
-            *("--rotate", "1s", "--keep", "2"),
-        ) as command,
-    ):
-        said = talk_until(part_path(path, 4), host, command, random.Random(1), 0.05)
-        code, out, err = command.end()
-    first, last = min(part_paths(path)), max(part_paths(path))
-    assert (code, last - first, first >= 3) == (0, 1, True)
+    with sniffing(path, "--rotate", "1s", "--keep", "2", taps=1) as one:
+        said = talk_until(part_path(path, 4), one, random.Random(1), 0.05)
+        code, out, err = one.command.end()
+    parts = part_paths(path)
+    first, last = min(parts), max(parts)
+    assert (code, last - first, first >= 3, out) == (0, 1, True, b"")
     (totals,) = err.decode().splitlines()
-    names = f"{part_path(path, first)} to {part_path(path, last)}"
+    names = f"{parts[first]} to {parts[last]}"
     assert totals == f"{len(said) // 2:,} instructions, 0 answers, 0 faults in {names}"
     assert said.endswith(kept(path))
-    assert b"".join(kept(part) for part in part_paths(path).values()) == kept(path)
+    assert b"".join(map(kept, parts.values())) == kept(path)
     assert foreign.read_bytes() == b"precious"
-    assert [open_capture(part).unfinished for part in part_paths(path).values()] == [False] * 2
+    assert [open_capture(part).unfinished for part in parts.values()] == [False] * 2
     replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
     assert replayed.returncode == 0
     assert b"older parts are not there" in replayed.stderr
     shown = [row for row in json_lines(replayed.stdout) if row["kind"] == "instruction"]
     assert len(shown) == len(kept(path)) // 2
-    assert json_lines(out) == []
 
 
 @pytest.mark.waits
-def test_count_ends_a_quiet_log_in_parts(tmp_path: Path) -> None:
-    path = tmp_path / NAME
-    with (
-        open_pty() as host,
-        running(
-            *("sniff", host.name, "-w", str(path), "--quiet", "--count", "3"),
-            *("--rotate", "1s"),
-        ) as command,
-    ):
-        command.wait_for(part_path(path, 1))
-        os.write(host.master, b"\x11\x01")
-        command.wait_for(part_path(path, 2))
-        os.write(host.master, b"\x11\x02\x11\x03")
-        code, out, err = command.result()
-    names = f"{part_path(path, 1)} to {part_path(path, max(part_paths(path)))}"
-    assert (code, out) == (0, b"")
-    assert err.decode() == f"3 instructions, 0 answers, 0 faults in {names}\n"
-    assert kept(path) == b"\x11\x01\x11\x02\x11\x03"
-
-
-@pytest.mark.waits
-def test_a_disk_that_fills_up_before_a_seam_ends_the_recording_alone(tmp_path: Path) -> None:
-    path = tmp_path / NAME
-    first = part_path(path, 1)
-    with (
-        open_pty() as host,
-        running(
-            *("sniff", host.name, "-w", str(path), "--format", "jsonl", "--rotate", "1s")
-        ) as command,
-    ):
-        command.wait_for(first)
-        talk(host, command, b"\x11\x01")
-        until(lambda: kept(first) == b"\x11\x01")
-        size = first.stat().st_size
-        resource.prlimit(command.process.pid, resource.RLIMIT_FSIZE, (size, size))
-        at_once = command.stderr.readline().decode()  # at the seam, where nothing was said
-        talk(host, command, b"\x11\x02\x11\x03")
-        code, _, err = command.end()
-    totals, sentence = err.decode().splitlines()
+@pytest.mark.parametrize("deleted", [False, True])
+def test_a_fault_at_a_seam_ends_the_recording_alone_and_leaves_what_was_before(
+    path: Path, deleted: bool
+) -> None:
+    first, second = (part_path(path, number) for number in (1, 2))
+    with sniffing(path, "--rotate", "1s", taps=1) as one:
+        write(one.host, b"\x11\x01")
+        one.lines()
+        until(lambda: first.stat().st_size and kept(first) == b"\x11\x01")
+        if deleted:
+            one.command.wait_for(second)
+            second.unlink()
+            write(one.host, b"\x11\x02")
+        else:
+            one.fill_disk()  # at the seam, where nothing is said
+        at_once = one.error()
+        write(one.host, b"\x11\x03")
+        one.row("11 03")
+        code, _, err = one.command.end()
+    sentence = err.decode().splitlines()[-1]
+    cause = "drive.00002.mcap was deleted while" if deleted else "disk full: what was captured"
     assert code == 2
     assert at_once == f"{sentence}; listening goes on, without recording\n"
-    assert sentence.startswith("bilprov: disk full: what was captured until ")
-    assert totals == "3 instructions, 0 answers, 0 faults"
-    assert part_paths(path) == {1: first}
+    assert cause in sentence
     assert kept(path) == b"\x11\x01"
 
 
 @pytest.mark.waits
-def test_a_bridge_hands_on_though_a_part_cannot_be_closed(
-    tmp_path: Path, protocol: Protocol
-) -> None:
-    path = tmp_path / NAME
+def test_a_bridge_hands_on_though_a_part_cannot_be_closed(path: Path, protocol: Protocol) -> None:
     with (
         served(PtyRobot(protocol)) as port,
-        running(
-            *("sniff", "--bridge", port, "-w", str(path), "--format", "jsonl", "--rotate", "1s")
-        ) as command,
+        sniffing(path, "--bridge", port, "--rotate", "1s", taps=0) as one,
+        open_port(one.error().strip()) as host,
     ):
-        name = command.stderr.readline().decode().strip()
-        command.wait_for(part_path(path, 2))
+        one.command.wait_for(part_path(path, 2))
         # With room for the next part, and for all of its end but the last bytes.
-        size = part_path(path, 1).stat().st_size - 100
-        resource.prlimit(command.process.pid, resource.RLIMIT_FSIZE, (size, size))
-        descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
-        try:
-            os.write(descriptor, b"\x20")  # a part in which nothing was said is not closed
-            answers = os.read(descriptor, 1)
-            at_once = command.stderr.readline().decode()
-            os.write(descriptor, b"\x20")
-            answers += os.read(descriptor, 1)
-        finally:
-            os.close(descriptor)
-        code, out, err = command.end()
+        one.fill_disk(part_path(path, 1).stat().st_size - 100)
+        host.write(b"\x20")  # a part in which nothing was said is not closed
+        at_once = one.error()
+        host.write(b"\x20")
+        rows = json_lines(one.lines(4))
+        code, _, err = one.command.end()
     sentence = err.decode().splitlines()[-1]
-    assert (answers, code, len(json_lines(out))) == (b"\x00" * 2, 2, 4)
+    assert [row["hex"] for row in rows] == ["20", "00"] * 2
+    assert code == 2
     assert at_once == f"{sentence}; listening goes on, without recording\n"
     assert sentence.startswith("bilprov: disk full: what was captured until ")
     assert not open_capture(part_path(path, 1)).unfinished
 
 
 @pytest.mark.waits
-def test_a_part_that_is_deleted_while_it_is_written_leaves_those_before_it(tmp_path: Path) -> None:
-    path = tmp_path / NAME
-    with (
-        open_pty() as host,
-        running(
-            *("sniff", host.name, "-w", str(path), "--format", "jsonl", "--rotate", "1s")
-        ) as command,
-    ):
-        command.wait_for(part_path(path, 1))
-        talk(host, command, b"\x11\x01")
-        command.wait_for(part_path(path, 2))
-        part_path(path, 2).unlink()
-        talk(host, command, b"\x11\x02")
-        assert b"drive.00002.mcap was deleted while recording" in command.stderr.readline()
-        talk(host, command, b"\x11\x03")
-        code, _, err = command.end()
-    assert code == 2
-    assert "was deleted while recording" in err.decode().splitlines()[-1]
-    assert kept(path) == b"\x11\x01"
-
-
-@pytest.mark.waits
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seed", range(4))
-def test_kill_9_leaves_what_was_said_from_its_begin_on(tmp_path: Path, seed: int) -> None:
-    path = tmp_path / NAME
-    with (
-        open_pty() as host,
-        running(
-            *("sniff", host.name, "-w", str(path), "--format", "jsonl", "--rotate", "1s")
-        ) as command,
-    ):
-        said = talk_until(part_path(path, 3), host, command, random.Random(seed))
-        command.end(signal.SIGKILL)
+def test_kill_9_leaves_what_was_said_from_its_begin_on(path: Path, seed: int) -> None:
+    with sniffing(path, "--rotate", "1s", taps=1) as one:
+        said = talk_until(part_path(path, 3), one, random.Random(seed))
+        one.command.end(signal.SIGKILL)
     capture = open_capture(path)
     assert (capture.damage, capture.unfinished) == ((), True)
     assert said.startswith(kept(path))
@@ -363,41 +273,29 @@ def test_parts_that_follow_each_other_are_joined_without_a_gap(
     assert (gap.event, gap.detail) == ("gap", "drive.00003.mcap begins here")
 
 
-def test_a_part_is_never_overwritten_by_what_is_read_from_it(
-    both: tuple[Path, Path], tmp_path: Path
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("capture cut drive.mcap drive.00002.mcap --end 1 --force", "would overwrite the input"),
+        ("export drive.mcap -o drive.00001.mcap --format csv --force", "would overwrite the input"),
+        ("plot drive.mcap --html drive.00003.mcap --force", "would overwrite the input"),
+        ("capture cut drive.mcap drive.mcap --end 1 --force", "would overwrite the input"),
+        (
+            "capture cut ONE drive.mcap --end 1 --force",
+            "OUT drive.mcap is the name of a recording in parts, drive.00001.mcap and so on",
+        ),
+        ("capture info other.mcap", "other.mcap does not exist: name an MCAP file"),
+        ("recheck other.mcap", "other.mcap does not exist"),
+        ("recheck drive.mcap", "is kept in parts"),
+    ],
+)
+def test_a_part_is_never_overwritten_or_hidden_and_what_takes_no_parts_says_so(
+    both: tuple[Path, Path], tmp_path: Path, line: str, words: str
 ) -> None:
     folder = tmp_path / "several"
     shutil.copytree(both[1], folder)
+    (folder / "other.1.mcap").touch()
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
-    for line in (
-        "capture cut drive.mcap drive.00002.mcap --end 1 --force",
-        "export drive.mcap --format csv -o drive.00001.mcap --force",
-        "plot drive.mcap --html drive.00003.mcap --force",
-        "capture cut drive.mcap drive.mcap --end 1 --force",
-    ):
-        assert "would overwrite the input" in refused(*line.split(), cwd=folder)
+
+    assert words in refused(line.replace("ONE", str(both[0] / NAME)), folder)
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
-
-
-def test_a_recording_in_parts_is_not_hidden(both: tuple[Path, Path], tmp_path: Path) -> None:
-    one, several = (folder / NAME for folder in both)
-    shutil.copy(part_path(several, 1), tmp_path)
-
-    words = refused("capture", "cut", str(one), NAME, "--end", "1", "--force", cwd=tmp_path)
-
-    assert "OUT drive.mcap is the name of a recording in parts, drive.00001.mcap and so on" in words
-    assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_a_missing_recording_of_parts_is_a_missing_file(tmp_path: Path) -> None:
-    (tmp_path / "drive.1.mcap").touch()
-    assert "drive.mcap does not exist: name an MCAP file" in refused(
-        "capture", "info", NAME, cwd=tmp_path
-    )
-    words = refused("recheck", NAME, cwd=tmp_path)
-    assert "drive.mcap does not exist" in words
-
-
-def test_recheck_says_that_parts_are_no_recorded_run(both: tuple[Path, Path]) -> None:
-    words = refused("recheck", NAME, cwd=both[1])
-    assert "is kept in parts" in words

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -16,110 +15,68 @@ import pytest
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.schemas import Line
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
+from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, until, write
 from tests.support import commands
-from tests.support.wires import PATIENCE, PtyRobot, Running, json_lines, running, served
+from tests.support.wires import PtyRobot, json_lines, running, served
 
 pytestmark = pytest.mark.waits
 
 TROUBLESOME = bytes([0x00, 0x03, 0x04, 0x11, 0x13, 0x1A, 0x7F, 0xFF])
 
 
-def _kept(path: Path, direction: str) -> bytes:
-    return b"".join(
-        event.data
-        for event in open_capture(path)
-        if isinstance(event, Chunk) and event.direction == direction
-    )
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "run.mcap"
 
 
-def _write(pair: PtyPair, data: bytes) -> None:
-    """What another program says on the line: the sniffer hears it on the pty's path."""
-    while data:
-        try:
-            data = data[os.write(pair.master, data) :]
-        except BlockingIOError:
-            time.sleep(0.001)
+def replayed(path: Path, *more: str) -> commands.Done:
+    return commands.command("replay", str(path), "--rate", "0", "--format", "jsonl", *more)
 
 
-def _read(command: Running, count: int) -> list[bytes]:
-    """The next lines of standard output, as they come."""
-    lines = [command.stdout.readline() for _ in range(count)]
-    assert all(lines), command.stderr.read()
-    return lines
-
-
-def _shown(command: Running, words: str) -> dict[str, Any]:
-    """The next JSON line with these words."""
-    while words.encode() not in (line := b"".join(_read(command, 1))):
-        pass
-    return json_lines(line)[0]
-
-
-def _taps(tmp_path: Path, host: PtyPair, device: PtyPair, *more: str) -> tuple[list[str], Path]:
-    path = tmp_path / "run.mcap"
-    return ["sniff", host.name, device.name, "-w", str(path), "--format", "jsonl", *more], path
-
-
-def test_bytes_sniffed_equal_bytes_sent_and_a_replay_says_the_same(tmp_path: Path) -> None:
+def test_bytes_sniffed_equal_bytes_sent_and_a_replay_says_the_same(path: Path) -> None:
     said = TROUBLESOME * 4 + bytes(range(256)) + bytes(16)
     answered = TROUBLESOME + bytes(range(256))
-    with open_pty() as host, open_pty() as device:
-        arguments, path = _taps(tmp_path, host, device)
-        with running(*arguments) as command:
-            command.wait_for(path)
-            for at in range(0, len(said), 7):
-                _write(host, said[at : at + 7])
-                _write(device, answered[at : at + 7])
-            shown: list[bytes] = []
-            heard = 0
-            while heard < len(answered):  # a response's line is the last thing that its byte does
-                shown += _read(command, 1)
-                heard += b'"response"' in shown[-1]
-            code, rest, err = command.end()
-    output = b"".join(shown) + rest
+    with sniffing(path) as one:
+        for at in range(0, len(said), 7):
+            write(one.host, said[at : at + 7])
+            write(one.device, answered[at : at + 7])
+        output, heard = b"", 0
+        while heard < len(answered):  # a response's line is the last thing that its byte does
+            output += (line := one.lines())
+            heard += b'"response"' in line
+        code, rest, err = one.command.end()
+    output += rest
 
     assert code == 0, err
-    assert _kept(path, "host") == said
-    assert _kept(path, "device") == answered
+    sides = {"host": said, "device": answered}
+    assert {side: kept(path, side) for side in sides} == sides
     lines = json_lines(output)
-    host_hex = " ".join(line["hex"] for line in lines if line["direction"] == "host")
-    device_hex = " ".join(line["hex"] for line in lines if line["direction"] == "device")
-    assert bytes.fromhex(host_hex) == said
-    assert bytes.fromhex(device_hex) == answered
-
-    replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
-
-    assert replayed.stdout == output
-    assert replayed.returncode == 0
+    for side, data in sides.items():
+        shown = " ".join(line["hex"] for line in lines if line["direction"] == side)
+        assert bytes.fromhex(shown) == data
+    assert (replayed(path).stdout, replayed(path).returncode) == (output, 0)
 
 
-def test_unanswered_instructions_are_reported_live_as_on_replay(tmp_path: Path) -> None:
-    with open_pty() as host, open_pty() as device:
-        arguments, path = _taps(tmp_path, host, device)
-        with running(*arguments) as command:
-            command.wait_for(path)
-            _write(host, b"\x20\x11")
-            lines = _read(command, 3)  # Forward, Speed cut short, no answer to the first
-            code, rest, _ = command.end(signal.SIGTERM)
+def test_unanswered_instructions_are_reported_live_as_on_replay(path: Path) -> None:
+    with sniffing(path) as one:
+        write(one.host, b"\x20\x11")
+        lines = one.lines(3)  # Forward, Speed cut short, no answer to the first
+        code, rest, _ = one.command.end(signal.SIGTERM)
 
     assert code == 0
-    assert json_lines(lines[2])[0]["faults"] == ["unanswered"]
-    replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
-    assert replayed.stdout == b"".join(lines) + rest
+    assert json_lines(lines)[2]["faults"] == ["unanswered"]
+    assert replayed(path).stdout == lines + rest
 
 
-def test_the_capture_holds_what_was_decoded_too(tmp_path: Path) -> None:
-    with open_pty() as host, open_pty() as device:
-        arguments, path = _taps(tmp_path, host, device, "--count", "2")
-        with running(*arguments) as command:
-            command.wait_for(path)
-            _write(host, b"\x81\x09")
-            _read(command, 1)
-            _write(device, b"\x00")
-            code, _, _ = command.result()
+def test_the_capture_holds_what_was_decoded_too(path: Path) -> None:
+    with sniffing(path, "--count", "2") as one:
+        write(one.host, b"\x81\x09")
+        one.lines()
+        write(one.device, b"\x00")
+        code, _, _ = one.command.result()
 
     assert code == 0
     capture = open_capture(path)
@@ -137,93 +94,69 @@ def test_the_capture_holds_what_was_decoded_too(tmp_path: Path) -> None:
     assert not capture.unfinished
 
 
-def test_count_counts_the_frames_that_a_filter_lets_pass(tmp_path: Path) -> None:
-    with open_pty() as host, open_pty() as device:
-        arguments, path = _taps(tmp_path, host, device, "--count", "2", "--filter", "speed > 0")
-        with running(*arguments) as command:
-            command.wait_for(path)
-            _write(host, b"\x20\x11\x01\x00\x11\x02\x11\x03")
-            code, out, _ = command.result()
-
-    assert code == 0
-    assert [line["hex"] for line in json_lines(out)] == ["11 01", "11 02"]
-
-
-def test_duration_ends_it(tmp_path: Path) -> None:
-    with open_pty() as host:
-        run = commands.command("sniff", host.name, "--duration", "0.1", "--format", "lines")
-
-    assert run.returncode == 0
-
-
-def test_the_host_alone_can_be_tapped_and_is_not_said_to_go_unanswered(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with (
-        open_pty() as host,
-        running(
-            "sniff", host.name, "-w", str(path), "--format", "jsonl", "--duration", "2"
-        ) as command,
-    ):
-        command.wait_for(path)
-        _write(host, b"\x20")
-        code, out, _ = command.result()
-
-    assert code == 0
-    assert [line["faults"] for line in json_lines(out)] == [[]]
-
-
-def test_when_the_last_tap_is_unplugged_it_ends_and_what_was_captured_is_kept(
-    tmp_path: Path,
+@pytest.mark.parametrize(
+    ("words", "said", "shown"),
+    [
+        ("--count 2 --filter speed>0", "20 1101 00 1102 1103", ["11 01", "11 02"]),
+        ("--count 1 --filter sound<4 --grammar HORN", "9107 9103", ["91 03"]),
+        ("--duration 2", "20", ["20"]),
+    ],
+)
+def test_the_host_alone_is_heard_and_what_was_asked_for_is_shown(
+    path: Path, horn_text: str, words: str, said: str, shown: list[str]
 ) -> None:
-    with open_pty() as host, open_pty() as device:
-        arguments, path = _taps(tmp_path, host, device)
-        with running(*arguments) as command:
-            command.wait_for(path)
-            _write(host, b"\x20")
-            _read(command, 1)
-            device.close()
-            at_once = command.stderr.readline().decode()
-            host.close()
-            code, _, err = command.result()
+    horn = path.with_name("horn.py")
+    horn.write_text(horn_text)
+    with sniffing(path, *words.replace("HORN", str(horn)).split(), taps=1) as one:
+        write(one.host, bytes.fromhex(said))
+        code, out, _ = one.command.result()
+
+    assert code == 0
+    assert [(line["hex"], line["faults"]) for line in json_lines(out)] == [(h, []) for h in shown]
+
+
+def test_when_the_last_tap_is_unplugged_it_ends_and_what_was_captured_is_kept(path: Path) -> None:
+    with sniffing(path) as one:
+        write(one.host, b"\x20")
+        one.lines()
+        one.device.close()
+        at_once = one.error()
+        one.host.close()
+        code, _, err = one.command.result()
 
     assert code == 2
     sentence = err.decode().splitlines()[-1]
     assert at_once.startswith("bilprov: listening goes on without the device: ")
     assert sentence.startswith("bilprov: ")
-    assert all(name in sentence for name in (host.name, device.name, str(path)))
-    assert _kept(path, "host") == b"\x20"
+    assert all(name in sentence for name in (one.host.name, one.device.name, str(path)))
+    assert kept(path) == b"\x20"
     assert not open_capture(path).unfinished
 
 
 def test_when_one_tap_is_unplugged_the_other_is_heard_on_and_nothing_is_unanswered(
-    tmp_path: Path,
+    path: Path,
 ) -> None:
-    with open_pty() as host, open_pty() as device:
-        arguments, path = _taps(tmp_path, host, device, "--judge")
-        with running(*arguments) as command:
-            command.wait_for(path)
-            _write(host, b"\x20")
-            _read(command, 1)
-            _write(device, b"\x00")
-            _read(command, 1)
-            device.close()
-            assert device.name.encode() in command.stderr.readline()
-            shown = b"".join(_read(command, 1))
-            _write(host, b"\x11\x07")
-            shown += b"".join(_read(command, 1))
-            time.sleep(0.5)  # longer than any answer takes
-            _write(host, b"\x11\x08")
-            shown += b"".join(_read(command, 1))
-            code, rest, err = command.end()
+    with sniffing(path, "--judge") as one:
+        for pair, data in ((one.host, b"\x20"), (one.device, b"\x00")):
+            write(pair, data)
+            one.lines()
+        one.device.close()
+        assert one.device.name in one.error()
+        shown = one.lines()
+        write(one.host, b"\x11\x07")
+        shown += one.lines()
+        time.sleep(0.5)  # longer than any answer takes
+        write(one.host, b"\x11\x08")
+        shown += one.lines()
+        code, rest, err = one.command.end()
 
     assert code == 2
     assert [line["faults"] for line in json_lines(shown)] == [["unplugged"], [], []]
     (judgement,) = json_lines(rest)
     assert not judgement["violations"], judgement
-    assert device.name in err.decode().splitlines()[-1]
-    assert _kept(path, "host") == b"\x20\x11\x07\x11\x08"
-    replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
-    assert replayed.stdout.endswith(shown)
+    assert one.device.name in err.decode().splitlines()[-1]
+    assert kept(path) == b"\x20\x11\x07\x11\x08"
+    assert replayed(path).stdout.endswith(shown)
 
 
 @contextmanager
@@ -237,25 +170,24 @@ def _plugged(link: Path) -> Iterator[PtyPair]:
 
 @pytest.mark.parametrize(("more", "expected"), [((), 2), (("--wait",), 0)])
 def test_a_tap_that_is_plugged_in_again_is_heard_again(
-    tmp_path: Path, more: tuple[str, ...], expected: int
+    path: Path, more: tuple[str, ...], expected: int
 ) -> None:
-    path, link = tmp_path / "run.mcap", tmp_path / "tap"
-    arguments = ["-w", str(path), "--format", "jsonl", *more]
-    with open_pty() as host, ExitStack() as stack:
+    link = path.with_name("tap")
+    with ExitStack() as stack:
         device = stack.enter_context(_plugged(link))
-        with running("sniff", host.name, str(link), *arguments) as command:
-            command.wait_for(path)
-            device.close()
-            assert str(link).encode() in command.stderr.readline()
-            _write(host, b"\x20")
-            _shown(command, '"20"')
-            device = stack.enter_context(_plugged(link))
-            assert b"is there again" in command.stderr.readline()
-            _write(host, b"\x11\x07")
-            said = _shown(command, '"11 07"')
-            _write(device, b"\x00")
-            (answer,) = json_lines(b"".join(_read(command, 1)))
-            code, _, err = command.end()
+        host = stack.enter_context(open_pty())
+        one = stack.enter_context(sniffing(path, host.name, str(link), *more, taps=0))
+        device.close()
+        assert str(link) in one.error()
+        write(host, b"\x20")
+        one.row('"20"')
+        device = stack.enter_context(_plugged(link))
+        assert "is there again" in one.error()
+        write(host, b"\x11\x07")
+        said = one.row('"11 07"')
+        write(device, b"\x00")
+        (answer,) = json_lines(one.lines())
+        code, _, err = one.command.end()
 
     assert code == expected, err
     assert (answer["agrees"], answer["answers"]) == (True, said["sequence"])
@@ -264,35 +196,35 @@ def test_a_tap_that_is_plugged_in_again_is_heard_again(
 
 
 @pytest.mark.parametrize("option", ["", "--bridge"])
-def test_with_wait_a_port_may_come_late_and_again(tmp_path: Path, option: str) -> None:
-    path, link = tmp_path / "run.mcap", tmp_path / "port"
+def test_with_wait_a_port_may_come_late_and_again(path: Path, option: str) -> None:
+    link = path.with_name("port")
     words = [option] * bool(option) + [str(link), "-w", str(path), "--format", "jsonl", "--wait"]
     with ExitStack() as stack, running("sniff", *words) as command:
-        assert b"; waiting\n" in command.stderr.readline()
+        one = Sniffing(*[stack.enter_context(open_pty()) for _ in range(2)], command, path)
+        assert "; waiting\n" in one.error()
         for turn in range(2):
             port = stack.enter_context(_plugged(link))
             if turn:
-                assert b"is there again" in command.stderr.readline()
-            elif option:
-                name = command.stderr.readline().decode().strip()
-                host = stack.enter_context(open_port(name))
-            if not turn:
+                assert "is there again" in one.error()
+            else:
+                if option:
+                    host = stack.enter_context(open_port(one.error().strip()))
                 command.wait_for(path)
             if option:
                 host.write(b"\x20")
                 while not port.read():
                     time.sleep(0.005)
-            _write(port, b"\x00" if option else b"\x20")
-            _shown(command, '"20"')
+            write(port, b"\x00" if option else b"\x20")
+            one.row('"20"')
             if option:
-                _shown(command, "response")
+                one.row("response")
             port.close()
-            assert b"bilprov: waiting for the " in command.stderr.readline()
+            assert "bilprov: waiting for the " in one.error()
         code, _, err = command.end()
 
     assert code == 2
     assert str(link) in err.decode().splitlines()[-1]
-    assert _kept(path, "host") == b"\x20" * 2
+    assert kept(path) == b"\x20" * 2
     assert not open_capture(path).unfinished
 
 
@@ -304,57 +236,33 @@ def test_what_is_waited_for_may_never_come(tmp_path: Path) -> None:
     assert (code, out, err) == (0, b"", b"")
 
 
-def _fills(command: Running, path: Path) -> None:
-    """From now on the file system takes no byte more of the program, as a full disk."""
-    size = path.stat().st_size
-    resource.prlimit(command.process.pid, resource.RLIMIT_FSIZE, (size, size))
-
-
-def _deletes(command: Running, path: Path) -> None:
-    path.unlink()
-
-
-def _cuts(command: Running, path: Path) -> None:
-    os.truncate(path, path.stat().st_size - 100)
-
-
-def _until_kept(path: Path, data: bytes) -> None:
-    give_up = time.monotonic() + PATIENCE
-    while not path.stat().st_size or _kept(path, "host") != data:
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
-
-
 @pytest.mark.parametrize(
     ("fault", "form", "words"),
     [
-        (_fills, "jsonl", "disk full: what was captured until "),
-        (_fills, "lines", "disk full: what was captured until "),
-        (_deletes, "jsonl", "was deleted while recording"),
-        (_cuts, "jsonl", "another program made the capture file "),
+        (Sniffing.fill_disk, "jsonl", "disk full: what was captured until "),
+        (Sniffing.fill_disk, "lines", "disk full: what was captured until "),
+        (lambda one: one.path.unlink(), "jsonl", "was deleted while recording"),
+        (
+            lambda one: os.truncate(one.path, one.path.stat().st_size - 100),
+            "jsonl",
+            "another program made the capture file ",
+        ),
     ],
 )
 def test_a_capture_that_fails_is_said_at_once_and_at_the_end_and_decoding_goes_on(
-    tmp_path: Path, fault: Callable[[Running, Path], None], form: str, words: str
+    path: Path, fault: Callable[[Sniffing], object], form: str, words: str
 ) -> None:
-    path = tmp_path / "run.mcap"
-    with (
-        open_pty() as host,
-        open_pty() as device,
-        running("sniff", host.name, device.name, "-w", str(path), "--format", form) as command,
-    ):
-        command.wait_for(path)
-        _write(host, b"\x20")
-        _read(command, 1)
-        _until_kept(path, b"\x20")
-        fault(command, path)
-        _write(host, b"\x11\x07")
-        at_once = command.stderr.readline().decode()  # while it runs
-        _write(host, b"\x81\x05")
-        shown = b""
-        while b"81 05" not in shown:
-            shown += b"".join(_read(command, 1))
-        code, _, err = command.end()
+    with sniffing(path, form=form) as one:
+        write(one.host, b"\x20")
+        one.lines()
+        until(lambda: path.stat().st_size and kept(path) == b"\x20")
+        fault(one)
+        write(one.host, b"\x11\x07")
+        at_once = one.error()  # while it runs
+        write(one.host, b"\x81\x05")
+        while b"81 05" not in one.lines():
+            pass
+        code, _, err = one.command.end()
 
     (*totals, sentence) = err.decode().splitlines()
     assert code == 2
@@ -362,174 +270,68 @@ def test_a_capture_that_fails_is_said_at_once_and_at_the_end_and_decoding_goes_o
     assert at_once == f"{sentence}; listening goes on, without recording\n"
     assert str(path) not in "".join(totals)
     assert "Traceback" not in err.decode()
-    if fault is _fills:
-        assert _kept(path, "host") == b"\x20"
+    if fault is Sniffing.fill_disk:
+        assert kept(path) == b"\x20"
         assert (open_capture(path).unfinished, open_capture(path).damage) == (True, ())
 
 
-def test_a_quiet_log_on_a_full_disk_goes_on_counting(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with (
-        open_pty() as host,
-        running("sniff", host.name, "-w", str(path), "--quiet", "--count", "101") as command,
-    ):
-        command.wait_for(path)
-        _write(host, b"\x20")
-        _until_kept(path, b"\x20")
-        _fills(command, path)
-        _write(host, b"\x11\x07")
-        at_once = command.stderr.readline().decode()
-        assert command.process.poll() is None
-        _write(host, b"\x11\x08" * 99)
-        code, _, err = command.result()
-
-    totals, sentence = err.decode().splitlines()
-    assert code == 2
-    assert at_once.startswith(f"{sentence}; ")
-    assert totals.startswith("101 instructions")
-
-
-def test_a_bridge_hands_on_though_the_disk_is_full(tmp_path: Path, protocol: Protocol) -> None:
-    path = tmp_path / "run.mcap"
+@pytest.mark.parametrize("full", [False, True])
+def test_a_bridge_passes_every_byte_also_where_the_disk_is_full(
+    path: Path, protocol: Protocol, full: bool
+) -> None:
     robot = PtyRobot(protocol)
     with (
         served(robot) as port,
-        running("sniff", "--bridge", port, "-w", str(path), "--format", "jsonl") as command,
+        sniffing(path, "--bridge", port, "--yes", taps=0) as one,
+        open_port(one.error().strip()) as host,
     ):
-        name = command.stderr.readline().decode().strip()
-        descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
-        try:
-            _fills(command, path)
-            os.write(descriptor, b"\x20")
-            _read(command, 2)
-            assert os.read(descriptor, 1) == b"\x00"
-            assert b"disk full" in command.stderr.readline()
-            os.write(descriptor, b"\x81\x09")
-            _read(command, 2)
-            assert os.read(descriptor, 1) == b"\x02"
-        finally:
-            os.close(descriptor)
-        code, _, err = command.end()
+        if full:
+            one.fill_disk()
+        answers = b""
+        for frame in (b"\x11\xff", b"\x20", b"\x81\x09"):
+            host.write(frame)
+            lines = json_lines(one.lines(2))
+            assert [line["kind"] for line in lines] == ["instruction", "response"]
+            assert lines[1]["agrees"] is True
+            answer = b""
+            while not answer:
+                answer = host.read()
+            answers += answer
+        code, _, err = one.command.end()
 
-    assert code == 2
-    assert err.decode().splitlines()[-1].startswith("bilprov: disk full")
-
-
-def test_a_reader_that_goes_ends_it_quietly(tmp_path: Path) -> None:
-    with open_pty() as host:
-        path = tmp_path / "run.mcap"
-        with running("sniff", host.name, "-w", str(path), "--format", "jsonl") as command:
-            command.wait_for(path)
-            _write(host, b"\x20")
-            _read(command, 1)
-            command.stdout.close()
-            _write(host, b"\x00\x00")
-            command.process.wait(PATIENCE)
-            err = command.stderr.read()
-
-    assert command.process.returncode == 0
-    assert b"Traceback" not in err
-    assert b"Exception" not in err
-    assert not open_capture(path).unfinished
+    assert robot.frames == [b"\x11\xff", b"\x20", b"\x81\x09"]
+    assert answers == b"\x00\x00\x02"
+    assert (code, b"disk full" in err) == (2 * full, full)
+    assert open_capture(path).metadata["attached"] == "no"
 
 
-def test_the_capture_is_finished_though_nobody_reads_the_text(tmp_path: Path) -> None:
-    with open_pty() as host, open_pty() as device:
-        arguments, path = _taps(tmp_path, host, device)
-        with running(*arguments) as command:
-            command.wait_for(path)
-            _write(host, b"\x20")
-            _read(command, 1)
-            _write(host, TROUBLESOME * 1000)  # more text than a pipe takes
-            give_up = time.monotonic() + PATIENCE
-            while len(_kept(path, "host")) < 8001:
-                assert time.monotonic() < give_up
-            command.process.send_signal(signal.SIGINT)
-            while open_capture(path).unfinished:
-                assert time.monotonic() < give_up
+def test_the_capture_is_finished_though_nobody_reads_the_text(path: Path) -> None:
+    with sniffing(path) as one:
+        write(one.host, b"\x20")
+        one.lines()
+        write(one.host, TROUBLESOME * 1000)  # more text than a pipe takes
+        until(lambda: len(kept(path)) == 8001)
+        one.command.process.send_signal(signal.SIGINT)
+        until(lambda: not open_capture(path).unfinished)
 
-            assert command.process.poll() is None
-            code, out, _ = command.result()
+        assert one.command.process.poll() is None
+        code, out, _ = one.command.result()
 
     assert code == 0
     assert out.endswith(b"}\n")
 
 
-def test_a_kill_loses_nothing_that_is_older_than_a_moment(tmp_path: Path) -> None:
-    with open_pty() as host:
-        path = tmp_path / "run.mcap"
-        with running("sniff", host.name, "-w", str(path), "--format", "jsonl") as command:
-            command.wait_for(path)
-            before = path.stat().st_size
-            _write(host, b"\x20\x00")
-            give_up = time.monotonic() + PATIENCE
-            while path.stat().st_size == before and time.monotonic() < give_up:
-                time.sleep(0.01)
-            while not _kept(path, "host") and time.monotonic() < give_up:
-                time.sleep(0.05)
-            command.process.kill()
-            command.process.wait()
+def test_a_kill_loses_nothing_that_is_older_than_a_moment(path: Path) -> None:
+    with sniffing(path) as one:
+        write(one.host, b"\x20\x00")
+        until(lambda: path.stat().st_size and kept(path))
+        one.command.end(signal.SIGKILL)
 
-    replayed = commands.command("replay", str(path), "--rate", "0", "--format", "jsonl")
-    assert replayed.returncode == 0
-    assert [line["hex"] for line in json_lines(replayed.stdout)] == ["20", "00"]
-    assert len(replayed.stderr.splitlines()) == 1
-    assert b"never finished" in replayed.stderr
-
-
-def test_a_bridge_passes_every_byte_and_names_its_pty(tmp_path: Path, protocol: Protocol) -> None:
-    path = tmp_path / "run.mcap"
-    robot = PtyRobot(protocol)
-    with (
-        served(robot) as port,
-        running(
-            "sniff", "--bridge", port, "--yes", "-w", str(path), "--format", "jsonl"
-        ) as command,
-    ):
-        name = command.stderr.readline().decode().strip()
-        descriptor = os.open(name, os.O_RDWR | os.O_NOCTTY)
-        try:
-            os.write(descriptor, b"\x11\xff\x20\x81\x09")
-            lines = json_lines(b"".join(_read(command, 6)))
-            answers = os.read(descriptor, 100)
-        finally:
-            os.close(descriptor)
-        code, _, _ = command.end()
-
-    assert code == 0
-    assert robot.frames == [b"\x11\xff", b"\x20", b"\x81\x09"]
-    assert answers == b"\x00\x00\x02"
-    assert [line["kind"] for line in lines] == ["instruction"] * 3 + ["response"] * 3
-    assert [line["agrees"] for line in lines[3:]] == [True] * 3
-    assert open_capture(path).metadata["attached"] == "no"
-
-
-def test_a_capture_is_never_overwritten(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(b"precious")
-    with open_pty() as host:
-        run = commands.command("sniff", host.name, "-w", str(path))
-
-    assert run.returncode == 2
-    assert path.read_bytes() == b"precious"
-
-
-def test_another_grammar_is_followed(tmp_path: Path, horn_text: str) -> None:
-    grammar, path = tmp_path / "horn.py", tmp_path / "run.mcap"
-    grammar.write_text(horn_text, encoding="utf-8")
-    with (
-        open_pty() as host,
-        running(
-            *("--grammar", str(grammar), "sniff", host.name, "-w", str(path)),
-            *("--format", "jsonl", "--filter", "sound < 4", "--count", "1"),
-        ) as command,
-    ):
-        command.wait_for(path)
-        _write(host, b"\x91\x07\x91\x03")
-        code, out, _ = command.result()
-
-    assert code == 0
-    assert [line["hex"] for line in json_lines(out)] == ["91 03"]
+    shown = replayed(path)
+    assert shown.returncode == 0
+    assert [line["hex"] for line in json_lines(shown.stdout)] == ["20", "00"]
+    assert len(shown.stderr.splitlines()) == 1
+    assert b"never finished" in shown.stderr
 
 
 WRONG_CLOCK = """
@@ -540,9 +342,8 @@ bilprov.main(sys.argv[1:])
 """
 
 
-def test_a_clock_before_1970_is_noted_and_the_capture_begins_there(tmp_path: Path) -> None:
+def test_a_clock_before_1970_is_noted_and_the_capture_begins_there(path: Path) -> None:
     with open_pty() as host:
-        path = tmp_path / "run.mcap"
         words = ("sniff", host.name, "-w", str(path), "--duration", "0.1")
         result = commands.process(*words, code=WRONG_CLOCK)
 
@@ -555,37 +356,28 @@ STOPPED = 1.2  # s; longer than a device may take to answer
 
 
 def test_a_good_device_is_good_though_the_sniffer_was_stopped(
-    tmp_path: Path, protocol: Protocol
+    path: Path, protocol: Protocol
 ) -> None:
     frames = [b"\x20", b"\x81\x09", b"\x00", b"\xf0", b"\x11\x01"] * 40
-    with open_pty() as host, open_pty() as device, ExitStack() as stack:
-        arguments, path = _taps(tmp_path, host, device, "--judge")
-        command = stack.enter_context(running(*arguments))
-        command.wait_for(path)
+    with sniffing(path, "--judge") as one:
         time.sleep(0.1)  # silence, after which a byte begins a frame
-        shown: list[bytes] = []
+        process, shown = one.command.process, 0
         for number, frame in enumerate(frames):
-            _write(host, frame)
+            write(one.host, frame)
             if number == 50:  # between the frame and its answer
-                while sum(b'"instruction"' in line for line in shown) <= number:
-                    shown += _read(command, 1)
-                _stop(command)
-            _write(device, bytes([judge(protocol, frame).response.code]))
+                while shown <= number:
+                    shown += b'"instruction"' in one.lines()
+                process.send_signal(signal.SIGSTOP)
+                os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
+            write(one.device, bytes([judge(protocol, frame).response.code]))
             time.sleep(STOPPED if number == 50 else 0.005)
             if number == 60:
-                command.process.send_signal(signal.SIGCONT)
-        code, out, err = command.end()
+                process.send_signal(signal.SIGCONT)
+        code, out, err = one.command.end()
 
     findings = json_lines(out)[-1]
     assert (code, findings["violations"], findings["not_judged"]) == (0, {}, {}), (findings, err)
     assert findings["judged"] == len(frames)
     assert findings["unread"] >= STOPPED * 1e9
     assert any(isinstance(e, Line) and e.event == "waited" for e in open_capture(path))
-    replayed = commands.command("replay", str(path), "--rate", "0", "--judge", "--format", "jsonl")
-    assert json_lines(replayed.stdout)[-1] == findings
-
-
-def _stop(command: Running) -> None:
-    """Stop the process, and return when it is stopped."""
-    command.process.send_signal(signal.SIGSTOP)
-    os.waitid(os.P_PID, command.process.pid, os.WSTOPPED | os.WNOWAIT)
+    assert json_lines(replayed(path, "--judge").stdout)[-1] == findings
