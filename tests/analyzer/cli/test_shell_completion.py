@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
-import select
-import signal
 import subprocess
 import sys
-import termios
-import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -87,78 +80,19 @@ def test_completion_loads_nothing_heavy_that_it_does_not_use(line: str) -> None:
     assert {"numpy", "rich", "textual", "difflib"} & set(result.stderr.decode().split()) == set()
 
 
-@pytest.fixture
-def home(tmp_path: Path) -> Path:
-    """A home directory in which the completion of bash is installed."""
-    script = process("completion", "bash").stdout.decode()
-    (tmp_path / ".bashrc").write_text(f"PS1='ready: '\n{script}")
-    (tmp_path / "bin").mkdir()
-    program = tmp_path / "bin" / "bilprov"
-    # Completes as the kit does; else it keeps the arguments that it was given.
-    program.write_text(
-        f"""#!/bin/sh
-if [ -n "$_BILPROV_COMPLETE" ]; then exec {sys.executable} -m bilprov; fi
-printf '%s\\n' "$@" > "$HOME/given" && mv "$HOME/given" "$HOME/said"
-"""
-    )
-    program.chmod(0o755)
-    (tmp_path / "drive.mcap").touch()
-    return tmp_path
-
-
-@pytest.fixture
-def terminal(home: Path) -> Iterator[int]:
-    """The terminal of a bash that is ready for what is typed into it."""
-    variables = {
-        "HOME": str(home),
-        "PATH": f"{home / 'bin'}:{os.environ['PATH']}",
-        "PYTHONPATH": str(ROOT / "src"),
-        "TERM": "xterm",
-        "LC_ALL": "C.UTF-8",
-    }
-    ours, theirs = os.openpty()
-    shell = subprocess.Popen(
-        ["bash", "--noprofile", "-i"],
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-        cwd=home,
-        env=variables,
-        start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-    )
-    os.close(theirs)
-    try:
-        _read_until(ours, lambda seen: b"ready: " in seen)
-        yield ours
-    finally:
-        os.close(ours)
-        with suppress(ProcessLookupError):
-            os.killpg(shell.pid, signal.SIGKILL)
-        shell.wait()
-
-
-def _read_until(terminal: int, enough: Callable[[bytes], bool]) -> None:
-    """Read what a shell writes, which would wait otherwise, until it is enough."""
-    seen, end = b"", time.monotonic() + PATIENCE
-    while not enough(seen):
-        assert time.monotonic() < end, seen
-        if select.select([terminal], [], [], 0.05)[0]:
-            seen += os.read(terminal, 1 << 16)
-
-
 @pytest.mark.waits
-@pytest.mark.parametrize(
-    ("typed", "given"),
-    [
-        ("conform sim --fault no-stop-on-bad-d", "conform sim --fault no-stop-on-bad-data"),
-        ("capture info driv", "capture info drive.mcap"),
-    ],
-)
-def test_bash_completes_what_was_typed(terminal: int, home: Path, typed: str, given: str) -> None:
-    said = home / "said"
+def test_bash_completes_what_was_typed(tmp_path: Path) -> None:
+    (tmp_path / "bilprov").write_text(f"#!/bin/sh\nexec {sys.executable} -m bilprov")
+    (tmp_path / "bilprov").chmod(0o755)
+    script = process("completion", "bash").stdout.decode()
+    typed = "COMP_WORDS=(bilprov conform sim --fault no-stop-on-bad-d) COMP_CWORD=4"
+    done = subprocess.run(
+        ["bash", "-c", f"{script}\n{typed}\n_bilprov_completion bilprov\necho ${{COMPREPLY[*]}}"],
+        env=os.environ
+        | {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        timeout=PATIENCE,
+        check=True,
+    )
 
-    os.write(terminal, f"bilprov {typed}\t\n".encode())
-    _read_until(terminal, lambda _: said.exists())
-
-    assert said.read_text().splitlines() == given.split()
+    assert done.stdout.split()[0] == b"no-stop-on-bad-data", done

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.csv_text import CsvText, csv_cell, neutral, plain, usual_columns
+from bilprov.analyzer.output.csv_text import CsvText, csv_cell, neutral, plain
 from bilprov.analyzer.output.row_columns import Times, TimeStyle, columns_of
 from bilprov.captures.schemas import Line
 from bilprov.spec.protocol import Protocol
@@ -76,11 +76,3 @@ def test_hostile_words_of_a_capture_are_one_row(protocol: Protocol) -> None:
     text = CsvText(columns, Times()).text(decoded(Session(protocol), [event]))
 
     assert text == '"\'=HYPERLINK(""http://x"")\\\\r\\\\n,\\\\x1b[2J"\r\n'
-
-
-def test_a_table_of_no_rows_has_its_header(protocol: Protocol) -> None:
-    form = CsvText(usual_columns(protocol, time=True), Times())
-
-    assert form.header.split(",")[:3] == ["time", "t", "direction"]
-    assert form.header.endswith(",faults\r\n")
-    assert form.text([]) == ""

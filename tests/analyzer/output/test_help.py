@@ -15,7 +15,7 @@ from bilprov.__main__ import COMMANDS
 from bilprov.analyzer.output.help import Group, Page, PageCommand
 from bilprov.analyzer.transport.pty import open_pty
 from tests.support import ROOT
-from tests.support.commands import PATIENCE, command, process
+from tests.support.commands import PATIENCE, command
 
 ESCAPE = "\x1b"
 WIDTHS = (40, 60, 80, 120)
@@ -98,13 +98,6 @@ def test_a_very_wide_terminal_gets_no_endless_lines() -> None:
     assert max(map(len, page("conform", columns=500))) <= 120
 
 
-@pytest.mark.waits
-@pytest.mark.parametrize("columns", ["", "0", "-3", "wide"])
-def test_a_width_that_is_none_counts_as_80(columns: str) -> None:
-    shown = process("--help", env={"COLUMNS": columns}).stdout.decode()
-    assert shown.splitlines() == page(columns=80)
-
-
 def test_no_line_is_broken_at_a_hyphen() -> None:
     for columns in range(60, 121, 5):
         lines = page("conform", columns=columns)
@@ -139,8 +132,3 @@ def test_a_terminal_gets_the_same_page_in_colours_unless_they_are_not_wanted(
     assert ended.returncode == 0
     assert (ESCAPE in shown) == coloured
     assert re.sub(ESCAPE + r"\[\d+m", "", shown).splitlines() == page()
-
-
-def test_a_pipe_gets_no_colours_even_when_the_environment_asks_for_them() -> None:
-    shown = command("--help", FORCE_COLOR="1", GITHUB_ACTIONS="true", TERM="xterm").stdout
-    assert ESCAPE.encode() not in shown

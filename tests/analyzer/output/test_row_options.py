@@ -11,19 +11,11 @@ import pytest
 
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support.commands import command
 from tests.support.decoding import MS
 from tests.support.wires import running
-
-START = 1_700_000_000_000_000_000  # 2023-11-14T22:13:20Z
-
-
-def shown(path: Path, *more: str) -> list[str]:
-    done = command("replay", str(path), "--rate", "0", *more, TZ="UTC")
-    assert (done.returncode, done.stderr) == (0, b"")
-    return done.stdout.decode().splitlines()
 
 
 @pytest.mark.waits
@@ -61,15 +53,3 @@ def test_sniff_writes_the_same(tmp_path: Path) -> None:
     start = open_capture(path).start
     wall = start + round(float(rows[0][1]) * 1e9)
     assert rows[0][0].endswith(f".{wall // 1000 % 1_000_000:06d}Z")
-
-
-@pytest.mark.parametrize("time_style", ["relative", "delta", "absolute", "utc"])
-def test_hostile_words_reach_no_terminal(tmp_path: Path, time_style: str) -> None:
-    hostile = "\x1b]0;owned\x07\u202e"
-    path = tmp_path / "a.mcap"
-    with CaptureWriter(path, start_wall=START, metadata={}, version="0") as writer:
-        writer.write(Line(0, "break", "", hostile), 0)
-        writer.chunk(Chunk(0, "host", b"\0"))
-
-    for line in shown(path, "--time", time_style, "--columns", "time,reason,faults,name"):
-        assert line.isprintable()

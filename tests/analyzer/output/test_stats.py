@@ -137,23 +137,6 @@ def test_every_key_is_explained() -> None:
     assert keys <= explained
 
 
-def test_several_captures_are_counted_one_by_one_and_together(tmp_path: Path) -> None:
-    other = written(tmp_path / "other.mcap", conversation([(b"\x20", b"\0")] * 3))
-
-    found = counted(EXAMPLES, other, EXAMPLES)
-
-    assert [file["path"] for file in found["files"]] == [EXAMPLES, other, EXAMPLES]
-    each = [file["counts"] for file in found["files"]]
-    total = found["total"]
-    for key in ("frames", "host_bytes", "device_bytes", "agreeing", "disagreeing", "truncated"):
-        assert total[key] == sum(counts[key] for counts in each)
-    for key in ("instructions", "expected", "responses", "anomalies"):
-        together = sum((Counter(counts[key]) for counts in each), Counter())
-        assert +Counter(total[key]) == together
-    assert total["duration"] == pytest.approx(sum(counts["duration"] for counts in each))
-    assert total["latency"]["max"] == max(counts["latency"]["max"] for counts in each)
-
-
 def test_the_settings_of_the_recording_are_used(tmp_path: Path, protocol: Protocol) -> None:
     events: list[Event] = [Chunk(0, "host", b"\x11"), Chunk(30 * MS, "host", b"\x05")]
 
@@ -193,51 +176,35 @@ def rows_of(*arguments: str) -> list[dict[str, str]]:
 def test_the_csv_has_every_number_of_the_json(tmp_path: Path) -> None:
     other = written(tmp_path / "other.mcap", conversation([(b"\x20", b"\0"), (b"\x90", b"\0")]))
     found = counted(EXAMPLES, other)
-
-    rows = rows_of(EXAMPLES, other)
-
-    def values(file: str, group: str) -> dict[tuple[str, str], float]:
-        mine = [row for row in rows if (row["file"], row["group"]) == (file, group)]
-        numbers = {(row["key"], row["measure"]): float(row["value"]) for row in mine}
-        assert len(numbers) == len(mine)
-        return numbers
+    rows: dict[str, dict[tuple[str, ...], float]] = {}
+    for row in rows_of(EXAMPLES, other):
+        file = rows.setdefault(row["file"], {})
+        key = row["group"], row["key"], row["measure"]
+        assert key not in file
+        file[key] = float(row["value"])
 
     parts = [(file["path"], file["counts"]) for file in found["files"]] + [("", found["total"])]
     for path, counts in parts:
-        total = {("", key): v for key, v in counts.items() if isinstance(v, int | float)}
-        total |= {("", f"load.{side}"): share for side, share in counts["load"].items()}
-        assert values(path, "total") == total
-        one = counts["by_instruction"]
-        assert values(path, "instruction") == {(n, "frames"): c["frames"] for n, c in one.items()}
-        assert values(path, "answer") == {
-            (name, response): count
-            for name, c in one.items()
-            for response, count in c["responses"].items()
-        }
-        assert values(path, "instruction anomaly") == {
-            (name, kind): count for name, c in one.items() for kind, count in c["anomalies"].items()
-        }
-        latencies = {"": counts["latency"]} | {name: c["latency"] for name, c in one.items()}
-        assert values(path, "latency") == {
-            (name, key): v
-            for name, spread in latencies.items()
-            for key, v in (spread or {}).items()
-        }
-        assert values(path, "anomaly") == {
-            (kind, side): count
-            for side, kinds in counts["by_direction"].items()
-            for kind, count in kinds.items()
-        }
-        given = values(path, "response")
-        assert {name: n for (name, key), n in given.items() if key == "given"} == counts[
-            "responses"
-        ]
-        assert sum(values(path, "latency bin").values()) == counts["latency"]["count"]
-    for file in found["files"]:
-        rates = values(file["path"], "rate")
-        assert sum(n for (_, key), n in rates.items() if key == "frames") == sum(
-            file["rates"]["frames"]
-        )
+        numbers = {("total", "", k): v for k, v in counts.items() if isinstance(v, int | float)}
+        numbers |= {("total", "", f"load.{side}"): v for side, v in counts["load"].items()}
+        numbers |= {("response", n, "expected"): v for n, v in counts["expected"].items()}
+        numbers |= {("response", n, "given"): v for n, v in counts["responses"].items()}
+        for side, kinds in counts["by_direction"].items():
+            numbers |= {("anomaly", kind, side): v for kind, v in kinds.items()}
+        for name, one in {"": counts, **counts["by_instruction"]}.items():
+            numbers |= {("latency", name, k): v for k, v in (one["latency"] or {}).items()}
+            if name:
+                numbers["instruction", name, "frames"] = one["frames"]
+                numbers |= {("answer", name, n): v for n, v in one["responses"].items()}
+                numbers |= {
+                    ("instruction anomaly", name, n): v for n, v in one["anomalies"].items()
+                }
+        apart = {key: v for key, v in rows[path].items() if key[0] in ("latency bin", "rate")}
+        assert {key: v for key, v in rows[path].items() if key not in apart} == numbers
+        bins = [v for key, v in apart.items() if key[0] == "latency bin"]
+        frames = [v for key, v in apart.items() if key[2] == "frames"]
+        assert sum(bins) == counts["latency"]["count"]
+        assert sum(frames) == (counts["frames"] if path else 0)
 
 
 def test_a_name_in_the_csv_is_no_formula_and_controls_nothing(tmp_path: Path) -> None:
@@ -294,17 +261,3 @@ def test_the_tables_fit_80_columns_in_any_encoding(
     assert block * 10 in shown
     assert max(map(len, lines)) <= 80
     assert all(line.isprintable() for line in lines)
-
-
-@pytest.mark.waits
-def test_ctrl_c_ends_it_without_a_word_and_leaves_no_json(
-    tmp_path: Path, grammar_text: str
-) -> None:
-    grammar, file = tmp_path / "interrupting.py", tmp_path / "stats.json"
-    interrupt = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
-    grammar.write_text(grammar_text + interrupt, encoding="utf-8")
-
-    result = process("--grammar", str(grammar), "stats", EXAMPLES, "--json", str(file))
-
-    assert (result.returncode, result.stdout, result.stderr) == (130, b"", b"")
-    assert not file.exists()
