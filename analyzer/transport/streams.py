@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import ipaddress
 import os
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.captures.closing import Closing
 
-FULL_REST = 100_000_000  # ns until a listener that found no free descriptor tries again
-NO_DESCRIPTOR = (
-    "no file descriptor is free: new connections wait until one is (ulimit -n shows the limit)"
-)
-
 _READ_LIMIT = 1 << 14  # bytes taken in one turn: some 20 ms of a simulator's time
-_ACCEPT_LIMIT = 64  # connections taken in one turn, so that those who knock cannot hold the loop
 _BACKLOG_LIMIT = 1 << 16  # bytes kept for a peer that does not read; what follows is dropped
-_QUEUE = 1024  # connections that the system lets wait; one more tries again only 1 s later
-_SCARCE = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _LISTENING = {
     errno.EADDRINUSE: "is in use by another program; close it, or give port 0 for a free one",
     errno.EACCES: "may not be listened on; give a port from 1024, or 0 for a free one",
@@ -28,72 +21,50 @@ _LISTENING = {
 }
 
 
-class Stream:
+class Stream(Closing):
     """A non-blocking byte stream to one peer.
 
-    `ended` is true once the peer sends no more, `lost` once the connection is broken.
+    `ended` is true once the peer sends no more, `lost` once the connection is broken; `backlog`
+    are the bytes that the peer has not taken yet.
     """
 
     def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
         self.backlog = bytearray()
         self.ended = False
         self.lost = False
-        self.closed = False
         self._descriptor = descriptor
         self._close = close
 
-    @property
-    def idle(self) -> bool:
-        """Whether the peer has ended its sending and all bytes for it are sent."""
-        return self.ended and not self.backlog
-
     def fileno(self) -> int:
-        """Return the descriptor that a selector waits for."""
+        """Return the descriptor that select waits for."""
         return self._descriptor
 
-    def take(self, limit: int = _READ_LIMIT) -> bytes:
-        """Return the received bytes, at most `limit`, without waiting; what is left stays unread.
+    def take(self) -> bytes:
+        """Return the received bytes, at most 16 KiB, without waiting; the rest stays unread."""
+        try:
+            data = b"" if self.ended else os.read(self._descriptor, _READ_LIMIT)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data, self.lost = b"", True
+        self.ended = not data
+        return data
 
-        Sets `ended`, and `lost`, if the stream ended.
-        """
-        taken = bytearray()
-        while not self.ended and len(taken) < limit:
-            try:
-                data = os.read(self._descriptor, limit - len(taken))
-            except BlockingIOError:
-                break
-            except OSError:
-                self.ended = self.lost = True
-                break
-            self.ended = not data
-            taken += data
-        return bytes(taken)
-
-    def give(self, data: bytes) -> None:
+    def give(self, data: bytes = b"") -> None:
         """Send `data` as far as the peer takes it; keep at most 64 KiB of the rest, drop more."""
-        if not self.closed:
-            self.backlog += data
-            self.flush()
+        self.backlog += data
+        try:
+            while self.backlog:
+                del self.backlog[: os.write(self._descriptor, self.backlog)]
+        except BlockingIOError:
             del self.backlog[_BACKLOG_LIMIT:]
-
-    def flush(self) -> None:
-        """Send as many of the kept bytes as the peer takes now."""
-        while self.backlog and not self.closed:
-            try:
-                count = os.write(self._descriptor, self.backlog)
-            except BlockingIOError:
-                return
-            except OSError:
-                self.ended = self.lost = True
-                self.backlog.clear()
-                return
-            del self.backlog[:count]
+        except OSError:
+            self.ended = self.lost = True
+            self.backlog.clear()
 
     def close(self) -> None:
         """Close the stream; further calls do nothing."""
-        if not self.closed:
-            self.closed = True
-            self._close()
+        self._close()
 
 
 def parse_address(text: str) -> tuple[str, int]:
@@ -111,22 +82,18 @@ def parse_address(text: str) -> tuple[str, int]:
 class Listener(Closing):
     """A listening socket that accepts without waiting.
 
-    While the process has no free descriptor it is `full`: connections then wait in the system's
-    queue, and its owner does not wait for it (it would be readable all the time) but tries again
-    in each turn, and after `FULL_REST`. Raises ValueError for an invalid address, LinkError for
-    one that cannot be listened on.
+    Raises ValueError for an invalid address, LinkError for one that cannot be listened on.
     """
 
     def __init__(self, address: str) -> None:
         host, port = parse_address(address)
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            self._socket = socket.create_server((host, port), family=family, backlog=_QUEUE)
+            self._socket = socket.create_server((host, port), family=family)
         except OSError as error:
             said = _LISTENING.get(error.errno or 0, f"cannot be listened on: {error.strerror}")
             raise LinkError(f"{address} {said}") from error
         self._socket.setblocking(False)
-        self.full = False
 
     @property
     def address(self) -> str:
@@ -145,19 +112,14 @@ class Listener(Closing):
         """Return the descriptor that a selector waits for."""
         return self._socket.fileno()
 
-    def accept(self) -> Iterator[Stream]:
-        """Yield a Stream, with TCP_NODELAY set, for each of the first 64 connections that wait."""
-        for _ in range(_ACCEPT_LIMIT):
-            try:
-                connection, _ = self._socket.accept()
-            except OSError as error:
-                # None is left, or one closed before it was accepted, or no descriptor is free.
-                self.full = error.errno in _SCARCE
-                return
-            self.full = False
+    def accept(self) -> Stream | None:
+        """Return a Stream for a connection that waits, None if there is none."""
+        with contextlib.suppress(BlockingIOError, ConnectionError):  # it has gone in the meantime
+            connection, _ = self._socket.accept()
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            yield Stream(connection.fileno(), connection.close)
+            return Stream(connection.fileno(), connection.close)
+        return None
 
     def close(self) -> None:
         """Close it; further calls do nothing."""

@@ -39,7 +39,7 @@ class SimulateOptions:
         metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any."
     )
     probe_listen: str | None = option(
-        metavar="HOST:PORT", help="Serve the probe over TCP too; 256 clients at most."
+        metavar="HOST:PORT", help="Serve the probe over TCP too; 8 clients at most."
     )
     fault: str | None = fault_option(
         help="Misbehave in one way; random:SEED or random:SEED.NUMBER draws one."
@@ -67,9 +67,10 @@ def simulate(options: SimulateOptions) -> int:
     served as a robot that does not answer, and the exit code is 2.
 
     One host at a time is served over TCP; a second is closed. A host that does not read loses what
-    exceeds 64 KiB. 256 probe clients are served, each with lines of at most 1024 bytes; each is
-    answered once in turn, and one that leaves 32 KiB unread is closed with a line of JSON that
-    explains it. 127.0.0.1 is this machine alone; an address that others reach comes with a warning.
+    exceeds 64 KiB. 8 probe clients are served, each with lines of at most 1024 bytes; one more, and
+    one with a longer line, is closed with a line of JSON that explains it, and one that leaves
+    32 KiB unread is closed. 127.0.0.1 is this machine alone; an address that others reach comes
+    with a warning.
 
     Exit code: 0 after Ctrl-C or SIGTERM.
     """

@@ -2,43 +2,41 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from contextlib import ExitStack, suppress
 
 import pytest
 
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, wait_readable
-from bilprov.analyzer.transport.server import serve
+from bilprov.analyzer.transport.server import PROBE_LIMIT, REQUEST_LIMIT, UNREAD_LIMIT, serve
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.analyzer.transport.streams import parse_address
-from tests.support import ROOT
+from bilprov.analyzer.transport.streams import Listener, parse_address
 from tests.support.robots import PATIENCE
+from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
 
 ALL = bytes(range(256))
 DELAY = 3_000_000  # ns between a byte and its echo
+ANY = "127.0.0.1:0"
 
 
 class Echo:
     """A device that sends each byte back `delay` ns later and counts what it has received."""
 
-    def __init__(self, delay: int = 0) -> None:
+    def __init__(self, delay: int = 0, filler: int = 0) -> None:
         self.delay = delay
         self.received = 0
         self.due: list[tuple[int, bytes]] = []
-        self.early = 0
+        self.early = 0  # how often it was woken without anything to do
+        self.filler = "x" * filler
 
     def receive(self, data: bytes, now: int) -> None:
         self.received += len(data)
@@ -48,19 +46,31 @@ class Echo:
         said = b""
         while self.due and self.due[0][0] <= now:
             said += self.due.pop(0)[1]
+        self.early += bool(self.due) and not said
         return said
 
     def deadline(self) -> int | None:
         return self.due[0][0] if self.due else None
 
     def probe(self, now: int) -> bytes:
-        return json.dumps({"moving": False, "received": self.received}).encode()
+        look = {"moving": False, "received": self.received}
+        return json.dumps(look | ({"filler": self.filler} if self.filler else {})).encode()
+
+
+class Restless(Echo):
+    """One that always wants to be asked again soon, as an emulated board does."""
+
+    def deadline(self) -> int:
+        return time.monotonic_ns() + 1_000_000
 
 
 class Served:
-    """A device that is served in a thread of its own."""
+    """A device that is served in a thread of its own: the lines and the sentences that it prints.
 
-    def __init__(self, device: Echo, **options: object) -> None:
+    `listen` and `probe` are addresses; without them it is served on a pty alone.
+    """
+
+    def __init__(self, device: Echo, *, pty: bool, listen: str | None, probe: str | None) -> None:
         self.lines: list[str] = []
         self.stopper = Stopper()
         ready = threading.Semaphore(0)
@@ -69,33 +79,42 @@ class Served:
             self.lines.append(line)
             ready.release()
 
-        asked: dict[str, object] = {"pty": False, "listen": None, "probe_listen": None} | options
         self.thread = threading.Thread(
-            target=lambda: serve(device, announce=announce, stop=self.stopper, **asked)  # type: ignore[arg-type]
+            target=serve,
+            args=(device,),
+            kwargs={
+                "pty": pty,
+                "listen": listen,
+                "probe_listen": probe,
+                "announce": announce,
+                "stop": self.stopper,
+            },
         )
         self.thread.start()
-        for wanted in asked.values():
-            if wanted:
-                ready.acquire()
+        for _ in filter(None, (pty, listen, probe)):
+            ready.acquire()
 
-    def stop(self) -> None:
-        self.stopper.stop()
-        self.thread.join()
-        self.stopper.close()
+    def connected(self, line: int = -1) -> socket.socket:
+        """A connection to the address in a line that was announced, which is the probe's."""
+        address = self.lines[line].removeprefix("socket://").removeprefix("probe tcp:")
+        return socket.create_connection(parse_address(address), timeout=PATIENCE)
 
-    def probe(self) -> socket.socket:
-        host, port = parse_address(self.lines[-1].removeprefix("probe tcp:"))
-        return socket.create_connection((host, port))
+
+Start = Callable[..., Served]
 
 
 @pytest.fixture
-def served() -> Iterator[Callable[..., Served]]:
-    with contextlib.ExitStack() as stack:
+def served() -> Iterator[Start]:
+    with ExitStack() as stack:
 
-        def start(device: Echo, **options: object) -> Served:
-            made = Served(device, **options)
-            stack.callback(made.stop)
-            return made
+        def start(
+            device: Echo, *, pty: bool = False, listen: str | None = None, probe: str | None = None
+        ) -> Served:
+            room = Served(device, pty=pty, listen=listen, probe=probe)
+            stack.callback(room.stopper.close)
+            stack.callback(room.thread.join)
+            stack.callback(room.stopper.stop)
+            return room
 
         yield start
 
@@ -108,6 +127,14 @@ def read_from(port: Port, count: int) -> bytes:
     return data
 
 
+def until_closed(peer: socket.socket) -> bytes:
+    got = b""
+    with suppress(ConnectionResetError):
+        while data := peer.recv(1 << 16):
+            got += data
+    return got
+
+
 def ask(probe: socket.socket, request: bytes = b"state\n") -> dict[str, object]:
     probe.sendall(request)
     line = b""
@@ -118,17 +145,13 @@ def ask(probe: socket.socket, request: bytes = b"state\n") -> dict[str, object]:
     return answer
 
 
-Start = Callable[..., Served]
-
-
 def test_one_line_is_announced_for_each_thing_served(served: Start) -> None:
-    lines = served(Echo(), pty=True, listen="127.0.0.1:0", probe_listen="127.0.0.1:0").lines
-    assert lines[0].startswith("/dev/")
-    assert lines[1].startswith("socket://127.0.0.1:")
-    assert lines[2].startswith("probe tcp:127.0.0.1:")
+    lines = served(Echo(), pty=True, listen=ANY, probe=ANY).lines
+    begin = ("/dev/", "socket://127.0.0.1:", "probe tcp:127.0.0.1:")
+    assert all(map(str.startswith, lines, begin))
 
 
-@pytest.mark.parametrize("options", [{"pty": True}, {"listen": "127.0.0.1:0"}], ids=str)
+@pytest.mark.parametrize("options", [{"pty": True}, {"listen": ANY}], ids=str)
 def test_every_byte_reaches_the_device_and_comes_back(
     served: Start, options: dict[str, object]
 ) -> None:
@@ -138,7 +161,7 @@ def test_every_byte_reaches_the_device_and_comes_back(
 
 
 def test_answers_go_to_the_side_that_spoke_last(served: Start) -> None:
-    room = served(Echo(), pty=True, listen="127.0.0.1:0")
+    room = served(Echo(), pty=True, listen=ANY)
     with open_port(room.lines[0]) as pty, open_port(room.lines[1]) as client:
         for speaker, other in ((pty, client), (client, pty)):
             speaker.write(b"\x10")
@@ -147,13 +170,7 @@ def test_answers_go_to_the_side_that_spoke_last(served: Start) -> None:
 
 
 def test_answers_wait_for_their_deadline(served: Start) -> None:
-    class Strict(Echo):
-        def advance(self, now: int) -> bytes:
-            said = super().advance(now)
-            self.early += bool(self.due) and not said  # woken without anything to do
-            return said
-
-    device = Strict(DELAY)
+    device = Echo(DELAY)
     with open_port(served(device, pty=True).lines[0]) as port:
         for _ in range(10):
             port.write(b"\x10")
@@ -162,68 +179,35 @@ def test_answers_wait_for_their_deadline(served: Start) -> None:
     assert device.early <= 20
 
 
-def test_a_second_client_is_closed_and_the_first_goes_on(served: Start) -> None:
-    name = served(Echo(), listen="127.0.0.1:0").lines[0]
-    with open_port(name) as first:
-        first.write(b"\x10")
-        assert read_from(first, 1) == b"\x10"
-        with (
-            open_port(name) as second,
-            pytest.raises(LinkError, match="was closed by the other side"),
-        ):
-            read_from(second, 1)
-        first.write(b"\x90")
-        assert read_from(first, 1) == b"\x90"
-
-
-def test_a_client_that_goes_frees_its_place_and_the_device_keeps_its_state(served: Start) -> None:
-    room = served(Echo(), listen="127.0.0.1:0", probe_listen="127.0.0.1:0")
+def test_a_second_host_is_closed_and_the_next_finds_the_device_as_it_was(served: Start) -> None:
+    room = served(Echo(), listen=ANY, probe=ANY)
     for _ in range(20):
-        with open_port(room.lines[0]) as port:
-            port.write(b"\x10")
-            assert read_from(port, 1) == b"\x10"
-    with room.probe() as probe:
-        assert ask(probe)["received"] == 20
+        with open_port(room.lines[0]) as first:
+            first.write(b"\x10")
+            assert read_from(first, 1) == b"\x10"
+            with open_port(room.lines[0]) as second, pytest.raises(LinkError, match="was closed"):
+                read_from(second, 1)
+            first.write(b"\x90")
+            assert read_from(first, 1) == b"\x90"
+    with room.connected() as probe:
+        assert ask(probe)["received"] == 40
 
 
-def test_a_client_that_only_ends_its_sending_still_gets_its_answers(served: Start) -> None:
-    name = served(Echo(DELAY), listen="127.0.0.1:0").lines[0]
-    with socket.create_connection(parse_address(name.removeprefix("socket://"))) as client:
+@pytest.mark.parametrize("kind", [Echo, Restless])
+def test_a_host_that_only_ends_its_sending_still_gets_its_answers(
+    served: Start, kind: type[Echo]
+) -> None:
+    with served(kind(DELAY), listen=ANY).connected() as client:
         client.sendall(ALL)
         client.shutdown(socket.SHUT_WR)
-        got = b""
-        while data := client.recv(4096):
-            got += data
-        assert got == ALL
+        assert until_closed(client) == ALL
 
 
-class Restless(Echo):
-    """One that always wants to be asked again soon, as an emulated board does."""
-
-    def deadline(self) -> int:
-        return time.monotonic_ns() + 1_000_000
-
-
-def test_so_it_does_from_a_device_that_never_says_that_it_is_done(served: Start) -> None:
-    name = served(Restless(), listen="127.0.0.1:0").lines[0]
-    address = parse_address(name.removeprefix("socket://"))
-    with socket.create_connection(address, timeout=PATIENCE) as client:
-        client.sendall(b"abc")
-        client.shutdown(socket.SHUT_WR)
-        got = b""
-        while data := client.recv(4096):
-            got += data
-        assert got == b"abc"
-
-
-def test_a_client_that_does_not_read_holds_up_nobody(served: Start) -> None:
-    room = served(Echo(), listen="127.0.0.1:0", probe_listen="127.0.0.1:0")
-    address = parse_address(room.lines[0].removeprefix("socket://"))
-    with socket.create_connection(address) as client, room.probe() as probe:
-        total = 0
-        for _ in range(256):
-            client.sendall(bytes(1 << 16))
-            total += 1 << 16
+def test_a_host_that_does_not_read_holds_up_nobody(served: Start) -> None:
+    room = served(Echo(), listen=ANY, probe=ANY)
+    with room.connected(0) as client, room.connected() as probe:
+        total = 1 << 24
+        client.sendall(bytes(total))
         while ask(probe)["received"] != total:  # more than fits into one turn of the loop
             pass
 
@@ -232,56 +216,86 @@ def test_a_client_that_does_not_read_holds_up_nobody(served: Start) -> None:
 
 
 def test_a_look_sees_every_byte_that_the_host_wrote_before_it(served: Start) -> None:
-    room = served(Echo(DELAY), listen="127.0.0.1:0", probe_listen="127.0.0.1:0")
-    with open_port(room.lines[0]) as port, room.probe() as probe:
+    room = served(Echo(DELAY), listen=ANY, probe=ANY)
+    with open_port(room.lines[0]) as port, room.connected() as probe:
         for count in range(1, 200):
             port.write(b"\x10")
             assert ask(probe) == {"moving": False, "received": count, "number": 0}
 
 
 def test_a_look_after_an_answer_sees_what_was_answered_on_a_pty_too(served: Start) -> None:
-    room = served(Echo(), pty=True, probe_listen="127.0.0.1:0")
-    with open_port(room.lines[0]) as port, room.probe() as probe:
+    room = served(Echo(), pty=True, probe=ANY)
+    with open_port(room.lines[0]) as port, room.connected() as probe:
         for count in range(1, 200):
             port.write(b"\x10")
             assert read_from(port, 1) == b"\x10"
             assert ask(probe)["received"] == count
 
 
-def test_any_number_of_probes_may_look(served: Start) -> None:
-    room = served(Echo(), pty=True, probe_listen="127.0.0.1:0")
-    with contextlib.ExitStack() as stack:
-        probes = [stack.enter_context(room.probe()) for _ in range(5)]
-        for probe in [*probes, *probes]:
-            assert ask(probe)["moving"] is False
+UNKNOWN = "the request is {}, allowed is 'state', or 'state 7' with any number"
 
 
-def test_a_probe_repeats_the_number_of_the_question(served: Start) -> None:
-    with served(Echo(), pty=True, probe_listen="127.0.0.1:0").probe() as probe:
-        asked = (b"state\n", b"state 0\n", b"state 12\n", b"state 999999999999999\n")
-        assert [ask(probe, one)["number"] for one in asked] == [0, 0, 12, 999999999999999]
-        for wrong in (b"state x\n", b"state -1\n", b"state 1 2\n", b"state " + b"9" * 99 + b"\n"):
-            assert "allowed is 'state'" in str(ask(probe, wrong)["error"])
-
-
-def test_requests_that_a_probe_does_not_know_get_an_error(served: Start) -> None:
-    with served(Echo(), pty=True, probe_listen="127.0.0.1:0").probe() as probe:
-        assert ask(probe, b"ju\xffmp\r\n") == {
-            "error": "the request is 'ju\\\\xffmp', allowed is 'state', or 'state 7' with any "
-            "number"
-        }
+@pytest.mark.parametrize(
+    ("request_line", "answer"),
+    [
+        (b"state\n", 0),
+        (b" state 0 \r\n", 0),
+        (b"state 999999999999999\n", 999999999999999),
+        (b"state".ljust(REQUEST_LIMIT) + b"\n", 0),
+        (b"state x\n", UNKNOWN.format("'state x'")),
+        (b"state -1\n", UNKNOWN.format("'state -1'")),
+        (b"state 1 2\n", UNKNOWN.format("'state 1 2'")),
+        (b"state 9999999999999999\n", UNKNOWN.format("'state 9999999999999999'")),
+        (b"ju\xffmp\r\n", UNKNOWN.format("'ju\\\\xffmp'")),
+    ],
+)
+def test_requests_of_a_probe_and_their_answers(
+    served: Start, request_line: bytes, answer: int | str
+) -> None:
+    key = "error" if isinstance(answer, str) else "number"
+    with served(Echo(), pty=True, probe=ANY).connected() as probe:
+        assert ask(probe, request_line)[key] == answer
         probe.sendall(b"sta")
         assert ask(probe, b"te\n")["moving"] is False
-
-
-def test_a_probe_that_ends_its_sending_is_answered_and_closed(served: Start) -> None:
-    with served(Echo(), pty=True, probe_listen="127.0.0.1:0").probe() as probe:
         probe.sendall(b"state\nstate\n")
         probe.shutdown(socket.SHUT_WR)
-        got = b""
-        while data := probe.recv(4096):
-            got += data
-        assert got.count(b"\n") == 2
+        assert until_closed(probe).count(b"\n") == 2
+
+
+def test_one_probe_client_too_many_is_refused_and_one_that_goes_frees_its_place(
+    served: Start,
+) -> None:
+    room = served(Echo(), pty=True, probe=ANY)
+    with ExitStack() as stack:
+        probes = [stack.enter_context(room.connected()) for _ in range(PROBE_LIMIT)]
+        assert all(ask(probe)["moving"] is False for probe in [*probes, *probes])
+        with room.connected() as refused:
+            refused.sendall(b"state\n")
+            assert json.loads(until_closed(refused)) == {
+                "error": f"closed: there are {PROBE_LIMIT} probe clients, which is the limit"
+            }
+        probes[3].shutdown(socket.SHUT_WR)
+        assert until_closed(probes[3]) == b""
+        with room.connected() as next_one:
+            assert ask(next_one)["moving"] is False
+
+
+@pytest.mark.parametrize("end", [b"", b"\nstate\n"], ids=["open", "ended"])
+def test_a_request_line_that_is_too_long_is_named_and_closed(served: Start, end: bytes) -> None:
+    with served(Echo(), pty=True, probe=ANY).connected() as probe:
+        probe.sendall(b"x" * REQUEST_LIMIT)
+        probe.sendall(b"x" + end)
+        assert json.loads(until_closed(probe)) == {
+            "error": f"closed: a request line is longer than {REQUEST_LIMIT} bytes"
+        }
+
+
+def test_who_does_not_read_its_answers_is_closed_and_delays_nobody(served: Start) -> None:
+    room = served(Echo(filler=UNREAD_LIMIT // 8), pty=True, probe=ANY)
+    with room.connected() as silent, room.connected() as probe, suppress(ConnectionError):
+        while True:
+            silent.sendall(b"state\n" * 100)
+            assert ask(probe)["moving"] is False
 
 
 # Addresses
@@ -299,109 +313,66 @@ def test_addresses(text: str, address: tuple[str, int]) -> None:
     assert parse_address(text) == address
 
 
+def refused(**options: object) -> tuple[type[Exception], str]:
+    """The error with which serving ends before anything was announced."""
+    lines: list[str] = []
+    wanted = {"pty": True, "listen": None, "probe_listen": None} | options
+    with Stopper() as stopper, pytest.raises((ValueError, LinkError)) as caught:
+        serve(Echo(), announce=lines.append, stop=stopper, **wanted)  # type: ignore[arg-type]
+    assert not lines
+    return caught.type, str(caught.value)
+
+
 @pytest.mark.parametrize(
     "text", ["", "5000", ":5000", "localhost", "localhost:", "h:x", "h:65536", "::1:80", "[h]:1"]
 )
 def test_what_is_no_address_is_said(text: str) -> None:
-    with Stopper() as stopper, pytest.raises(ValueError) as caught:
-        serve(Echo(), pty=False, listen=text, probe_listen=None, announce=print, stop=stopper)
-    assert str(caught.value) == f"the address is {text!r}, allowed is HOST:PORT like 127.0.0.1:0"
+    sentence = f"the address is {text!r}, allowed is HOST:PORT like 127.0.0.1:0"
+    assert refused(listen=text) == (ValueError, sentence)
 
 
-def test_ipv6_is_served_and_announced_in_brackets(served: Start) -> None:
+def test_what_cannot_be_served_is_said() -> None:
+    kind, sentence = refused(pty=False, probe_listen=ANY)
+    assert kind is ValueError
+    assert sentence.startswith("nothing to serve")
+    with Listener(ANY) as taken:
+        kind, sentence = refused(listen=taken.address)
+        assert kind is LinkError
+        assert sentence.startswith(f"{taken.address} is in use by another program; close it")
+
+
+def listening(address: str) -> Listener:
+    """A listener, unless this machine has no addresses of IPv6."""
     try:
-        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
-    except OSError:  # a machine without IPv6 has another rule to show: it is said
-        with Stopper() as stopper, pytest.raises(LinkError):
-            serve(
-                Echo(), pty=False, listen="[::1]:0", probe_listen=None, announce=print, stop=stopper
-            )
-        return
-    name = served(Echo(), listen="[::1]:0").lines[0]
-    assert name.startswith("socket://[::1]:")
-    with open_port(name) as port:
-        port.write(ALL)
-        assert read_from(port, 256) == ALL
+        return Listener(address)
+    except LinkError:
+        if "[" not in address:
+            raise
+        pytest.skip("this machine has no IPv6")
 
 
-def test_an_address_in_use_is_said_and_nothing_is_announced() -> None:
-    said: list[str] = []
-    with socket.create_server(("127.0.0.1", 0)) as taken, Stopper() as stopper:
-        address = f"127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(LinkError, match=f"^{address} is in use by another program; close it"):
-            serve(
-                Echo(),
-                pty=True,
-                listen=address,
-                probe_listen=None,
-                announce=said.append,
-                stop=stopper,
-            )
-    assert not said
+@pytest.mark.parametrize(
+    ("host", "warning"),
+    [
+        *((host, "") for host in ("127.0.0.1", "localhost", "127.9.9.9", "[::1]")),
+        *((host, "{} is open to the network: anybody there can read it") for host in ("0", "[::]")),
+    ],
+)
+def test_who_can_connect_to_an_open_address_is_said(host: str, warning: str) -> None:
+    with listening(f"{host}:0") as listener:
+        assert listener.warning("read it") == warning.format(listener.address)
+        assert parse_address(listener.address)[1] > 0
 
 
-def test_nothing_to_serve_is_refused() -> None:
-    with Stopper() as stopper, pytest.raises(ValueError, match="nothing to serve"):
-        serve(
-            Echo(),
-            pty=False,
-            listen=None,
-            probe_listen="127.0.0.1:0",
-            announce=print,
-            stop=stopper,
-        )
-
-
-# Stopping
-
-SERVING = """
-from bilprov.analyzer.transport.server import serve
-from bilprov.analyzer.transport.signals import Stopper
-from tests.analyzer.transport.test_server import Echo
-with Stopper() as stopper:
-    serve(Echo(), pty=True, listen="127.0.0.1:0", probe_listen=None,
-          announce=lambda line: print(line, flush=True), stop=stopper)
-print("finished", flush=True)
-"""
+# The command
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_the_serving_cleanly(number: signal.Signals) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-W", "error", "-c", SERVING],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-    )
-    with process as child:
-        assert child.stdout is not None
-        assert child.stderr is not None
-        pty = child.stdout.readline().strip()
-        child.stdout.readline()
-        made = Path(pty).stat().st_ctime_ns
-        child.send_signal(number)
-        assert child.stdout.read() == "finished\n"
-        assert child.stderr.read() == ""
-        assert child.wait() == 0
-    # Another test may have got a pty of the same name by now.
-    with contextlib.suppress(FileNotFoundError):
-        assert Path(pty).stat().st_ctime_ns != made
-
-
-def test_another_thread_ends_the_serving(served: Start) -> None:
-    room = served(Echo(), pty=True)
-    room.stop()
-    assert not room.thread.is_alive()
-
-
-def test_a_stopper_puts_the_old_handlers_back() -> None:
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    with Stopper() as stopper:
-        assert not stopper.stopped
-        os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGTERM)
-        assert stopper.stopped
-    stopper.stop()
-    stopper.close()
-    assert before == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+def test_a_signal_ends_the_command_cleanly(number: signal.Signals) -> None:
+    with running("simulate", "--pty", "--listen", "0.0.0.0:0") as command:
+        pty, address = (command.stdout.readline().decode().strip() for _ in range(2))
+        code, out, err = command.end(number)
+    warning = "is open to the network: anybody there can drive the robot"
+    assert (code, out) == (0, b"")
+    assert err.decode().splitlines() == [f"{address.removeprefix('socket://')} {warning}"]
+    assert pty.startswith("/dev/")
