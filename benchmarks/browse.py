@@ -72,9 +72,10 @@ async def looked_through(path: Path, begun: float) -> dict[str, float]:
             keys.append(time.perf_counter() - before)
         found["key"] = max(keys)
         before = time.perf_counter()
-        screen.prompt.ask(_FILTER)
+        screen.action_filter()
+        screen.prompt.line.value = _FILTER
         await pilot.press("enter")
-        while screen.filtering:
+        while screen.filter_text != _FILTER:
             await pilot.pause(0.01)
         found["filter"] = time.perf_counter() - before
     return found

@@ -33,7 +33,7 @@ from bilprov.analyzer.doctor.system import examined, subject
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.console import heading
 from bilprov.analyzer.screen.browser import Browser, Told
-from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
 from bilprov.analyzer.screen.recording import Recording
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Machine
@@ -56,7 +56,7 @@ _LATENCY = int(0.4 * MS)
 _STEP = 12 * MS
 _WIDTH, _HEIGHT = 1120, 840  # pixels of a page's picture
 _BEGUN = 1_790_000_000_000_000_000  # ns since 1970: when the drive of the plot is said to begin
-_SCREEN = (110, 36)  # columns and lines of the screen's picture
+_SCREEN = (112, 32)  # columns and lines of the screen's picture
 _PATIENCE = 120  # s for the browser
 
 
@@ -92,8 +92,8 @@ def browse_picture(protocol: Protocol) -> str:
 
     async def taken() -> str:
         async with screen.run_test(size=_SCREEN) as pilot:
-            await pilot.press("end", "N", "enter", "down", "escape")
-            await pilot.pause()
+            await pilot.press("end", "N")
+            await pilot.pause(2 * DRAW_EVERY)  # the figures are drawn by the clock
             return screen.export_screenshot(title="bilprov replay", simplify=True)
 
     return asyncio.run(taken())

@@ -8,45 +8,57 @@ from rich.text import Text
 
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.frame_list import FrameList
-from bilprov.captures.text import printable
+from bilprov.analyzer.screen.keys import BINDINGS
+from bilprov.analyzer.screen.signs import RECORDS
+from bilprov.captures.text import printable, quantity
 
 
-def head_line(title: str, feed: Feed[Any], frames: FrameList, doing: str, width: int) -> Text:
-    """What is shown and recorded, and the place in it, which is never cut.
+def head_line(
+    title: str, feed: Feed[Any], frames: FrameList, doing: str, expression: str, width: int
+) -> Text:
+    """What is shown and recorded, and how many rows of how many, which is never cut.
 
-    `doing` is how the chosen row moves by itself, "" if it does not.
+    `doing` is how the chosen row moves by itself, `expression` the filter; both "" for none.
     """
-    place = _place(feed, frames, doing)
-    left = Text.assemble(("bilprov ", "bold"), printable(title))
+    left = Text(printable(title), "bold")
     if feed.captured:
-        left.append(f"  {frames.signs.lit} {printable(feed.captured)}")
-    left.truncate(max(0, width - place.cell_len), overflow="crop")
-    return _spread(left, place, width)
+        left.append(f"  {RECORDS} {printable(feed.captured)}", "not bold")
+    shown, rows = frames.count - frames.view.first, feed.recording.rows - feed.recording.first
+    right = Text()
+    if expression:
+        right.append(f"  / {printable(expression)}", "bold cyan")
+    share = feed.progress  # its thread may be done at any moment
+    if share is not None:
+        doing = f"reading {share:.0%}"
+    right.append(f"  {doing}" if doing else "")
+    if frames.held is not None:
+        waiting = frames.view.count - frames.count
+        right.append(f"  paused, {waiting:,} waiting", "bold reverse")
+    right.append(f"  {shown:,} of {rows:,}" if expression else f"  {quantity(rows, 'row')}", "bold")
+    left.truncate(max(0, width - right.cell_len), overflow="crop")
+    return _spread(left, right, width)
 
 
-def status_line(doing: str, feed: Feed[Any], said: str, expression: str, width: int) -> Text:
-    """What takes long just now, else what has to be told; the filter; the keys to begin with.
+def status_line(doing: str, feed: Feed[Any], said: str, width: int) -> Text:
+    """What takes long just now, else what has to be told; else the keys.
 
     `doing` is what takes long, and `said` answers the last key; both are "" for nothing.
     """
-    status = _status(doing, feed, said, expression)
-    return _spread(status, Text("? help  q quit", "dim"), width)
+    told = _told(doing, feed, said)
+    if told:
+        return _spread(told, Text("  ? help  q quit", "dim"), width)
+    line = Text()
+    keys = [key for key in BINDINGS if key.show]
+    room = width - sum(len(f"{key.key_display} {key.description}") + 3 for key in keys[-2:])
+    for key in keys:
+        shown = Text.assemble((key.key_display or "", "bold"), (f" {key.description}   ", "dim"))
+        if line.cell_len + shown.cell_len <= room or key in keys[-2:]:
+            line.append_text(shown)
+    line.truncate(width, overflow="crop")
+    return line
 
 
-def _place(feed: Feed[Any], frames: FrameList, moving: str) -> Text:
-    if frames.held is not None:
-        waiting = frames.view.count - frames.count
-        return Text(f"  paused, {waiting:,} waiting", "bold reverse")
-    share = feed.progress  # its thread may be done at any moment
-    doing = f"reading {share:.0%}  " if share is not None else ""
-    doing += f"{moving}  " if moving else ""
-    at = min(frames.cursor - frames.start + 1, frames.count - frames.start)
-    place = f"  {doing}{at:,} of {frames.count - frames.start:,}"
-    hidden = feed.recording.rows - frames.count
-    return Text(f"{place} filtered from {feed.recording.rows:,}" if hidden > 0 else place)
-
-
-def _status(doing: str, feed: Feed[Any], said: str, expression: str) -> Text:
+def _told(doing: str, feed: Feed[Any], said: str) -> Text:
     if doing:
         return Text(f"{doing}, Esc stops it", "bold")
     if feed.said:
@@ -57,19 +69,15 @@ def _status(doing: str, feed: Feed[Any], said: str, expression: str) -> Text:
         (oldest,) = recording.records([recording.first]) or (None,)
         since = f"{oldest.t / 1e9:.3f} s" if oldest else "the first row"
         said = f"no room for all rows: the oldest were dropped, the rest begins at {since}"
-    status = Text(f"filter: {printable(expression)}" if expression else "")
-    if said and status:
-        status.append("  ")
-    return status.append(said, "bold")
+    return Text(said, "bold")
 
 
 def _spread(left: Text, right: Text, width: int) -> Text:
     """Two texts at the ends of a line; where both do not fit, the left one has all of it."""
     if left.cell_len + right.cell_len > width:
-        right = Text()
-    room = width - right.cell_len
+        right = Text() if left.cell_len else right
     left = left.copy()
-    left.truncate(room, overflow="crop", pad=True)
+    left.truncate(width - right.cell_len, overflow="crop", pad=True)
     line = left + right
     line.no_wrap = True
     line.truncate(width, overflow="crop")

@@ -5,57 +5,51 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from threading import Thread
-from typing import Any, ClassVar, TypeVar
+from datetime import UTC
+from functools import partial
+from typing import Any, ClassVar
 
 from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import BindingType
-from textual.containers import Container, Horizontal, Vertical
+from textual.containers import Horizontal, Vertical
 from textual.driver import Driver
-from textual.events import Event, Key, Resize
-from textual.geometry import Size
-from textual.screen import ModalScreen
+from textual.events import Event, Key, Paste
+from textual.scrollbar import ScrollBar, ScrollBarRender
 from textual.widgets import Input, Static
+from textual.worker import Worker, get_current_worker
 
-from bilprov.analyzer.filters.filter import Filter
-from bilprov.analyzer.output.row_columns import RowStyle, Times, TimeStyle, columns_of
-from bilprov.analyzer.screen.arrangement import SIDE_WIDTH, arranged
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.filters.completion import completions
+from bilprov.analyzer.filters.filter import Filter, compile_filter
+from bilprov.analyzer.filters.parts import FilterError
+from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle, columns_of
 from bilprov.analyzer.screen.bars import head_line, status_line
 from bilprov.analyzer.screen.car import car
-from bilprov.analyzer.screen.detail_panes import FieldTree, HexPane
-from bilprov.analyzer.screen.dialogs import AskName, Choice, ColumnChoice, Help
+from bilprov.analyzer.screen.details import FieldTree
+from bilprov.analyzer.screen.dialogs import ColumnChoice, Help
 from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
 from bilprov.analyzer.screen.figures import figures
-from bilprov.analyzer.screen.filtering import Filtering
-from bilprov.analyzer.screen.frame_list import WHAT, FaultList, FrameList
-from bilprov.analyzer.screen.keys import ABOUT, BINDINGS, KEYS
-from bilprov.analyzer.screen.prompt import LINES, FilterPrompt
-from bilprov.analyzer.screen.row_export import RowExport, new_file_refusal, refusal
-from bilprov.analyzer.screen.rows import Rows
-from bilprov.analyzer.screen.signs import FINE, Signs
+from bilprov.analyzer.screen.frame_list import OWN, SHOWN_ONLY, FrameList
+from bilprov.analyzer.screen.keys import ALIASES, BINDINGS
+from bilprov.analyzer.screen.places import REFUSAL, row_of
+from bilprov.analyzer.screen.prompt import Prompt, Question
+from bilprov.analyzer.screen.recording import Recording, View
+from bilprov.analyzer.screen.row_export import export, new_file_refusal, refusal
 from bilprov.captures.schemas import State
 from bilprov.captures.text import quantity
+from bilprov.spec.codec import spaced
 
-Answer = TypeVar("Answer")
-
-_SOON = 20_000  # rows that are filtered at once; more take a thread
+_SOON = 20_000  # rows that are filtered at once; more take a worker
 _FIGURES_EVERY = 0.5  # s
 _DRAWING_SHARE = 0.08  # of the time, at most, that drawing what comes may take
-
-
-@dataclass(frozen=True, slots=True)
-class _Pace:
-    """The pace at which a capture is played: from `t` (ns) on since the clock showed `since` s."""
-
-    t: int
-    since: float
-    rate: float
-
-    @property
-    def now(self) -> int:
-        """The time of the capture (ns) that has come."""
-        return self.t + round((time.monotonic() - self.since) * self.rate * 1e9)
+_SIDE_FROM = 110  # columns from which on the predicted state is drawn
+_FAULTS = "faulty"
+_STYLES: dict[TimeStyle, str] = {
+    TimeStyle.RELATIVE: "seconds since the start",
+    TimeStyle.ABSOLUTE: "the time of day here",
+    TimeStyle.UTC: "the time of day in UTC",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +70,12 @@ class Told:
     rate: float = 1.0
 
 
+class _WholeCells(ScrollBarRender):
+    """Scroll bars without the signs for parts of a cell, which need colours of their own."""
+
+    VERTICAL_BARS: ClassVar[list[str]] = [" "]
+
+
 class Browser(App[str | None]):
     """The screen over a feed. Its result is the file to keep the recording in, None for none.
 
@@ -83,74 +83,52 @@ class Browser(App[str | None]):
     """
 
     ENABLE_COMMAND_PALETTE = False
-    CSS = """
-    Screen { layout: vertical; background: ansi_default; color: ansi_default; }
-    ModalScreen { background: transparent; }
-    #head, #status { height: 1; width: 100%; }
-    #body { height: 1fr; }
-    #main { width: 1fr; height: 100%; }
-    #side { width: 30; height: 100%; padding-left: 1; }
-    #details { height: auto; }
-    #frames, #tree, #faults, #hex, #car, #figures {
-        border-top: solid ansi_blue; border-title-color: ansi_default;
-    }
-    .plain #frames, .plain #tree, .plain #faults, .plain #hex, .plain #car, .plain #figures {
-        border-top: ascii ansi_blue;
-    }
-    #car, #figures { text-wrap: nowrap; }
-    #frames:focus, #tree:focus, #faults:focus { border-title-style: bold reverse; }
-    """
+    # Textual's own annotation keeps a type checker from taking these for class variables.
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (_SIDE_FROM, "-wide"), (160, "-huge")]  # noqa: RUF012
+    VERTICAL_BREAKPOINTS = [(0, "-low"), (14, "-short"), (20, "-usual"), (30, "-high")]  # noqa: RUF012
+    CSS_PATH = "browser.tcss"
     BINDINGS: ClassVar[list[BindingType]] = [*BINDINGS]
 
     def __init__(
         self,
         feed: Feed[Any],
         told: Told,
-        signs: Signs = FINE,
         interrupted: Callable[[], bool] = lambda: False,
         driver_class: type[Driver] | None = None,
     ) -> None:
         super().__init__(driver_class=driver_class, ansi_color=True)
         self.theme = "ansi-dark"
+        ScrollBar.renderer = _WholeCells
+        self.animation_level = "none"
         self.title = "bilprov"
         self.feed = feed
         self.told = told
-        self.signs = signs
         self.interrupted = interrupted
         self.follows = feed.live
         self.filter_text = ""
         self.said = ""
         self._recording = feed.recording
-        self.filtering: Filtering | None = None
-        self.export: RowExport | None = None
-        self._catching_up: Thread | None = None
-        self._playing: _Pace | None = None
-        self._zoomed = False
+        self._coming: tuple[str, View] | None = None
+        self._playing: Callable[[], int] | None = None  # the time (ns) that has come
+        self._typed = ""  # the digits before a key
         self._figures_at = 0.0
         self._shown: tuple[object, ...] = ()
         self._drawn_at, self._used_at = 0.0, time.thread_time()
         self._written: dict[Static, Text] = {}
-        self.frames = FrameList(feed.recording, told.rows, told.start_wall, signs)
-        self.fields = FieldTree(feed.recording.protocol, signs)
-        self.hex = HexPane()
-        self.faults = FaultList(feed.recording, signs)
-        self.prompt = FilterPrompt(
-            feed.recording.protocol, told.start_wall, self._filter_given, self._left_prompt
-        )
-        self.head, self.status = (Static(id=name, markup=False) for name in ("head", "status"))
-        self.car, self.figures = (Static(id=name, markup=False) for name in ("car", "figures"))
-        self.car.border_title, self.figures.border_title = "predicted", "line"
+        self.frames = FrameList(feed.recording, told.rows, told.start_wall)
+        self.fields = FieldTree(feed.recording.protocol)
+        self.prompt = Prompt(self._left_prompt)
+        names = ("head", "status", "car", "figures")
+        panes = [Static(id=name, markup=False) for name in names]
+        self.head, self.status, self.car, self.figures = panes
 
     def compose(self) -> ComposeResult:
-        """The panes; `_arrange` says which are shown."""
+        """The panes; the style sheet says which are shown."""
         yield self.head
         with Horizontal(id="body"):
             with Vertical(id="main"):
                 yield self.frames
-                with Container(id="details"):
-                    yield self.fields
-                    yield self.hex
-                yield self.faults
+                yield self.fields
             with Vertical(id="side"):
                 yield self.car
                 yield self.figures
@@ -159,25 +137,12 @@ class Browser(App[str | None]):
 
     def on_mount(self) -> None:
         """Begin."""
-        if self.signs is not FINE:
-            self.screen.add_class("plain")
         self.frames.focus()
-        self._arrange()
         self.feed.start()
         self.set_interval(DRAW_EVERY, self.tick)
         if self.told.test is not None:
             self._filter(self.told.expression, self.told.test)
         self.tick()
-
-    def on_unmount(self) -> None:
-        """End what still runs."""
-        for work in (self.filtering, self.export):
-            if work:
-                work.cancel()
-
-    def on_resize(self, event: Resize) -> None:
-        """Show the panes that fit the new size, which the app does not have yet."""
-        self._arrange(event.size)
 
     # What happens by itself.
 
@@ -190,11 +155,9 @@ class Browser(App[str | None]):
         self._play()
         if self._now() != self._shown and self._may_draw():
             self.show_rows()
-        if time.monotonic() >= self._figures_at:
+        if time.monotonic() >= self._figures_at and self.figures.size.width:
             self._figures_at = time.monotonic() + _FIGURES_EVERY
             self._show_figures()
-        if self.export and self.export.ended:
-            self.said, self.export = self.export.said, None
         self._show_bars()
 
     def show_rows(self) -> None:
@@ -207,30 +170,7 @@ class Browser(App[str | None]):
             else:
                 frames.changed()
             self._show_row()
-            self.faults.changed()
         self._show_bars()
-
-    def _play(self) -> None:
-        """Choose the row that it is time for, while the capture is played."""
-        if self._playing is None:
-            return
-        last = self.frames.count - 1
-        row = last if not self.told.rate else self.frames.position_at(self._playing.now)
-        if row > self.frames.cursor:
-            self.frames.choose(row)
-            self._show_row()
-        if self.feed.ended and row >= last:
-            self._playing = None
-
-    def _play_from_here(self) -> None:
-        """Go on from the row that was chosen by hand, where the capture is played."""
-        if self._playing is not None:
-            self._playing = self._pace()
-
-    def _pace(self) -> _Pace | None:
-        """The pace from the chosen row on; None without rows."""
-        record = self.frames.record
-        return None if record is None else _Pace(record.t, time.monotonic(), self.told.rate)
 
     def _may_draw(self) -> bool:
         """Whether drawing has not taken too large a share of the time since it was last done.
@@ -247,82 +187,88 @@ class Browser(App[str | None]):
         view = self.frames.view
         return id(view), view.first, view.count, self._recording.first
 
-    def _catch_up(self) -> None:
-        """Filter the rows that are new: a few here, many in a thread."""
-        filtering = self.filtering
-        if filtering and filtering.ended:
-            self.filtering = None
-            if not filtering.cancelled.is_set():
-                self.filter_text = filtering.text
-                self.frames.look_at(filtering.view)
-                self._show_row()
-        view = self.frames.view
-        if self._catching_up and self._catching_up.is_alive():
+    def _play(self) -> None:
+        """Choose the row that it is time for, while the capture is played."""
+        if self._playing is None:
             return
-        if 0 < view.behind <= _SOON:
-            view.catch_up()
-        elif view.behind:
-            self._catching_up = Thread(target=view.catch_up, name="filter", daemon=True)
-            self._catching_up.start()
+        frames, last = self.frames, self.frames.count - 1
+        row = last
+        if self.told.rate:
+            due = self._recording.row_at(self._playing() + 1)
+            row = min(frames.view.position(due) - 1, last)
+        if row > frames.cursor:
+            frames.choose(row)
+            self._show_row()
+        if self.feed.ended and row >= last:
+            self._playing = None
+
+    def _pace(self) -> Callable[[], int] | None:
+        """The clock of a capture that is played from the chosen row on; None without rows."""
+        record, since, rate = self.frames.record, time.monotonic(), self.told.rate
+        if record is None:
+            return None
+        return lambda: record.t + round((time.monotonic() - since) * rate * 1e9)
+
+    def _filter(self, text: str, test: Filter | None) -> None:
+        """Show the rows that pass, once they are found; until then those from before."""
+        self.workers.cancel_group(self, "filter")
+        self._coming = text, View(self._recording, test)
+        self._catch_up()
+        self.show_rows()
+
+    def _catch_up(self) -> None:
+        """Filter the rows that are new: a few here, many in a worker."""
+        text, view = self._coming or ("", self.frames.view)
+        if view.behind > _SOON:
+            if not self._working("filter"):
+                self._work("filter", partial(_caught_up, view, self._recording))
+            return
+        view.catch_up()
+        if self._coming:
+            self._coming, self.filter_text = None, text
+            self.frames.look_at(view)
+
+    def _work(self, group: str, work: Callable[[], str]) -> None:
+        """Do what takes long beside; it tells in a sentence how it ended, "" for nothing."""
+        self.run_worker(work, group=group, name=group, thread=True)
+
+    def _working(self, *groups: str) -> Worker[str] | None:
+        """The worker of these groups that runs, if any."""
+        running = (worker for worker in self.workers if worker.is_running)
+        return next((worker for worker in running if worker.group in groups), None)
+
+    def on_worker_state_changed(self, event: Worker.StateChanged) -> None:
+        """Tell how an export ended."""
+        if event.worker.is_finished and event.worker.result:
+            self._say(event.worker.result)
 
     # The panes.
-
-    def _arrange(self, size: Size | None = None) -> None:
-        """Give each pane its place, or hide it."""
-        size = size or self.size
-        more = LINES - 1 if self.prompt.display else 0
-        panes = arranged(*size, more, zoomed=self._zoomed)
-        shown = {
-            "side": panes.side,
-            "car": panes.car,
-            "figures": panes.figures,
-            "faults": panes.faults,
-            "tree": panes.tree,
-            "hex": panes.hex,
-            "details": max(panes.tree, panes.hex),
-            "frames": not self._zoomed,
-            "status": size.height > 1 and not self.prompt.display,
-        }
-        for name, lines in shown.items():
-            self.query_one(f"#{name}").display = bool(lines)
-        for name in ("car", "faults", "tree", "hex"):
-            self.query_one(f"#{name}").styles.height = shown[name]
-        self.query_one("#side").styles.width = SIDE_WIDTH
-        beside = panes.beside > 0
-        details = self.query_one("#details")
-        details.styles.layout = "horizontal" if beside else "vertical"
-        details.styles.height = panes.tree if beside else panes.tree + panes.hex
-        self.hex.styles.width = panes.beside if beside else "1fr"
 
     def _show_row(self) -> None:
         """Show all about the chosen row."""
         record = self.frames.record
-        self.fields.show(record)
-        self.hex.show(record, self.fields.group)
-        row = self.frames.row
-        if row is not None and not self.faults.has_focus:
-            self.faults.follow(row)
-        protocol = self._recording.protocol
+        self.fields.show(record, state=self.size.width < _SIDE_FROM)
+        self.frames.lit = self.fields.bytes
         state = record.state if record else State("stopped", 0, 0, 0, moving=False)
-        self._write(self.car, Text("\n", no_wrap=True).join(car(protocol, state, self.signs)))
+        lines = car(self._recording.protocol, state)
+        self._write(self.car, Text("\n", no_wrap=True).join(lines))
 
     def _show_figures(self) -> None:
-        if self.figures.display:
-            lines = figures(
-                self._recording.totals, self.feed.rates, self.told.byte_time, self.signs
-            )
-            self._write(self.figures, Text("\n", no_wrap=True).join(lines))
+        totals, live = self._recording.totals, self.feed.rates
+        lines = figures(totals, live, self.told.byte_time, self.figures.size.width)
+        self._write(self.figures, Text("\n", no_wrap=True).join(lines))
 
     def _show_bars(self) -> None:
         """Write the line above the panes, and the one below them."""
         feed, width = self.feed, self.size.width
-        title, work = self.told.title, self.filtering or self.export
         doing = "following" if self.follows else ""
         if self._playing:
-            doing = f"playing {self._playing.now / 1e9:.1f} s"
-        self._write(self.head, head_line(title, feed, self.frames, doing, width))
-        doing = work.doing if work else ""
-        self._write(self.status, status_line(doing, feed, self.said, self.filter_text, width))
+            doing = f"playing {self._playing() / 1e9:.1f} s"
+        line = head_line(self.told.title, feed, self.frames, doing, self.filter_text, width)
+        self._write(self.head, line)
+        work = self._working("filter", "export")
+        doing = f"{work.name} {work.progress or 0:.0f}%" if work else ""
+        self._write(self.status, status_line(doing, feed, self.said, width))
 
     def _write(self, pane: Static, text: Text) -> None:
         """Write a text into a pane, where it is another one than before: drawing takes time."""
@@ -330,75 +276,109 @@ class Browser(App[str | None]):
             self._written[pane] = text
             pane.update(text)
 
+    def _say(self, sentence: str) -> None:
+        self.said = sentence
+        self._show_bars()
+
     # What people do.
 
     async def on_event(self, event: Event) -> None:
-        """Handle a key before the next one, so that keys typed ahead go where they were meant.
+        """Handle a key or a paste before the next one, so that each goes where it was meant.
 
         Textual hands a key to the pane that has the focus, which handles it later: behind a key
         that moves the focus the next ones would still go to the pane before.
         """
         if isinstance(event, Key) and not event.is_forwarded and await self._handled(event):
             return
+        if isinstance(event, Paste) and not event.is_forwarded and self._pasted(event.text):
+            return
         await super().on_event(event)
 
     async def _handled(self, key: Key) -> bool:
         """Handle a key here and now; returns whether anything did."""
+        if self.focused is None and not self.is_modal:
+            self.screen.set_focus(self.frames)  # its pane has gone from a screen made smaller
         if await self._check_bindings(key.key, priority=True):
             return True
-        if isinstance(self.focused, Input) and key.character and key.is_printable:
-            self.focused.replace(key.character, *self.focused.selection)
+        if isinstance(self.focused, Input):
+            if key.character and key.is_printable:
+                self.focused.replace(key.character, *self.focused.selection)
+                return True
+            return await self._check_bindings(key.key)
+        if key.key.isdigit() and (self._typed or key.key != "0"):
+            self._typed += key.key
             return True
-        return await self._check_bindings(key.key)
+        self.frames.repeat, self._typed = int(self._typed or 0) or None, ""
+        if await self._check_bindings(key.key):
+            return True
+        return key.key in ALIASES and await self._check_bindings(ALIASES[key.key])
 
-    def on_rows_chosen(self, event: Rows.Chosen) -> None:
-        """Show what was chosen."""
+    def _pasted(self, text: str) -> bool:
+        """Paste into the line that is being typed; without one, a paste is a filter."""
+        line = " ".join(text.splitlines())
+        if self.screen.is_modal:
+            return False
+        if not isinstance(self.focused, Input):
+            self.action_filter()
+            line = line.removeprefix("/")
+        self.prompt.line.replace(line, *self.prompt.line.selection)
+        return True
+
+    def on_frame_list_chosen(self) -> None:
+        """Show the row that was chosen by hand; a capture is played from there on."""
         self.said = ""
-        if event.rows is self.frames:
-            self.follows = self.follows and self.frames.cursor >= self.frames.count - 1
-            self._play_from_here()
-            self._show_row()
-        elif event.rows is self.fields:
-            self.hex.show(self.frames.record, self.fields.group)
+        self.follows = self.follows and self.frames.cursor >= self.frames.count - 1
+        self._playing = self._playing and self._pace()
+        self._show_row()
         self._show_bars()
 
-    def on_rows_entered(self, event: Rows.Entered) -> None:
-        """Go from a frame to its fields, and from a fault to its frame."""
-        if event.rows is self.frames:
-            if not self.fields.display:
-                self._zoom(True)
-            self.screen.set_focus(self.fields)
-        elif event.rows is self.faults and self.faults.row is not None:
-            self._go_to(self.faults.row)
-            self.screen.set_focus(self.frames)
+    def on_frame_list_entered(self) -> None:
+        """Go from a frame to its fields, which are shown alone where there is no room."""
+        self.screen.add_class("zoomed")
+        self.screen.set_focus(self.fields)
+        self.on_tree_node_highlighted()
 
-    def on_hex_pane_clicked(self, event: HexPane.Clicked) -> None:
-        """Choose the field of a bit."""
-        self.fields.find(event.byte, event.bit)
-        self.hex.show(self.frames.record, self.fields.group)
+    def on_tree_node_highlighted(self) -> None:
+        """Mark the bytes of the field in the list."""
+        self.frames.lit = self.fields.bytes
+        self.frames.refresh()
+
+    def _ask(self, question: Question, text: str = "", *, replaced: bool = False) -> None:
+        self.screen.remove_class("zoomed")
+        self.status.display = False
+        self.prompt.ask(question, text, replaced=replaced)
+
+    def _left_prompt(self) -> None:
+        self.status.display = True
+        self.screen.set_focus(self.frames)
 
     def action_filter(self) -> None:
         """Ask for a filter, whose rows are seen then."""
-        self._zoomed = False
-        self.prompt.ask(self.filter_text)
-        self._arrange()
+        protocol, start = self._recording.protocol, self.told.start_wall
 
-    def _filter_given(self, text: str, test: Filter | None) -> None:
-        self._left_prompt()
-        self._filter(text, test)
+        def compiled(text: str) -> Filter | None:
+            return compile_filter(text, protocol).started(start) if text else None
 
-    def _left_prompt(self) -> None:
-        self.screen.set_focus(self.frames)
-        self._arrange()
+        def refusal(text: str) -> str:
+            try:
+                compiled(text)
+            except FilterError as error:
+                return error.sentence
+            return ""
 
-    def _filter(self, text: str, test: Filter | None) -> None:
-        """Show the rows that pass, once they are found."""
-        if self.filtering:
-            self.filtering.cancel()
-        self.said = ""
-        self.filtering = Filtering(self._recording, text, test)
-        self.filtering.thread.join(0.05)  # mostly it is done by then, and shown at once
-        self.tick()
+        question = Question(
+            "filter /",
+            "Tab completes, Enter filters, Esc goes back",
+            refusal,
+            lambda text: self._filter(text, compiled(text)),
+            lambda text, at: completions(text, at, protocol),
+        )
+        self._ask(question, self.filter_text)
+
+    def action_only_faults(self) -> None:
+        """Show only the rows with a fault; where they are shown, all rows."""
+        text = "" if self.filter_text == _FAULTS else _FAULTS
+        self._filter(text, compile_filter(text, self._recording.protocol) if text else None)
 
     def action_fault(self, step: int) -> None:
         """Go to the next fault, or to the one before."""
@@ -406,11 +386,32 @@ class Browser(App[str | None]):
         view = self.frames.view
         if row is None:
             return
-        found = view.next_fault(row) if step > 0 else view.fault_before(row)
-        if found is None or view.position(found) >= self.frames.count:
-            self._say("no fault comes after this" if step > 0 else "no fault comes before this")
-        else:
-            self._go_to(found)
+        for _ in range(self.frames.repeat or 1):
+            found = view.next_fault(row) if step > 0 else view.fault_before(row)
+            if found is None or view.position(found) >= self.frames.count:
+                self._say(f"no fault comes {'after' if step > 0 else 'before'} this")
+                return
+            row = found
+            self._go_to(row)
+
+    def action_go(self) -> None:
+        """Ask for a row or a time, and go there."""
+        zone = UTC if self.frames.time_style is TimeStyle.UTC else None
+        row = partial(
+            row_of, start_wall=self.told.start_wall, zone=zone, row_at=self._recording.row_at
+        )
+        question = Question(
+            "go to :",
+            f"{REFUSAL}; Esc goes back",
+            lambda text: REFUSAL if row(text) is None else "",
+            lambda text: self._go_to(row(text) or 0),
+        )
+        self._ask(question)
+
+    def _go_to(self, row: int) -> None:
+        self.frames.go_to(row)
+        self.follows = False
+        self.on_frame_list_chosen()
 
     def action_pause(self) -> None:
         """Hold the view of a line still, or go on; play a capture, or stop."""
@@ -419,19 +420,15 @@ class Browser(App[str | None]):
             self._show_bars()
             return
         self.show_rows()
-        self._hold(self._recording.rows if self.frames.held is None else None)
+        self.frames.held = self._recording.rows if self.frames.held is None else None
         self.show_rows()
 
     def action_follow(self) -> None:
         """Follow what comes, or stop to."""
         self.follows = not self.follows or self.frames.held is not None
         if self.follows:
-            self._hold(None)
+            self.frames.held = None
         self.show_rows()
-
-    def _hold(self, rows: int | None) -> None:
-        """Show the first rows of the recording, so many of them; all if None."""
-        self.frames.held = self.faults.held = rows
 
     def action_mark(self) -> None:
         """Mark the chosen row, or take its mark away."""
@@ -451,114 +448,108 @@ class Browser(App[str | None]):
 
     def action_times(self) -> None:
         """Show times in the next style."""
-        styles = list(TimeStyle)
+        styles = list(_STYLES)
         style = styles[(styles.index(self.frames.time_style) + 1) % len(styles)]
         self.frames.time_style = style
         self.frames.changed()
-        self._say(f"times: {_TIMES[style]}")
+        self._say(f"time: {_STYLES[style]}")
 
-    def action_columns(self) -> None:
+    def action_reference(self) -> None:
+        """Count times from the chosen row, or from the start again."""
+        record = self.frames.record
+        if record is not None:
+            self.frames.reference = 0 if record.t == self.frames.reference else record.t
+            self.frames.time_style = TimeStyle.RELATIVE
+            self.frames.changed()
+            self._say(f"times count from {self.frames.reference / 1e9:.6f} s")
+
+    def action_copy(self) -> None:
+        """Copy the chosen frame, or the one that is answered, as a command line that sends it."""
+        record = self.frames.record
+        data = record.data if isinstance(record, HostRecord) else b""
+        if isinstance(record, DeviceRecord) and record.answered:
+            data = record.answered.frame
+        if data:
+            line = f"bilprov send PORT '{spaced(data)}'"
+            self.copy_to_clipboard(line)
+            self._say(f"copied: {line}")
+        else:
+            self._say("there is no frame to copy in this row")
+
+    async def action_columns(self) -> None:
         """Ask which columns are shown."""
-        known = {WHAT.name: WHAT} | columns_of(self._recording.protocol)
-        known = {"time": known.pop("time")} | known
-        chosen = self.frames.columns
+        known = OWN | columns_of(self._recording.protocol)
 
         def choose(names: list[str] | None) -> None:
             if names is not None:
-                self.frames.columns = tuple(known[name] for name in names) or None
+                chosen = tuple(known[name] for name in names)
+                self.frames.columns = None if chosen in ((), tuple(OWN.values())) else chosen
                 self.frames.changed()
 
-        shown = [column.name for column in chosen] if chosen else ["time", "hex", "what", "reason"]
-        says = {name: column.says for name, column in known.items()}
-        self._ask(ColumnChoice(says, shown, self.signs), choose)
+        shown = [column.name for column in self.frames.columns or OWN.values()]
+        dialog = ColumnChoice({name: column.says for name, column in known.items()}, shown)
+        await self.push_screen(dialog, choose)
+        dialog.set_focus(dialog.listed)
 
     def action_export(self) -> None:
         """Ask for a file, and write the rows of the view into it."""
-        if self.export:
-            return
-        rows = self.frames.view.count - self.frames.view.first
+        frames, view = self.frames, self.frames.view
+        columns = tuple(c for c in frames.columns or () if c.name not in SHOWN_ONLY) or None
+        style = RowStyle(frames.time_style if columns else None, columns)
 
-        def write(name: str | None) -> None:
-            if name:
-                columns = self.frames.columns
-                known = tuple(c for c in columns if c is not WHAT) if columns else None
-                times = Times(self.frames.time_style, self.told.start_wall)
-                view = self.frames.view
-                self.export = RowExport(self._recording, view, name, known, times)
+        def write(name: str) -> None:
+            work = partial(
+                export, self._recording, view, name, style, self.told.start_wall, _goes_on
+            )
+            self._work("export", work)
 
-        question = f"Export {quantity(rows, 'row')} to a new file, NAME.csv or NAME.jsonl:"
-        self._ask(AskName(question, "rows.csv", refusal), write)
+        rows = quantity(view.count - view.first, "row")
+        hint = "NAME.csv or NAME.jsonl; Enter writes it, Esc goes back"
+        if not self._working("export"):
+            self._ask(Question(f"write {rows} to", hint, refusal, write), "rows.csv", replaced=True)
 
     def action_keys(self) -> None:
         """Show the help."""
-        self._ask(Help(KEYS, ABOUT), lambda answer: None)
+        self.push_screen(Help())
 
     def action_go_back(self) -> None:
         """Go back from where one is, or stop what takes long."""
-        self.said = ""
+        self.said = self.feed.notice = ""
         if self.prompt.display:
             self.prompt.leave()
-        elif self.filtering:
-            self.filtering.cancel()
+        elif self._coming:
+            self._coming = None
+            self.workers.cancel_group(self, "filter")
             self._say("the filter was stopped: the rows are those from before")
-        elif self.export:
-            self.export.cancel()
-        elif self._zoomed:
-            self._zoom(False)
+        elif self.workers.cancel_group(self, "export"):
+            self._say("the export was stopped: nothing is written")
+        self.screen.remove_class("zoomed")
         self.screen.set_focus(self.frames)
 
     def action_leave(self) -> None:
         """Quit; ask before, where the recording would be lost."""
-        if not (self.feed.keeps and self._recording.rows):
+        rows = self._recording.rows
+        if not (self.feed.keeps and rows):
             self.exit(None)
             return
-        answers = {"y": "yes, save it", "n": "no, discard it", "Esc": "go back to the screen"}
-
-        def answer(key: str | None) -> None:
-            if key == "y":
-                self._ask(AskName("Save the capture as:", self._proposed(), new_file_refusal), save)
-            elif key == "n":
-                self.exit(None)
-
-        def save(name: str | None) -> None:
-            if name:
-                self.exit(name)
-
-        rows = self._recording.rows
-        self._ask(Choice(f"Save the capture of {quantity(rows, 'row')}?", answers), answer)
+        label = f"Save the capture of {quantity(rows, 'row')} as"
+        hint = "Enter saves it and leaves, Ctrl-C discards it, Esc goes back"
+        name = time.strftime("capture-%Y%m%d-%H%M%S.mcap", time.localtime())
+        self._ask(Question(label, hint, new_file_refusal, self.exit), name, replaced=True)
 
     def action_end(self) -> None:
         """Quit without a question, as Ctrl-C does everywhere."""
         self.exit(None)
 
-    def _proposed(self) -> str:
-        return time.strftime("capture-%Y%m%d-%H%M%S.mcap", time.localtime())
 
-    def _ask(self, dialog: ModalScreen[Answer], then: Callable[[Answer | None], None]) -> None:
-        if self.signs is not FINE:
-            dialog.add_class("plain")
-        self.push_screen(dialog, then)
-
-    def _go_to(self, row: int) -> None:
-        self.follows = False
-        self.frames.go_to(row)
-        self._play_from_here()
-        self._show_row()
-        self._show_bars()
-
-    def _zoom(self, zoomed: bool) -> None:
-        """Show the fields alone, or all panes."""
-        self._zoomed = zoomed
-        self._arrange()
-
-    def _say(self, sentence: str) -> None:
-        self.said = sentence
-        self._show_bars()
+def _caught_up(view: View, recording: Recording) -> str:
+    """Look at the rows that are new, in a worker."""
+    view.catch_up(lambda: not _goes_on(view.seen / max(1, recording.rows)))
+    return ""
 
 
-_TIMES = {
-    TimeStyle.RELATIVE: "seconds since the start",
-    TimeStyle.DELTA: "seconds since the row before",
-    TimeStyle.ABSOLUTE: "date and time of day here",
-    TimeStyle.UTC: "date and time of day in UTC",
-}
+def _goes_on(share: float) -> bool:
+    """Tell how much a worker has done; returns whether it is to go on."""
+    worker = get_current_worker()
+    worker.update(completed_steps=round(share * 100), total_steps=100)
+    return not worker.is_cancelled

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from rich.text import Text
 
-from bilprov.analyzer.screen.signs import Signs
 from bilprov.captures.schemas import State
 from bilprov.spec.motion import Motion, wheels
 from bilprov.spec.motion import State as MotionState
@@ -14,36 +13,34 @@ from bilprov.spec.tables import MOTIONS
 WIDTH = 26
 ROWS = 8
 _BAR = 14
+_SIGNS = "■▲▼↻↺"  # one for each Motion, in their order
 # Screen colours for the letters of a colour field; other letters are shown in yellow.
 _COLOURS = {"R": "red", "G": "green", "B": "blue"}
 
 
-def car(protocol: Protocol, state: State, signs: Signs) -> list[Text]:
+def car(protocol: Protocol, state: State) -> list[Text]:
     """The rows of the picture, at most 26 columns wide."""
     motion = Motion(state.motion)
     full = max((abs(end) for end in protocol.limits.get("steering", (0, 0))), default=0)
     moved = MotionState(motion, state.speed, state.steering, state.led)
     left, right = wheels(moved, full)
-    colour = "bold green" if state.moving else "dim"
-    sign = signs.motions[MOTIONS.index(motion)]
-    front, side, back = signs.body
-    axle = (_turning(left, signs), _turning(right, signs))
+    style = "bold" if state.moving else "dim"
+    sign = _SIGNS[MOTIONS.index(motion)]
+    axle = (_turning(left), _turning(right))
     return [
-        Text(front.join(axle).center(WIDTH)),
-        Text.assemble(f"{side:>9}   ", (sign, colour), f"   {side}"),
-        Text(back.join(axle).center(WIDTH)),
-        Text(_caption(state).center(WIDTH), colour),
+        Text("┌───────┐".join(axle).center(WIDTH)),
+        Text.assemble("        │   ", (sign, style), "   │"),
+        Text("└───────┘".join(axle).center(WIDTH)),
+        Text(_caption(state).center(WIDTH), style),
         Text(f"wheels {left:+d} {right:+d}".center(WIDTH), "dim"),
-        _speed(protocol, state.speed, signs),
-        _steering(full, state.steering, signs),
-        _led(protocol, state.led, signs),
+        _speed(protocol, state.speed),
+        _steering(full, state.steering),
+        _led(protocol, state.led),
     ]
 
 
-def _turning(speed: int, signs: Signs) -> str:
-    if speed == 0:
-        return signs.wheel_still
-    return signs.wheel_forward if speed > 0 else signs.wheel_backward
+def _turning(speed: int) -> str:
+    return "▲" if speed > 0 else "▼" if speed else "▪"
 
 
 def _caption(state: State) -> str:
@@ -51,31 +48,29 @@ def _caption(state: State) -> str:
     return words if state.moving or state.motion == Motion.STOPPED else f"{words}, speed 0"
 
 
-def _speed(protocol: Protocol, speed: int, signs: Signs) -> Text:
+def _speed(protocol: Protocol, speed: int) -> Text:
     most = max(protocol.limits.get("speed", (0, 0))) or 1
     filled = round(_BAR * speed / most)
-    rest = signs.bar_rest * (_BAR - filled)
-    return Text.assemble(
-        ("speed ", "dim"), (signs.bar * filled, "green"), (rest, "dim"), f" {speed}"
-    )
+    rest = "░" * (_BAR - filled)
+    return Text.assemble(("speed ", "dim"), "█" * filled, (rest, "dim"), f" {speed}")
 
 
-def _steering(full: int, steering: int, signs: Signs) -> Text:
+def _steering(full: int, steering: int) -> Text:
     half = _BAR // 2
     place = half + round(half * steering / (full or 1))
-    track = [signs.track] * (_BAR + 1)
-    track[half] = signs.track_middle
-    track[place] = signs.knob
+    track = ["─"] * (_BAR + 1)
+    track[half] = "┼"
+    track[place] = "●"
     return Text.assemble(("steer ", "dim"), "".join(track), f" {steering:+d}")
 
 
-def _led(protocol: Protocol, led: int, signs: Signs) -> Text:
+def _led(protocol: Protocol, led: int) -> Text:
     line = Text.assemble(("led   ", "dim"))
     bits = _led_bits(protocol)
     for at, name in enumerate(bits):
         on = bool(led >> (len(bits) - 1 - at) & 1)
         colour = f"bold {_COLOURS.get(name, 'yellow')}"
-        line.append(signs.lit if on else signs.unlit, colour if on else "dim")
+        line.append("●" if on else "○", colour if on else "dim")
         line.append(f" {name}  ", "" if on else "dim")
     return line if bits else line.append(str(led))
 

@@ -1,149 +1,182 @@
-"""What is known about one record, as lines of a tree: bits and their meaning, answer, times, state.
+"""The pane about the chosen row: its fields bit by bit, and all else that is known about it.
 
-The meanings are those of `spec.explain`. The pane escapes control characters.
+The meanings are those of `spec.explain`. The predicted state is here only where it is not drawn
+beside it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from typing import ClassVar, NamedTuple
 
-from bilprov.analyzer.decode.records import (
-    DeviceRecord,
-    FaultRecord,
-    HostRecord,
-    LineRecord,
-    Record,
-)
+from rich.text import Text
+from textual.binding import Binding, BindingType
+from textual.widgets import Tree
+from textual.widgets.tree import TreeNode
+
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.output.text_lines import state_words
-from bilprov.captures.text import printable
+from bilprov.analyzer.screen.signs import FOLDED, ORDINARY, UNFOLDED, Look, look_of
+from bilprov.captures.text import escape_controls
 from bilprov.spec.codec import spaced
 from bilprov.spec.explain import BitGroup, explain, explain_responses
 from bilprov.spec.protocol import Protocol
 
+_LEAST_WIDTH = 24  # columns in which text is wrapped
 
-@dataclass(frozen=True, slots=True)
-class Detail:
-    """One line: a `label` and what it says, at a depth of 0 (a heading) or 1.
 
-    `group` are the bits that it is about; `bad` marks what is faulty.
+class Detail(NamedTuple):
+    """One line: a `label` and what it says; the lines `below` it fold away.
+
+    `group` are the bits that it is about; `look` is another one than the ordinary where it is odd.
     """
 
-    depth: int
     label: str
     text: str = ""
     group: BitGroup | None = None
-    bad: bool = False
+    look: Look = ORDINARY
+    below: tuple[Detail, ...] = ()
 
 
-def details(protocol: Protocol, record: Record) -> tuple[Detail, ...]:
-    """The lines of a record."""
+def details(protocol: Protocol, record: Record, *, state: bool) -> Iterator[Detail]:
+    """The lines of a record, with the predicted `state` if asked."""
+    look = look_of(record)
+    for fault in serious_faults(record):
+        yield Detail("fault", f"{fault.kind}: {fault.reason}", look=look)
+    after = [Detail("state", state_words(record.state))] if state else []
+    numbers: list[Detail] = []
     if isinstance(record, HostRecord):
-        lines = _host(protocol, record)
+        if record.judgement:
+            yield from _host(protocol, record.data, look, after)
+        numbers.append(Detail("last byte", f"{(record.end - record.t) / 1e6:.3f} ms later"))
+        if record.sequence is not None:
+            numbers.append(Detail("instruction", f"number {record.sequence}"))
     elif isinstance(record, DeviceRecord):
-        lines = _device(protocol, record)
-    elif isinstance(record, LineRecord):
-        lines = _line(record)
+        yield from _device(protocol, record, look, after)
     else:
-        lines = iter([Detail(0, "Missing", record.fault.kind, bad=True)])
-    return *lines, *_faults(record), *_times(record), *_state(record)
+        yield from after
+    yield Detail("time", f"{record.t / 1e9:.9f} s", below=tuple(numbers))
 
 
-def record_bytes(record: Record) -> bytes:
-    """The bytes of a record, of which its bit groups speak; b"" where it has none."""
-    if isinstance(record, HostRecord):
-        return record.data
-    return bytes([record.byte]) if isinstance(record, DeviceRecord) else b""
+def _host(protocol: Protocol, data: bytes, look: Look, state: Iterable[Detail]) -> Iterator[Detail]:
+    frame = explain(protocol, data).frames[0]
+    yield from (_bits(group, look) for group in frame.groups)
+    yield from state
+    does = Detail("does", frame.action)
+    sets = (Detail("sets", f"{variable} to {value}") for variable, value in frame.changes)
+    yield Detail("answer", frame.answer, below=(does, *sets))
+    if frame.nearest:
+        words = f"{spaced(frame.nearest.frame)}  {frame.nearest.describe()}"
+        yield Detail("meant", words, below=tuple(Detail("as", d) for d in frame.differences))
+    readings = (Detail(reading.id, reading.default) for reading in frame.readings)
+    errata = (Detail(erratum.id, erratum.correction) for erratum in frame.errata)
+    yield Detail("document", frame.judgement.clause, below=(*readings, *errata))
 
 
-def covers(group: BitGroup, byte: int, bit: int) -> bool:
-    """Whether a bit (counted from 0 at the right end) of a byte of the record is in a group."""
-    place = bit + 8 * (group.byte + group.size - 1 - byte)
-    return group.byte <= byte < group.byte + group.size and group.low <= place <= group.high
+def _device(
+    protocol: Protocol, record: DeviceRecord, look: Look, state: Iterable[Detail]
+) -> Iterator[Detail]:
+    response = explain_responses(protocol, bytes([record.byte])).responses[0]
+    yield _bits(response.group, look)
+    yield Detail("means", response.meaning)
+    yield from state
+    if record.answered is not None:
+        answered, odd = record.answered, ORDINARY if record.agrees else look
+        number = Detail("instruction", f"number {record.instruction}")
+        expected = Detail("expected", answered.response.name, look=odd)
+        words = f"{spaced(answered.frame)}  {answered.describe()}"
+        yield Detail("answers", words, below=(expected, number))
+    if record.latency is not None:
+        yield Detail("latency", f"{record.latency / 1e6:.3f} ms")
+    yield Detail("document", response.clause)
+
+
+def _bits(group: BitGroup, look: Look) -> Detail:
+    text = f"{bit_picture(group)}  {group.value}  {group.meaning}"
+    return Detail(group.name, text, group, look if group.fault else ORDINARY)
 
 
 def bit_picture(group: BitGroup) -> str:
     """The bits of a group in their places, dots for the others: `.... 0001`."""
     width = 8 * group.size
-    at = width - 1 - group.high
-    bits = "." * at + group.bits + "." * group.low
+    bits = "." * (width - 1 - group.high) + group.bits + "." * group.low
     return " ".join(bits[low : low + 4] for low in range(0, width, 4))
 
 
-def _host(protocol: Protocol, record: HostRecord) -> Iterator[Detail]:
-    if record.judgement is None:
-        yield Detail(0, "Garbage", spaced(record.data), bad=True)
-        return
-    frame = explain(protocol, record.data).frames[0]
-    yield Detail(0, "Instruction", record.words, bad=not frame.judgement.valid)
-    for group in frame.groups:
-        yield _bits(group)
-    yield Detail(0, "Device", f"answers {frame.answer}")
-    yield Detail(1, "does", frame.action)
-    for variable, value in frame.changes:
-        yield Detail(1, "sets", f"{variable} to {value}")
-    if frame.keeps:
-        yield Detail(1, "keeps", ", ".join(frame.keeps))
-    if frame.nearest:
-        yield Detail(0, "Meant", f"{spaced(frame.nearest.frame)}  {frame.nearest.describe()}")
-        for difference in frame.differences:
-            yield Detail(1, "as", difference)
-    if frame.judgement.clause:
-        yield Detail(0, "Document", frame.judgement.clause)
-    for reading in frame.readings:
-        yield Detail(1, reading.id, reading.default)
-    for erratum in frame.errata:
-        yield Detail(1, erratum.id, erratum.correction)
+class FieldTree(Tree[Detail]):
+    """The details of one record; what was folded stays so in the next one."""
 
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left", "fold(True)", show=False),
+        Binding("right", "fold(False)", show=False),
+    ]
 
-def _device(protocol: Protocol, record: DeviceRecord) -> Iterator[Detail]:
-    response = explain_responses(protocol, bytes([record.byte])).responses[0]
-    yield Detail(0, "Response", record.words, bad=response.group.fault)
-    yield _bits(response.group)
-    yield Detail(1, "means", response.meaning)
-    if record.answered is not None:
-        answered = record.answered
-        yield Detail(0, "Answers", f"{spaced(answered.frame)}  {answered.describe()}")
-        expected = f"{answered.response.name}, {'which came' if record.agrees else 'but this came'}"
-        yield Detail(1, "expected", expected, bad=record.agrees is False)
-        yield Detail(1, "number", str(record.instruction))
-    if record.latency is not None:
-        yield Detail(0, "Latency", f"{record.latency / 1e6:.3f} ms")
-    yield Detail(0, "Document", response.clause)
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__("", id="fields")
+        self.ICON_NODE, self.ICON_NODE_EXPANDED = FOLDED, UNFOLDED
+        self.show_root = self.show_guides = False
+        self.guide_depth = 2
+        self._protocol = protocol
+        self._folded: set[str] = set()
+        self._shown: tuple[Detail, ...] = ()
 
+    @property
+    def bytes(self) -> range:
+        """The bytes that the chosen line is about, while fields are looked at."""
+        detail = self.cursor_node.data if self.has_focus and self.cursor_node else None
+        group = detail.group if detail else None
+        return range(group.byte, group.byte + group.size) if group else range(0)
 
-def _line(record: LineRecord) -> Iterator[Detail]:
-    line = record.value
-    yield Detail(0, "Line", line.event, bad=bool(record.faults))
-    if line.tap:
-        yield Detail(1, "tap", line.tap)
-    if line.detail:
-        yield Detail(1, "detail", printable(line.detail))
+    def show(self, record: Record | None, *, state: bool) -> None:
+        """Show another record, with the predicted `state` if asked."""
+        shown = tuple(details(self._protocol, record, state=state)) if record else ()
+        if shown != self._shown:
+            self._fill(shown)
 
+    def on_resize(self) -> None:
+        """Wrap long lines anew."""
+        self._fill(self._shown)
 
-def _bits(group: BitGroup) -> Detail:
-    label = f"{bit_picture(group)}  {group.name}"
-    return Detail(1, label, f"{group.value}  {group.meaning}", group, group.fault)
+    def action_fold(self, fold: bool) -> None:
+        """Fold the lines below the chosen one, or those that it is among; or unfold them."""
+        node = self.cursor_node
+        if node and not node.allow_expand and node.parent is not self.root:
+            node = node.parent
+        if node and node.allow_expand:
+            self.move_cursor(node)
+            node.collapse() if fold else node.expand()
 
+    def on_tree_node_collapsed(self, event: Tree.NodeCollapsed[Detail]) -> None:
+        """Keep these lines folded in other records too."""
+        if event.node.data:
+            self._folded.add(event.node.data.label)
 
-def _faults(record: Record) -> Iterator[Detail]:
-    for fault in record.faults:
-        yield Detail(0, "Fault", fault.kind, bad=True)
-        yield Detail(1, "because", fault.reason, bad=True)
+    def on_tree_node_expanded(self, event: Tree.NodeExpanded[Detail]) -> None:
+        """Show these lines in other records too."""
+        if event.node.data:
+            self._folded.discard(event.node.data.label)
 
+    def _fill(self, shown: tuple[Detail, ...]) -> None:
+        self._shown = shown
+        self.clear()
+        self._add(self.root, shown)
+        self.cursor_line = 0
 
-def _times(record: Record) -> Iterator[Detail]:
-    yield Detail(0, "Time", f"{record.t / 1e9:.9f} s")
-    if isinstance(record, HostRecord):
-        yield Detail(1, "last byte", f"{(record.end - record.t) / 1e6:.3f} ms later")
-        if record.sequence is not None:
-            yield Detail(1, "number", str(record.sequence))
-    if isinstance(record, FaultRecord) and record.fault.instruction is not None:
-        yield Detail(1, "number", str(record.fault.instruction))
-
-
-def _state(record: Record) -> Iterator[Detail]:
-    yield Detail(0, "Predicted", state_words(record.state))
-    for variable in record.state.__struct_fields__:
-        value = getattr(record.state, variable)
-        yield Detail(1, variable, str(value).lower() if isinstance(value, bool) else str(value))
+    def _add(self, parent: TreeNode[Detail], shown: tuple[Detail, ...]) -> None:
+        """Add lines below another one: more than one each where they are longer than the pane."""
+        room = max((len(detail.label) for detail in shown), default=0)
+        for detail in shown:
+            style, sign = detail.look.style, "" if detail.below else f"{detail.look.sign} "
+            label = f"{sign}{escape_controls(detail.label):<{room}}  "
+            text = Text(escape_controls(detail.text), style)
+            width = self.size.width - len(label) - 2 * (2 if parent is self.root else 3)
+            first, *more = text.wrap(self.app.console, max(width, _LEAST_WIDTH)) or [text]
+            node = parent.add(
+                Text.assemble((label, style or "dim"), first),
+                detail,
+                expand=detail.label not in self._folded,
+                allow_expand=bool(detail.below),
+            )
+            for line in more:
+                parent.add_leaf(Text(" " * len(label)) + line, detail)
+            self._add(node, detail.below)

@@ -6,8 +6,9 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from threading import Event, Thread
+from threading import Event
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bilprov.analyzer.decode.batch import Batch, Records
@@ -64,23 +65,21 @@ class Feed(Generic[Result]):
         self.stopped = Event()
         self._work = work
         self._stop = stop
-        self._result: Result
-        self._error: BaseException | None = None
-        self._thread = Thread(target=self._run, name="feed", daemon=True)
+        self._working: Future[Result] = Future()
 
     @property
     def ended(self) -> bool:
         """Whether nothing more comes."""
-        return self._thread.ident is not None and not self._thread.is_alive()
+        return self._working.done()
 
     @property
     def closes(self) -> bool:
         """Whether the screen has nothing more to wait for."""
-        return self.ended and (not self.stays or self._error is not None)
+        return self.ended and (not self.stays or self._working.exception() is not None)
 
     def start(self) -> None:
         """Begin."""
-        self._thread.start()
+        self._working = ThreadPoolExecutor(1, "feed").submit(self._work, self)
 
     def stop(self) -> None:
         """Make it end; returns at once."""
@@ -89,16 +88,7 @@ class Feed(Generic[Result]):
 
     def join(self) -> Result:
         """Wait for the end, and return what the work returned. Raises what the work raised."""
-        self._thread.join()
-        if self._error is not None:
-            raise self._error
-        return self._result
-
-    def _run(self) -> None:
-        try:
-            self._result = self._work(self)
-        except BaseException as error:
-            self._error = error
+        return self._working.result()
 
 
 def capture_feed(

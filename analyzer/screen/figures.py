@@ -1,54 +1,60 @@
-"""The figures of a recording in few words: frames, rates, load, latencies, faults by kind."""
+"""The figures of a recording in few lines: load of the line, latencies, whose the faults are."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 from rich.text import Text
 
 from bilprov.analyzer.output.statistics import Rates
-from bilprov.analyzer.screen.signs import Signs
+from bilprov.analyzer.screen.signs import DEVICE_FAULT, HOST_FAULT, LEVELS, LINE_FAULT
 from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.text import printable, quantity
 
+_SIDES = {"host": HOST_FAULT, "device": DEVICE_FAULT, "": LINE_FAULT}
+_KINDS = 4  # kinds of faults of each side that are named
 
-def figures(totals: Totals, live: Rates | None, byte_time: int, signs: Signs) -> list[Text]:
-    """The lines, each a label and what it says.
 
-    Rates are those of the last two seconds where they are those of a `live` line, else the mean
-    over the recording. `byte_time` is ns a byte on the line.
+def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> list[Text]:
+    """The lines. Rates are those of the last two seconds where they are those of a `live` line,
+    else the mean over the recording. `byte_time` is ns a byte on the line.
     """
-    return [
-        Text.assemble((f"{label:<8}", "dim"), words)
-        for label, words in _rows(totals, live, byte_time, signs)
+    seconds = ((totals.last or 0) - (totals.first or 0)) / 1e9 or 1.0
+    rates = live or Rates(
+        totals.frames / seconds, (totals.host_bytes / seconds, totals.device_bytes / seconds)
+    )
+    load = max(rates.bytes) * byte_time / 1e9
+    lines = [
+        Text(_levels(totals.rates.series("frames"), width)),
+        Text(f"{quantity(totals.frames, 'frame')}, {quantity(totals.device_bytes, 'answer')}"),
+        Text(f"{rates.frames:,.0f} frames/s, {load:.0%} full"),
     ]
-
-
-def _rows(
-    totals: Totals, live: Rates | None, byte_time: int, signs: Signs
-) -> Iterator[tuple[str, str]]:
-    seconds = ((totals.last or 0) - (totals.first or 0)) / 1e9
-    sides = (totals.host_bytes, totals.device_bytes)
-    rates = [size / seconds if seconds else 0.0 for size in sides]
-    frames = totals.frames / seconds if seconds else 0.0
-    if live:
-        rates, frames = list(live.bytes), live.frames
-    yield "frames", f"{totals.frames:,} {signs.to_device}"
-    yield "answers", f"{totals.device_bytes:,} {signs.to_host}"
-    if totals.disagreeing:
-        yield "wrong", f"{totals.disagreeing:,}"
-    yield "rate", f"{quantity(round(frames), 'frame')}/s"
-    for side, rate in zip(("host", "device"), rates, strict=True):
-        yield side, f"{rate:,.0f} B/s {rate * byte_time / 1e9:.0%}"
     spread = totals.latencies.spread()
-    if spread is None:
-        yield "latency", "none yet"
-    else:
-        yield "latency", f"{_ms(spread.median)} ms median"
-        yield "", f"{_ms(spread.ninety_fifth)} 95 %, {_ms(spread.longest)} max"
-    yield "faults", f"{totals.faults.total():,}"
-    for kind, count in totals.faults.most_common(6):
-        yield "", f"{count:,} {printable(kind)}"
+    if spread:
+        lines.append(Text(f"latency {_ms(spread.median)} ms"))
+        lines.append(Text(f"p95 {_ms(spread.ninety_fifth)}, max {_ms(spread.longest)} ms"))
+    for side, look in _SIDES.items():
+        kinds = totals.faults_of(side)
+        if kinds:
+            lines.append(Text())
+            name = side or "line"
+            lines.append(Text(f"{look.sign} {kinds.total():,} from the {name}", look.style))
+        for kind, count in kinds.most_common(_KINDS):
+            lines.append(Text(f"  {count:,} {printable(kind)}", "dim"))
+    lines.append(Text())
+    for name, counted in totals.instructions().items():
+        if counted.frames:
+            late = f"{_ms(counted.latencies.median)} ms" if counted.latencies else ""
+            lines.append(Text(f"{printable(name):<11} {counted.frames:>6,} {late:>7}", "dim"))
+    return lines
+
+
+def _levels(counts: Sequence[int], width: int) -> str:
+    """The last counts as a row of bars; a long recording's are summed up to fit."""
+    step = -(-len(counts) // width) or 1
+    sums = [sum(counts[at : at + step]) for at in range(0, len(counts), step)]
+    most = max(sums, default=0) or 1
+    return "".join(LEVELS[-(-count * (len(LEVELS) - 1) // most)] for count in sums)
 
 
 def _ms(t: int) -> str:

@@ -1,62 +1,91 @@
-"""The list of frames and the list of faults: rows of a recording, drawn from its columns."""
+"""The list of frames: the rows of a view, of which only those on the screen are ever made."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import ClassVar
+
 from rich.text import Text
+from textual import events
+from textual.binding import Binding, BindingType
+from textual.geometry import Size
+from textual.message import Message
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
 
 from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.decode.records import (
-    DeviceRecord,
-    HostRecord,
-    LineRecord,
-    Record,
-    Severity,
-    serious_faults,
-    severity_of,
-)
-from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, cells
-from bilprov.analyzer.output.text_lines import SEVERITY_COLOURS
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, TimeStyle
 from bilprov.analyzer.screen.recording import Recording, View
-from bilprov.analyzer.screen.rows import Rows
-from bilprov.analyzer.screen.signs import Signs
+from bilprov.analyzer.screen.signs import CUT, MARK, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
 from bilprov.captures.text import printable
 
-WHAT = Column("what", "what", 30, "the frame in words, or the answer and its latency", lambda r: "")
-"""A column of this list alone, which is made from the record."""
+NO = Column("no", "no", 6, "the number of the row", lambda r: "", right=True)
+DELTA = Column("delta", "+ms", 8, "ms since the row above", lambda r: "", right=True)
+ARROW = Column("arrow", "", 1, "to the device, or from it", lambda r: "")
+WHAT = Column("what", "what", 36, "the frame or the answer in words", lambda r: "")
+BYTES = replace(COLUMNS["hex"], heading="bytes")
+OWN = {column.name: column for column in (NO, TIME, DELTA, ARROW, BYTES, WHAT)}
+"""The usual columns."""
+SHOWN_ONLY = {column.name for column in (NO, DELTA, ARROW, WHAT)}
+"""The names of those that are of this list alone."""
 
-_USUAL = (TIME, COLUMNS["hex"], WHAT, COLUMNS["reason"])
-_NARROW = 60  # columns, under which the bytes are left to the pane of bytes
-_FRONT = 3  # columns before the first cell: a sign, the direction, a space
-_BUNCH = 64  # rows that are looked at together
+_LEAST = {DELTA.name: 59, NO.name: 49}  # columns of the screen from which on these are shown
+_LATE = 13  # columns of an answer's name
+_FRONT = 2  # columns before the first cell: the signs of a fault and of a mark
+_HEADINGS = {TimeStyle.ABSOLUTE: "clock", TimeStyle.UTC: "UTC"}
+_WHEN = slice(11, 24)  # the time of day of a date and time, to 0.1 ms
 
 
-class FrameList(Rows):
-    """The rows of a view.
+class FrameList(ScrollView, can_focus=True):
+    """The rows of a view, of which the one at the position `cursor` is chosen.
 
     `held` is how many rows the recording had when the view was paused, None where it is not.
+    Times count from `reference` (ns). `repeat` is the number typed before a key, None for none.
     """
 
-    def __init__(
-        self, recording: Recording, style: RowStyle, start_wall: int, signs: Signs
-    ) -> None:
-        super().__init__("frames", signs, "frames")
+    COMPONENT_CLASSES: ClassVar[set[str]] = {"chosen"}
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("up", "move(-1)", show=False),
+        Binding("down", "move(1)", show=False),
+        Binding("pageup", "page(-1.0)", show=False),
+        Binding("pagedown", "page(1.0)", show=False),
+        Binding("ctrl+u", "page(-0.5)", show=False),
+        Binding("ctrl+d", "page(0.5)", show=False),
+        Binding("home", "go_to_number(1)", show=False),
+        Binding("end", "go_to_number(0)", show=False),
+        Binding("enter,right", "enter", show=False),
+    ]
+
+    class Chosen(Message):
+        """The choice was moved by hand."""
+
+    class Entered(Message):
+        """Enter was pressed on the chosen row."""
+
+    def __init__(self, recording: Recording, style: RowStyle, start_wall: int) -> None:
+        super().__init__(id="frames")
         self.view = View(recording)
+        self.cursor = 0
         self.held: int | None = None
         self.marks: set[int] = set()
         self.columns = style.columns
-        self.time_style = style.times(start_wall).style
+        self.reference = 0
+        self.repeat: int | None = None
+        self.lit = range(0)  # the bytes of the chosen row that stand out
+        asked = style.times(start_wall).style
+        relative = asked is TimeStyle.DELTA  # the row before is what another column counts from
+        self.time_style: TimeStyle = TimeStyle.RELATIVE if relative else asked
         self._start_wall = start_wall
         self._recording = recording
+        self._first = 0  # the first row of the view when it was last drawn
+        self._lines: dict[int, Text] = {}
 
     @property
     def count(self) -> int:
         """How many rows are shown."""
         return self.view.count if self.held is None else self.view.position(self.held)
-
-    @property
-    def start(self) -> int:
-        """The first row that was not let go."""
-        return self.view.first
 
     @property
     def row(self) -> int | None:
@@ -71,156 +100,220 @@ class FrameList(Rows):
         found = self._recording.records([row]) if row is not None else []
         return found[0] if found else None
 
+    @property
+    def room(self) -> int:
+        """How many rows fit under the heading."""
+        return max(1, self.size.height - 1)
+
+    @property
+    def top(self) -> int:
+        """The position of the uppermost row on the screen."""
+        return self._first + self.scroll_offset.y
+
+    # Choosing.
+
+    def choose(self, position: int) -> None:
+        """Choose a row, the nearest one there is, and bring it onto the screen."""
+        self.changed()
+        self.cursor = min(max(position, self._first), max(self.count - 1, self._first))
+        top, room = self.top, self.room
+        if not top <= self.cursor < top + room:
+            # One row further is one row; a leap puts the row into the middle.
+            near = top - 1 <= self.cursor <= top + room
+            above = (room - 1 if self.cursor > top else 0) if near else room // 2
+            self.scroll_to(y=self.cursor - above - self._first, animate=False, force=True)
+
+    def changed(self) -> None:
+        """Draw all rows anew; the view may have grown or lost its oldest rows."""
+        first, gone = self.view.first, self.view.first - self._first
+        self._first = first
+        self.virtual_size = Size(1, self.count - first + 1)
+        self.cursor = min(max(self.cursor, first), max(self.count - 1, first))
+        if gone:
+            self.scroll_to(y=self.scroll_offset.y - gone, animate=False, force=True)
+        self._lines.clear()
+        self.refresh()
+
     def go_to(self, row: int) -> None:
         """Choose a row of the recording, or the next one of the view."""
         self.choose(self.view.position(row))
-
-    def position_at(self, t: int) -> int:
-        """The last position, from the chosen one on, whose row is not later than `t` (ns)."""
-        position = self.cursor
-        while position + 1 < self.count:
-            rows = self.view.rows(position + 1, position + 1 + _BUNCH)
-            due = [record for record in self._recording.records(rows) if record.t <= t]
-            position += len(due)
-            if len(due) < _BUNCH:
-                break
-        return position
 
     def look_at(self, view: View) -> None:
         """Show another view, with the same row chosen if it has it."""
         row = self.row
         self.view = view
-        self.top = view.first
         self.go_to(row or 0)
 
-    def heading(self, width: int) -> Text:
-        """The names of the columns."""
-        text = Text(" " * _FRONT, "bold dim", no_wrap=True)
-        for column, room in self._widths(width):
-            text.append(self._padded(column.heading, room, column.right) + " ")
-        return text
+    def action_move(self, rows: int) -> None:
+        """Move the choice by some rows."""
+        self._choose_by_hand(self.cursor + rows * (self.repeat or 1))
 
-    def lines(self, first: int, stop: int, width: int) -> list[Text]:
-        """The rows from `first` to before `stop`."""
-        before = first > self.start  # the row before the first is what a delta counts from
+    def action_page(self, pages: float) -> None:
+        """Move the window and the choice by a screenful."""
+        step = round(pages * self.room) * (self.repeat or 1)
+        position = self.cursor + step
+        self.scroll_to(y=self.scroll_offset.y + step, animate=False, force=True)
+        self._choose_by_hand(position)
+
+    def action_go_to_number(self, number: int) -> None:
+        """Go to the row of this number, or of the one that was typed; 0 stands for the last."""
+        number = self.repeat or number
+        self._choose_by_hand(self.view.position(number - 1) if number else self.count - 1)
+
+    def action_enter(self) -> None:
+        """Tell that Enter was pressed."""
+        if self.count > self._first:
+            self.post_message(self.Entered())
+
+    def _choose_by_hand(self, position: int) -> None:
+        self.choose(position)
+        self.post_message(self.Chosen())
+
+    def on_resize(self) -> None:
+        """Keep the chosen row on the screen."""
+        self.choose(self.cursor)
+
+    def watch_scroll_y(self, old_value: float, new_value: float) -> None:
+        """Keep the choice on the screen, also where the wheel or the bar moves it."""
+        super().watch_scroll_y(old_value, new_value)
+        self._lines.clear()
+        inside = min(max(self.cursor, self.top), self.top + self.room - 1)
+        if inside != self.cursor:
+            self.cursor = inside
+            self.post_message(self.Chosen())
+
+    def on_click(self, event: events.Click) -> None:
+        """Choose the row under the mouse."""
+        place = event.get_content_offset(self)
+        if place is not None and 0 < place.y <= self.count - self.top:
+            self._choose_by_hand(self.top + place.y - 1)
+
+    # Drawing.
+
+    def render_line(self, y: int) -> Strip:
+        """One line of the screen: the heading, then rows."""
+        width = self.scrollable_content_region.width
+        position = self.top + y - 1
+        if not self._lines and self.count > self.top:
+            stop = min(self.top + self.room, self.count)
+            self._lines = dict(enumerate(self._rows(self.top, stop, width), self.top))
+        line = self._heading(width) if y == 0 else self._lines.get(position, Text())
+        if y and position == self.cursor and line:
+            line = self._chosen(line, width)
+        line.truncate(width, overflow="crop", pad=True)
+        return Strip(line.render(self.app.console, end="")).adjust_cell_length(width)
+
+    def _chosen(self, line: Text, width: int) -> Text:
+        """The chosen row, without colours, which would be a patchwork on its ground."""
+        chosen = Text(line.plain, self.get_component_rich_style("chosen"))
+        at = _FRONT
+        for column, room in self._widths(width):
+            for byte in self.lit if column.name == BYTES.name else ():
+                chosen.stylize("bold underline", at + 3 * byte, at + 3 * byte + 2)
+            at += room + 1
+        return chosen
+
+    def _heading(self, width: int) -> Text:
+        names = {TIME: _HEADINGS.get(self.time_style, "from mark" if self.reference else "time")}
+        cells = [
+            self._padded(names.get(column, column.heading), room, column.right)
+            for column, room in self._widths(width)
+        ]
+        return Text(" " * _FRONT + " ".join(cells), "dim")
+
+    def _rows(self, first: int, stop: int, width: int) -> Iterator[Text]:
+        """The lines of the rows at the positions from `first` to before `stop`."""
+        before = first > self._first  # the row before the first is what its delta counts from
         rows = self.view.rows(first - before, stop)
         records = self._recording.records(rows)
-        times = Times(self.time_style, self._start_wall)
-        shown = [
-            self._line(row, record, times, width)
-            for row, record in zip(rows, records, strict=False)
-        ]
-        return shown[before:]
+        previous = records[0].t if records else 0
+        for number, (row, record) in enumerate(zip(rows, records, strict=False)):
+            if number or not before:
+                yield self._line(row, record, previous, width)
+            previous = record.t
 
     def _widths(self, width: int) -> list[tuple[Column, int]]:
         """The columns that fit, each with its width; the last one takes what is left."""
-        columns = self.columns
-        if columns is None:
-            columns = _USUAL if width >= _NARROW else tuple(c for c in _USUAL if c.name != "hex")
+        usual = [column for column in OWN.values() if width >= _LEAST.get(column.name, 0)]
         left = width - _FRONT
         fitting: list[tuple[Column, int]] = []
-        for column in columns:
-            room = Times(self.time_style).width if column is TIME else column.width
+        for column in self.columns or usual:
+            room = self._time_width if column is TIME else column.width
+            if column is BYTES and width < _LEAST[NO.name]:
+                room -= 3
             if fitting and left < min(room, 8):
                 break
             fitting.append((column, min(room, left)))
             left -= min(room, left) + 1
-        if fitting and left > 0:
+        if fitting and left >= 0:
             column, room = fitting[-1]
             fitting[-1] = column, room + left + 1
         return fitting
 
-    def _line(self, row: int, record: Record, times: Times, width: int) -> Text:
-        severity = severity_of(record)
-        serious = severity is not None and severity > Severity.INFO
-        style = _style(record, severity)
-        mark = self.signs.mark if row in self.marks else "!" if serious else " "
+    @property
+    def _time_width(self) -> int:
+        return 10 if self.time_style is TimeStyle.RELATIVE else _WHEN.stop - _WHEN.start
+
+    def _line(self, row: int, record: Record, previous: int, width: int) -> Text:
+        look = look_of(record)
         text = Text(no_wrap=True)
-        text.append(mark, f"bold {style}" if serious else "bold")
-        direction = self._direction(record)
-        text.append(f"{direction} ", "bold cyan" if direction == self.signs.to_device else "bold")
-        line = json_line(record)
-        if line is None:
-            assert isinstance(record, LineRecord)
-            return text.append(f"{times.padded(record.t)} {event_words(record)}", "dim")
+        text.append(look.sign, look.style)
+        text.append(MARK if row in self.marks else " ", "bold")
+        own, line = self._own(row, record, previous), json_line(record)
         for column, room in self._widths(width):
-            cell = _words(record) if column is WHAT else cells(line, (column,), times)[0]
-            dim = column is TIME or column.name == "reason"
-            text.append(self._padded(cell, room, column.right), "dim" if dim else style)
+            if column is WHAT:
+                text.append_text(self._what(record, look, room))
+            elif column.name in own:
+                style = look.style if column.name == BYTES.name else "dim"
+                text.append(self._padded(own[column.name], room, column.right), style)
+            else:
+                cell = column.text(column.value(line)) if line else ""
+                text.append(self._padded(cell, room, column.right), look.style)
             text.append(" ")
+        text.right_crop()
         return text
 
-    def _direction(self, record: Record) -> str:
-        if isinstance(record, HostRecord):
-            return self.signs.to_device
-        return self.signs.to_host if isinstance(record, DeviceRecord) else "-"
+    def _own(self, row: int, record: Record, previous: int) -> dict[str, str]:
+        """The cells of the columns that are of this list alone, but what the row is."""
+        if self.time_style is TimeStyle.RELATIVE:
+            time = f"{(record.t - self.reference) / 1e9:.4f}"
+        else:
+            time = Times(self.time_style, self._start_wall).text(record.t)[_WHEN]
+        arrow, data = NEITHER, ""
+        if isinstance(record, HostRecord | DeviceRecord):
+            arrow = TO_DEVICE if isinstance(record, HostRecord) else TO_HOST
+            data = record.hex
+        delta = f"{(record.t - previous) / 1e6:.1f}"
+        cells = (str(row + 1), time, delta, arrow, data)
+        return dict(zip(OWN, cells, strict=False))
+
+    def _what(self, record: Record, look: Look, room: int) -> Text:
+        """The row in words, the latency of an answer, and why it is odd."""
+        words, reason = words_of(record)
+        text = Text(words, look.style, end="")
+        if isinstance(record, DeviceRecord) and record.latency is not None and room >= _LATE + 11:
+            text.pad_right(_LATE - len(words))
+            text = Text.assemble(text, (f"{record.latency / 1e6:8.2f} ms", "dim"))
+        text = Text.assemble(text, (f"  {reason}" if reason else "", "dim"))
+        if text.cell_len > room:
+            text.truncate(max(0, room - 1), overflow="crop")
+            text.append(CUT, "dim")
+        text.pad_right(room - text.cell_len)
+        return text
 
     def _padded(self, text: str, room: int, right: bool) -> str:
-        cut = text if len(text) <= room else text[: max(0, room - 1)] + self.signs.cut
+        cut = text if len(text) <= room else text[: max(0, room - 1)] + CUT
         return cut.rjust(room) if right else cut.ljust(room)
 
 
-class FaultList(Rows):
-    """The rows of a recording that have an anomaly, in one line each; `held` as in FrameList."""
-
-    def __init__(self, recording: Recording, signs: Signs) -> None:
-        super().__init__("faults", signs, "faults")
-        self.held: int | None = None
-        self._recording = recording
-
-    @property
-    def count(self) -> int:
-        """How many there are."""
-        faults = self._recording.faults
-        return faults.members if self.held is None else faults.before(self.held)
-
-    @property
-    def start(self) -> int:
-        """The first one that was not let go."""
-        return self._recording.faults.before(self._recording.first)
-
-    @property
-    def row(self) -> int | None:
-        """The number of the chosen row in the recording; None without any."""
-        rows = self._recording.faults.slice(self.cursor, self.cursor + 1)
-        return rows[0] if rows else None
-
-    def follow(self, row: int) -> None:
-        """Choose the last fault up to a row of the recording."""
-        self.choose(self._recording.faults.before(row + 1) - 1)
-
-    def lines(self, first: int, stop: int, width: int) -> list[Text]:
-        """The faults from the `first` to before the `stop`."""
-        records = self._recording.records(self._recording.faults.slice(first, stop))
-        return [_fault_line(record) for record in records]
-
-
-def event_words(record: LineRecord) -> str:
-    """A line event in words."""
-    line = record.value
-    where = f"{printable(line.tap)} line" if line.tap else "line"
-    return f"{where} {printable(line.event)}" + (
-        f": {printable(line.detail)}" if line.detail else ""
-    )
-
-
-def _words(record: Record) -> str:
-    if isinstance(record, HostRecord):
-        return printable(record.words)
-    if isinstance(record, DeviceRecord):
-        late = "" if record.latency is None else f"  {record.latency / 1e6:.3f} ms"
-        return record.words + late
-    return printable(record.faults[0].kind)
-
-
-def _fault_line(record: Record) -> Text:
-    fault = serious_faults(record)[0]
-    colour = f"bold {SEVERITY_COLOURS[fault.severity]}"
-    line = Text.assemble((f"{fault.t / 1e9:12.6f} ", "dim"), (printable(fault.kind), colour))
-    return line.append(f"  {printable(fault.reason)}")
-
-
-def _style(record: Record, severity: Severity | None) -> str:
-    if severity is not None:
-        return SEVERITY_COLOURS[severity]
-    return "green" if isinstance(record, HostRecord | DeviceRecord) else ""
+def words_of(record: Record) -> tuple[str, str]:
+    """What a row is, in words, and why it is odd, "" if it is not."""
+    if isinstance(record, DeviceRecord) and record.answered and record.agrees is False:
+        return f"{record.words}, expected {record.answered.response.name}", ""
+    if isinstance(record, HostRecord | DeviceRecord):
+        return printable(record.words), printable(record.reason)
+    if isinstance(record, LineRecord):
+        line = record.value
+        where = f"{printable(line.tap)} line" if line.tap else "line"
+        return f"{where} {printable(line.event)}", printable(line.detail)
+    return printable(record.fault.kind), printable(record.fault.reason)

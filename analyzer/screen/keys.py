@@ -1,46 +1,57 @@
-"""The keys of the whole screen: the action that each starts, and what the help says of them."""
+"""The keys: the action that each starts, its word in the footer, and what the help says of it."""
 
 from __future__ import annotations
 
 from textual.binding import Binding
 
+
+def _key(keys: str, action: str, shown: str, says: str, word: str = "") -> Binding:
+    """A key; it stands in the footer where it has a `word`."""
+    return Binding(keys, action, word, show=bool(word), key_display=shown, tooltip=says)
+
+
 BINDINGS = [
-    Binding("slash", "filter", show=False),
-    Binding("n", "fault(1)", show=False),
-    Binding("N", "fault(-1)", show=False),
-    Binding("space", "pause", show=False),
-    Binding("f", "follow", show=False),
-    Binding("m", "mark", show=False),
-    Binding("apostrophe", "next_mark", show=False),
-    Binding("t", "times", show=False),
-    Binding("c", "columns", show=False),
-    Binding("x", "export", show=False),
-    Binding("question_mark,f1", "keys", show=False),
-    Binding("q", "leave", show=False),
+    _key("slash", "filter", "/", "filter the rows; an empty filter shows all", "filter"),
+    _key("n", "fault(1)", "n N", "the next, the previous fault", "next fault"),
+    _key("N", "fault(-1)", "", ""),
+    _key("e", "only_faults", "e", "show only the rows with a fault, or all again", "only faults"),
+    _key("space", "pause", "Space", "hold a live view still; play a capture", "pause"),
+    _key("f", "follow", "f", "follow what comes", "follow"),
+    _key("t", "times", "t", "times since the start, of the clock here, in UTC", "time"),
+    _key("r", "reference", "r", "count times from this row; again: from the start"),
+    _key("colon", "go", ":", "go to a row (120), or to a time (12.5s, 14:03:20)", "go to"),
+    _key("m", "mark", "m '", "mark a row; go to the next mark"),
+    _key("apostrophe", "next_mark", "", ""),
+    _key("c", "columns", "c", "choose the columns", "columns"),
+    _key("x", "export", "x", "write the rows that are shown, as CSV or JSON lines", "export"),
+    _key("y", "copy", "y", "copy the frame as a `bilprov send` line", "copy"),
+    _key("question_mark,f1", "keys", "?", "this help", "help"),
+    _key("q", "leave", "q", "leave", "quit"),
     Binding("ctrl+c,ctrl+q", "end", show=False, priority=True),
     Binding("escape", "go_back", show=False),
 ]
 """Keys that no pane takes for itself; the actions are those of the `Browser`."""
 
-KEYS = {
-    "arrows, k j": "the row before or after",
-    "PgUp PgDn": "a screenful",
-    "Home End, g G": "the first, the last row",
-    "/": "filter; Tab completes, Enter filters; an empty one shows all rows",
-    "n N": "the next, the previous fault",
-    "Tab": "the next pane",
-    "Enter": "go to a frame's fields; fold a tree; go to a fault",
-    "Space": "pause or resume a live view; play a capture from the chosen row, or stop",
-    "f": "follow new rows",
-    "m '": "mark a row; go to the next mark",
-    "t": "how times are shown: since the start, since the row before, clock, UTC",
-    "c": "which columns are shown",
-    "x": "export what the filter shows, as CSV or JSON lines",
+MOVES = {
+    "j k, arrows": "the row after, the row before; 5j: five rows on",
+    "^F ^B, PgDn PgUp": "a screenful on, back; ^D ^U: half of one",
+    "g G, Home End": "the first, the last row; 120G: row 120",
+    "Enter, Tab": "go to the fields of a frame; the next pane",
+    "h l": "in the fields: fold, unfold",
     "Esc": "go back; stop a filter or an export that takes long",
-    "?": "this help",
-    "q": "quit",
 }
-ABOUT = (
-    "A row begins with ! where something is wrong with it, and with a mark where you set one. "
-    "The mouse chooses rows, fields and bits, and the wheel moves a pane."
-)
+"""Keys of the panes, for the help."""
+
+ALIASES = {
+    "j": "down",
+    "k": "up",
+    "h": "left",
+    "l": "right",
+    "g": "home",
+    "G": "end",
+    "ctrl+f": "pagedown",
+    "ctrl+b": "pageup",
+    "ctrl+d": "pagedown",
+    "ctrl+u": "pageup",
+}
+"""Keys of less and vim, and those of Textual's widgets that they stand for."""

@@ -5,12 +5,12 @@ One thread adds batches while others read: what is added is there as a whole or 
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from threading import Event, RLock
+from threading import Lock, RLock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -118,6 +118,15 @@ class Recording:
             yield found
             row = found[0] + len(found[1])
 
+    def row_at(self, t: int) -> int:
+        """The first row that is not earlier than `t` (ns), but for rows out of order."""
+        with self.lock:
+            block = max(0, bisect_right(self._blocks, t, key=lambda block: block.t) - 1)
+            ends = [block.first for block in self._blocks[block : block + 2]]
+            first, stop = (*ends, self.rows, self.rows)[:2]
+            rows = range(first, stop)
+            return first + bisect_left(rows, t, key=lambda row: self.records([row])[0].t)
+
     def let_go_older(self, t: int) -> None:
         """Forget the blocks whose records are all older than `t` (ns)."""
         with self.lock:
@@ -154,6 +163,7 @@ class View:
     def __init__(self, recording: Recording, test: Filter | None = None) -> None:
         self.test = test
         self._recording = recording
+        self._looking = Lock()
         self._passing = None if test is None else RowSet(recording.lock)
 
     @property
@@ -176,16 +186,17 @@ class View:
         """How many positions there are."""
         return self._recording.rows if self._passing is None else self._passing.members
 
-    def catch_up(self, cancelled: Event | None = None) -> None:
+    def catch_up(self, cancelled: Callable[[], bool] = lambda: False) -> None:
         """Look at the rows that are new, until all are seen or it is `cancelled`."""
         if self._passing is None or self.test is None:
             return
         passing = self._passing
-        for first, batch in self._recording.batches(passing.rows):
-            if cancelled is not None and cancelled.is_set():
-                return
-            passing.append(np.zeros(max(0, first - passing.rows), np.bool_))  # were let go
-            passing.append(batch.in_order(self.test.selection(batch))[passing.rows - first :])
+        with self._looking:
+            for first, batch in self._recording.batches(passing.rows):
+                if cancelled():
+                    return
+                passing.append(np.zeros(max(0, first - passing.rows), np.bool_))  # were let go
+                passing.append(batch.in_order(self.test.selection(batch))[passing.rows - first :])
 
     def rows(self, first: int, stop: int) -> list[int]:
         """The row numbers at the positions from `first` to before `stop`."""

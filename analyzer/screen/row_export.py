@@ -1,31 +1,26 @@
-"""Writes the rows of a view into a new file, as CSV or as JSON lines, in a thread of its own."""
+"""Writes the rows of a view into a new file, as CSV or as JSON lines."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from threading import Event, Thread
-from typing import TYPE_CHECKING
+from typing import Literal, cast
 
-from bilprov.analyzer.output.json_text import JsonText
+from bilprov.analyzer.decode.batch import Records
+from bilprov.analyzer.output.outputs import opened_output
+from bilprov.analyzer.output.row_columns import RowStyle
+from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.captures.text import printable, quantity
 
-if TYPE_CHECKING:
-    from bilprov.analyzer.output.outputs import TextForm
-    from bilprov.analyzer.output.row_columns import Column, Times
-    from bilprov.analyzer.screen.recording import Recording, View
-    from bilprov.spec.protocol import Protocol
-
 _TOGETHER = 4096  # rows
-FORMATS = (".csv", ".jsonl")
+_FORMATS = ("csv", "jsonl")
 
 
 def refusal(name: str) -> str:
     """Why rows cannot be written into a file of this name, "" if they can."""
-    path = Path(name)
-    if path.suffix not in FORMATS:
-        return f"the name ends in {' or '.join(FORMATS)}, which sets the format"
+    if Path(name).suffix[1:] not in _FORMATS:
+        return "the name ends in .csv or .jsonl, which sets the format"
     return new_file_refusal(name)
 
 
@@ -42,79 +37,40 @@ def new_file_refusal(name: str) -> str:
     return ""
 
 
-class RowExport:
-    """Writes the rows that a view has now. `said` tells how it ended."""
+def export(
+    recording: Recording,
+    view: View,
+    name: str,
+    rows: RowStyle,
+    start_wall: int,
+    goes_on: Callable[[float], bool] = lambda share: True,
+) -> str:
+    """Write the rows that a view has now, and return in a sentence how it ended.
 
-    def __init__(
-        self,
-        recording: Recording,
-        view: View,
-        name: str,
-        columns: tuple[Column, ...] | None,
-        times: Times,
-    ) -> None:
-        self._recording = recording
-        self._view = view
-        self._path = Path(name)
-        self._first, self._count = view.first, view.count
-        self._columns, self._times = columns, times
-        self._cancelled = Event()
-        self._done = self._written = 0
-        self.said = ""
-        self._thread = Thread(target=self._run, name="export", daemon=True)
-        self._thread.start()
+    `goes_on` is asked with the share that is written; where it denies, no file is left.
+    """
+    path, first, count = Path(name), view.first, view.count
+    style = cast(Literal["csv", "jsonl"], path.suffix[1:])
+    written = 0
 
-    @property
-    def doing(self) -> str:
-        """How much is written, in words."""
-        return f"exporting {self._done / max(1, self._count - self._first):.0%}"
+    def write(text: str) -> None:
+        nonlocal written
+        file.write(text)
+        written += text.count("\n")  # events of the line are rows only on the screen
 
-    @property
-    def ended(self) -> bool:
-        """Whether nothing more is written."""
-        return not self._thread.is_alive()
-
-    def cancel(self) -> None:
-        """Stop, and leave no file; returns when that is done."""
-        self._cancelled.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        try:
-            with self._path.open("x", encoding="utf-8", newline="") as file:
-                self._write(file.write)
-        except (OSError, ValueError) as error:
-            why = error.strerror if isinstance(error, OSError) else error
-            self.said = f"{printable(self._path)} cannot be written ({printable(why)})"
-            if not isinstance(error, FileExistsError):
-                self._leave_nothing()
-            return
-        if self._cancelled.is_set():
-            self.said = "the export was stopped: nothing is written"
-            self._leave_nothing()
-        else:
-            self.said = f"{quantity(self._written, 'row')} written to {printable(self._path)}"
-
-    def _write(self, write: Callable[[str], object]) -> None:
-        form = self._form(self._recording.protocol, write)
-        for at in range(self._first, self._count, _TOGETHER):
-            if self._cancelled.is_set():
-                return
-            rows = self._view.rows(at, min(at + _TOGETHER, self._count))
-            text = form.text(self._recording.records(rows))
-            write(text)
-            self._written += text.count("\n")  # events of the line are rows only on the screen
-            self._done += len(rows)
-
-    def _form(self, protocol: Protocol, write: Callable[[str], object]) -> TextForm:
-        if self._path.suffix == ".jsonl":
-            return JsonText()
-        from bilprov.analyzer.output.csv_text import CsvText, usual_columns
-
-        form = CsvText(self._columns or usual_columns(protocol), self._times)
-        write(form.header)
-        return form
-
-    def _leave_nothing(self) -> None:
-        with suppress(OSError):
-            self._path.unlink()
+    try:
+        with path.open("x", encoding="utf-8", newline="") as file:
+            output = opened_output(style, recording.protocol, rows, start_wall, write)
+            written = 0
+            for at in range(first, count, _TOGETHER):
+                if not goes_on((at - first) / (count - first)):
+                    raise InterruptedError(0, "stopped")
+                numbers = view.rows(at, min(at + _TOGETHER, count))
+                output.show(Records(recording.records(numbers)))
+    except (OSError, ValueError) as error:
+        if not isinstance(error, FileExistsError):
+            with suppress(OSError):
+                path.unlink()
+        why = error.strerror if isinstance(error, OSError) else error
+        return f"{printable(path)} cannot be written ({printable(why)})"
+    return f"{quantity(written, 'row')} written to {printable(path)}"

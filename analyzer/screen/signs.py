@@ -1,62 +1,69 @@
-"""The signs that the screen is drawn with, also for terminals that have no others than ASCII."""
+"""The signs that the screen is drawn with, also for terminals that have no others than ASCII.
+
+What matters in a row is one of four looks, the same in every pane: a sign and a colour.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-
-class Signs(NamedTuple):
-    """One set of signs; `motions` has one for each Motion, in their order."""
-
-    to_device: str = "→"
-    to_host: str = "←"
-    mark: str = "◆"
-    cut: str = "…"
-    folded: str = "▸"
-    unfolded: str = "▾"
-    bar: str = "█"
-    bar_rest: str = "░"
-    track: str = "─"
-    track_middle: str = "┼"
-    knob: str = "●"
-    lit: str = "●"
-    unlit: str = "○"
-    wheel_forward: str = "▲"
-    wheel_backward: str = "▼"
-    wheel_still: str = "▪"
-    body: tuple[str, str, str] = ("┌───────┐", "│", "└───────┘")
-    scroll: str = "█"
-    motions: str = "■▲▼↻↺"
+from bilprov.analyzer.decode.records import (
+    DeviceRecord,
+    FaultRecord,
+    HostRecord,
+    Record,
+    serious_faults,
+)
+from bilprov.spec.fields import Outcome
 
 
-FINE = Signs()
-PLAIN = Signs(
-    to_device=">",
-    to_host="<",
-    mark="*",
-    cut="~",
-    folded="+",
-    unfolded="-",
-    bar="#",
-    bar_rest=".",
-    track="-",
-    track_middle="+",
-    knob="o",
-    lit="*",
-    unlit="o",
-    wheel_forward="^",
-    wheel_backward="v",
-    wheel_still=".",
-    body=("+-------+", "|", "+-------+"),
-    scroll="#",
-    motions="x^v)(",
+class Look(NamedTuple):
+    """How something that matters is shown: its sign, which tells it without colours too."""
+
+    sign: str
+    style: str
+
+
+ORDINARY = Look(" ", "")
+REFUSAL = Look("-", "yellow")
+HOST_FAULT = Look("!", "bold yellow")
+DEVICE_FAULT = Look("x", "bold red")
+LINE_FAULT = Look("~", "cyan")
+LOOKS = {
+    HOST_FAULT: "fault of the host",
+    DEVICE_FAULT: "fault of the device",
+    LINE_FAULT: "fault of the line",
+    REFUSAL: "an answer that refuses a faulty frame, as it should",
+}
+"""What the looks mean, for the help."""
+
+
+def look_of(record: Record) -> Look:
+    """The look of a row."""
+    if serious_faults(record):
+        if isinstance(record, HostRecord):
+            return HOST_FAULT
+        return DEVICE_FAULT if isinstance(record, DeviceRecord | FaultRecord) else LINE_FAULT
+    answer = record.answer if isinstance(record, DeviceRecord) else None
+    return REFUSAL if answer and answer.outcome is not Outcome.VALID else ORDINARY
+
+
+TO_DEVICE, TO_HOST, NEITHER = "→", "←", " "
+MARK, CUT, RECORDS = "◆", "…", "●"
+FOLDED, UNFOLDED = "▸ ", "▾ "
+LEVELS = " ▁▂▃▄▅▆▇█"
+
+_ASCII = dict(
+    zip(
+        "→←◆…▸▾█░┼●○▲▼▪■↻↺▁▂▃▄▅▆▇─━│┌┐└┘╭╮╰╯▐▌",
+        "><*~+-#.+*o^v.x)(..:-=+*--|++++++++[]",
+        strict=True,
+    )
 )
 
 
-def signs_for(encoding: str | None) -> Signs:
-    """The fine signs, where an encoding has them all; else the plain ones."""
-    try:
-        f"{FINE}─━".encode(encoding or "ascii")  # its representation has all of its signs
-    except (UnicodeEncodeError, LookupError):
-        return PLAIN
-    return FINE
+def plain(error: UnicodeError) -> tuple[str, int]:
+    """What is shown of text that an encoding lacks; a handler for `codecs.register_error`."""
+    assert isinstance(error, UnicodeEncodeError)
+    lacking = error.object[error.start : error.end]
+    return "".join(_ASCII.get(sign, "?") for sign in lacking), error.end

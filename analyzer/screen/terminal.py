@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import sys
 import termios
@@ -12,8 +13,11 @@ from textual.drivers.linux_driver import LinuxDriver
 
 from bilprov.analyzer.screen.browser import Browser, Told
 from bilprov.analyzer.screen.feeds import Feed, reader_first
-from bilprov.analyzer.screen.signs import signs_for
+from bilprov.analyzer.screen.signs import plain
 from bilprov.analyzer.transport.signals import Stopper
+
+_PLAIN = "plain-signs"
+codecs.register_error(_PLAIN, plain)
 
 
 class TerminalDriver(LinuxDriver):
@@ -28,14 +32,6 @@ class TerminalDriver(LinuxDriver):
         assert sys.__stdout__ is not None
         self._file: Any = _Terminal(sys.__stdout__.fileno(), sys.__stdout__.encoding)
 
-    def _get_terminal_size(self) -> tuple[int, int]:
-        """The terminal's own size; Textual believes COLUMNS and LINES, which do not change."""
-        try:
-            columns, lines = os.get_terminal_size(self._file.fileno())
-        except OSError:
-            return super()._get_terminal_size()
-        return columns, lines
-
     def stop_application_mode(self) -> None:
         """Give the terminal back as it was."""
         super().stop_application_mode()
@@ -44,7 +40,7 @@ class TerminalDriver(LinuxDriver):
 
 
 class _Terminal:
-    """Where text is drawn. What its encoding lacks is a question mark.
+    """Where text is drawn. Signs that its encoding lacks are ASCII, other text a question mark.
 
     Once the terminal is gone, nothing is drawn: the session ends in order all the same.
     """
@@ -55,7 +51,7 @@ class _Terminal:
 
     def write(self, text: str) -> None:
         """Write text at once."""
-        data = memoryview(text.encode(self._encoding, "replace"))
+        data = memoryview(text.encode(self._encoding, _PLAIN))
         with suppress(OSError):
             while data:
                 data = data[os.write(self._descriptor, data) :]
@@ -74,9 +70,9 @@ def shown(feed: Feed[Any], told: Told, stopper: Stopper) -> str | None:
     Returns the name of the file to keep the recording in, None for none. The feed has been told to
     end then.
     """
-    assert sys.__stdout__ is not None
-    signs = signs_for(sys.__stdout__.encoding)
-    browser = Browser(feed, told, signs, lambda: stopper.stopped, TerminalDriver)
+    for name in ("COLUMNS", "LINES"):  # Textual believes them, and they do not change
+        os.environ.pop(name, None)
+    browser = Browser(feed, told, lambda: stopper.stopped, TerminalDriver)
     with reader_first():
         try:
             kept = browser.run()

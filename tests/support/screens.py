@@ -20,7 +20,6 @@ from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.screen.browser import Browser, Told
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.recording import Recording
-from bilprov.analyzer.screen.signs import FINE, Signs
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 
@@ -34,7 +33,6 @@ def browser(
     batches: Sequence[Batch],
     *,
     live: bool = False,
-    signs: Signs = FINE,
     **told: Any,
 ) -> Browser:
     """The screen over a recording that is complete; `told` are fields of a Told."""
@@ -44,7 +42,7 @@ def browser(
             feed.recording.add(batch)
 
     feed = Feed(Recording(protocol), add, live=live, stays=True)
-    return Browser(feed, Told("a test", 0, 86_805, **told), signs)
+    return Browser(feed, Told("a test", 0, 86_805, **told))
 
 
 def operated(screen: Browser, steps: Steps, size: tuple[int, int] = (120, 40)) -> str | None:

@@ -15,7 +15,7 @@ from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.output.row_columns import Times
+from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.analyzer.replay.seek import opened_at
@@ -25,8 +25,7 @@ from bilprov.analyzer.screen.car import car
 from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_feed
 from bilprov.analyzer.screen.figures import figures
 from bilprov.analyzer.screen.recording import Recording, View
-from bilprov.analyzer.screen.row_export import RowExport
-from bilprov.analyzer.screen.signs import PLAIN
+from bilprov.analyzer.screen.row_export import export
 from bilprov.captures.schemas import Chunk, State
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -49,7 +48,7 @@ def conversation(protocol: Protocol, count: int) -> list[Any]:
 
 
 def status_of(feed: Feed[None]) -> str:
-    return status_line("", feed, "", "", 120).plain
+    return status_line("", feed, "", 120).plain
 
 
 def test_rows_go_that_take_too_much_memory_and_it_is_said(protocol: Protocol) -> None:
@@ -57,7 +56,7 @@ def test_rows_go_that_take_too_much_memory_and_it_is_said(protocol: Protocol) ->
     output = ScreenOutput(feed, Statistics(), most=20_000)
     for batch in conversation(protocol, 12_000):
         output.show(batch)
-    assert (feed.recording.nbytes > 20_000, status_of(feed).split()[0]) == (True, "?")
+    assert (feed.recording.nbytes > 20_000, status_of(feed).split()[0]) == (True, "/")
 
     output.tick(0)
 
@@ -132,70 +131,53 @@ def test_the_screen_has_all_of_a_capture_or_the_part_that_is_asked_for(protocol:
     assert faulty.selection(Records(first)).everything
 
 
-def exported(protocol: Protocol, path: Path) -> RowExport:
+def recorded(protocol: Protocol, count: int) -> Recording:
     recording = Recording(protocol)
-    for batch in conversation(protocol, 6000):
+    for batch in conversation(protocol, count):
         recording.add(batch)
-    return RowExport(recording, View(recording), str(path), None, Times())
+    return recording
 
 
-def test_a_file_that_appears_meanwhile_is_not_overwritten(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    path = tmp_path / "there.csv"
-    path.write_text("precious")
-    export = exported(protocol, path)
-    while not export.ended:
-        time.sleep(0.001)
-    assert "cannot be written (File exists)" in export.said
-    assert path.read_text() == "precious"
-
-
-def test_an_export_that_is_stopped_leaves_no_file(protocol: Protocol, tmp_path: Path) -> None:
-    path = tmp_path / "out.csv"
-    recording = Recording(protocol)
-    for batch in conversation(protocol, 6000):
-        recording.add(batch)
-    with recording.lock:  # so that it gets nowhere
-        export = RowExport(recording, View(recording), str(path), None, Times())
-        export._cancelled.set()
-    export.cancel()
-    assert export.said == "the export was stopped: nothing is written"
+def test_an_export_is_a_new_file_or_none(protocol: Protocol, tmp_path: Path) -> None:
+    recording, path = recorded(protocol, 6000), tmp_path / "out.csv"
+    view = View(recording)
+    stopped = export(recording, view, str(path), RowStyle(), 0, lambda share: share < 0.5)
+    assert stopped == f"{path} cannot be written (stopped)"
     assert list(tmp_path.iterdir()) == []
 
+    path.write_text("precious")
+    said = export(recording, view, str(path), RowStyle(), 0)
+    assert said == f"{path} cannot be written (File exists)"
+    assert path.read_text() == "precious"
 
-def test_a_full_disk_is_one_sentence(protocol: Protocol) -> None:
-    export = exported(protocol, Path("/proc/out.jsonl"))
-    while not export.ended:
-        time.sleep(0.001)
-    assert export.said.startswith("/proc/out.jsonl cannot be written (")
+    full = export(recording, view, "/proc/out.jsonl", RowStyle(), 0)
+    assert full.startswith("/proc/out.jsonl cannot be written (")
 
 
-def test_figures_tell_the_sides_apart(protocol: Protocol) -> None:
-    recording = Recording(protocol)
-    for batch in conversation(protocol, 1001):
-        recording.add(batch)
-    lines = [line.plain for line in figures(recording.totals, None, 86_805, PLAIN)]
-    assert lines[:5] == [
-        "frames  1,001 >",
-        "answers 1,001 <",
-        "rate    1,000 frames/s",
-        "host    2,001 B/s 17%",
-        "device  1,000 B/s 9%",
+def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> None:
+    totals = recorded(protocol, 1001).totals
+    lines = [line.plain for line in figures(totals, None, 86_805, 27)]
+    assert lines == [
+        "█▁",
+        "1,001 frames, 1,001 answers",
+        "1,000 frames/s, 17% full",
+        "latency 0.5 ms",
+        "p95 0.5, max 0.5 ms",
+        "",
+        "Speed        1,001  0.5 ms",
     ]
-    assert "0.5 ms median" in lines[5]
 
 
 def test_the_car_turns_and_lights_as_its_state_says(protocol: Protocol) -> None:
     state = State("forward", 255, 255, 0b100, moving=True)
     front, body, _, words, wheels, speed, steering, led = (
-        line.plain for line in car(protocol, state, PLAIN)
+        line.plain for line in car(protocol, state)
     )
-    left, right = front.split("+-------+")
-    assert (left.strip(), right.strip()) == ("^", ".")  # to the right: the left wheel turns
-    assert "^" in body
+    left, right = front.split("┌───────┐")
+    assert (left.strip(), right.strip()) == ("▲", "▪")  # to the right: the left wheel turns
+    assert "▲" in body
     assert words.strip() == "forward"
     assert wheels.split() == ["wheels", "+255", "+0"]
-    assert speed == f"speed {'#' * 14} 255"
-    assert steering.endswith("o +255")
-    assert led.split() == ["led", "*", "R", "o", "G", "o", "B"]
+    assert speed == f"speed {'█' * 14} 255"
+    assert steering.endswith("● +255")
+    assert led.split() == ["led", "●", "R", "○", "G", "○", "B"]

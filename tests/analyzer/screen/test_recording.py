@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from threading import Event as Flag
 from threading import RLock
 from typing import Any
 
@@ -145,12 +144,11 @@ def test_rows_that_go_while_a_filter_looks_are_none_of_its_rows(protocol: Protoc
     whole = View(recording, view.test)
     whole.catch_up()
 
-    class LettingGo(Flag):
-        def is_set(self) -> bool:
-            recording.let_go_oldest()
-            return not recording.let_go_oldest()
+    def letting_go() -> bool:
+        recording.let_go_oldest()
+        return not recording.let_go_oldest()
 
-    view.catch_up(LettingGo())
+    view.catch_up(letting_go)
     view.catch_up()
     assert view.rows(view.first, view.count) == whole.rows(whole.first, whole.count)
 
@@ -158,10 +156,8 @@ def test_rows_that_go_while_a_filter_looks_are_none_of_its_rows(protocol: Protoc
 def test_filtering_can_be_cancelled(protocol: Protocol) -> None:
     recording = recorded(protocol, conversation(protocol, 3000))
     view = View(recording, compile_filter("faulty", protocol))
-    cancelled = Flag()
-    cancelled.set()
 
-    view.catch_up(cancelled)
+    view.catch_up(lambda: True)
 
     assert view.behind == recording.rows
 

@@ -43,20 +43,18 @@ def left(tmux: Tmux, code: int = 0) -> list[str]:
 
 
 def test_a_capture_shows_what_fits_at_each_size_and_gives_the_terminal_back(tmp_path: Path) -> None:
-    titles = ["frames", "bytes", "fields", "faults", "line", "predicted"]
     with terminal(tmp_path, SIZES[0], "replay", str(SAMPLE)) as tmux:
-        tmux.wait("of 84")
+        tmux.wait("84 rows")
         tmux.press("n", "n")
-        for size, count in zip(SIZES, [2, 3, 6, 6, 6, 6], strict=True):
+        for size in SIZES:
             tmux.resize(size)
-            shown = tmux.settled(f"─{titles[count - 1]}─", "q quit")
-            assert any("unused 15" in line for line in shown)
+            shown = tmux.settled("unused 15", "q quit")
+            assert any("ff" in line and "unused 15" in line for line in shown)
             assert len(shown) == size[1]
             assert max(map(len, shown)) <= size[0]
-            there = [name for name in titles if any(f"─{name}─" in line for line in shown)]
-            assert there == titles[:count]
-            assert shown[0].startswith("bilprov examples.mcap")
-            assert shown[0].endswith("32 of 84")
+            assert any("┌──" in line for line in shown) == (size[0] >= 110)
+            assert shown[0].startswith("examples.mcap")
+            assert shown[0].endswith("84 rows")
             assert shown[-1].endswith("q quit")
         tmux.press("q", "j", "j", "Enter", "x")
         left(tmux)
@@ -109,8 +107,6 @@ def test_a_session_without_a_file_is_saved_if_asked(tmp_path: Path) -> None:
         talk(host, device, tmux, "Speed speed=80")
         tmux.press("q")
         tmux.wait("Save the capture")
-        tmux.press("y")
-        tmux.wait("Save the capture as")
         tmux.press("kept.mcap")  # in place of the name that is proposed
         tmux.wait("kept.mcap")
         tmux.press("Enter")
@@ -212,10 +208,10 @@ def test_a_full_disk_is_told_on_the_screen_which_goes_on_and_in_the_last_line(
 
 def test_space_plays_a_capture_on_the_screen_which_stays(tmp_path: Path) -> None:
     with terminal(tmp_path, (80, 24), str(SAMPLE), "--rate", "4") as tmux:
-        tmux.wait("1 of 84")
+        tmux.wait("84 rows")
         tmux.press("Space")
         tmux.wait("playing ")
-        tmux.wait("84 of 84")
+        tmux.wait(" 84 ")
         tmux.press("q")
         left(tmux)
 
@@ -245,9 +241,9 @@ def test_without_colours_and_without_utf_8_it_is_readable(tmp_path: Path) -> Non
         NO_COLOR="1",
         PYTHONIOENCODING="ascii",
     ) as tmux:
-        tmux.wait("of 84")
+        tmux.wait("84 rows")
         tmux.press("n")
-        tmux.wait("!>")
+        tmux.wait(" > 40 ")
         coloured = "\n".join(tmux.lines("-e"))
         assert coloured.isascii()
         assert "\x1b[7m" in coloured  # the chosen row
@@ -269,9 +265,9 @@ def test_a_capture_without_traffic_can_be_browsed(tmp_path: Path) -> None:
         pass
     with terminal(tmp_path, (80, 24), "replay", str(path)) as tmux:
         tmux.wait("holds no traffic")
-        tmux.press("n", "End", "Enter", "m", "'", "t", "/")
+        tmux.press("n", "End", "Enter", "m", "'", "t", "y", "r", "e", "e", ":", "5", "Enter", "/")
         tmux.wait("filter /")
         tmux.press("faulty", "Enter")
-        tmux.wait("filter: faulty")
+        tmux.wait("/ faulty  0 of 0")
         tmux.press("q")
         left(tmux)
