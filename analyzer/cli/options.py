@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from bilprov.analyzer.cli.command import flag, option
+from bilprov.analyzer.cli.command import flag, group, option
 from bilprov.analyzer.cli.settings import naming_file
 from bilprov.spec.errors import one_line
 
@@ -72,15 +72,8 @@ text_format_option = partial(
     show_default=True,
     help="For people or for programs.",
 )
-session_format_option = partial(
-    option,
-    "--format",
-    type=click.Choice(["live", "lines", "jsonl", "csv"]),
-    help="A screen (on a terminal), text lines (in a pipe), JSON lines, or CSV.",
-)
 plain_option = partial(flag, "Text lines on a terminal too: the same as --format lines.")
 filter_option = partial(option, "--filter", metavar="EXPR", help=_FILTER)
-count_option = partial(option, type=click.IntRange(1), help="End after so many frames were shown.")
 timeout_option = partial(
     option,
     metavar="MS",
@@ -189,21 +182,38 @@ class WindowOptions:
         return Window(*(None if s is None else round(s * 1e9) for s in bounds))
 
 
-def session_style(style: Format | None, plain: bool) -> Format:
-    """The format of a session, from --format and --plain.
+@dataclass(frozen=True)
+class ShownOptions:
+    """What a session shows, and in which form."""
 
-    Raises UsageError where they contradict each other, or where there is no terminal for a screen.
-    """
-    from bilprov.analyzer.output.outputs import chosen_format, has_terminal
+    expression: str | None = filter_option()
+    format: Format | None = option(
+        type=click.Choice(["live", "lines", "jsonl", "csv"]),
+        help="A screen (on a terminal), text lines (in a pipe), JSON lines, or CSV.",
+    )
+    rows: RowOptions = group(RowOptions)
+    count: int | None = option(type=click.IntRange(1), help="End after so many frames were shown.")
 
-    if plain and style not in (None, "lines"):
-        raise click.UsageError(f"--plain is --format lines: give it or --format {style}, not both")
-    if style == "live" and not has_terminal():
-        raise click.UsageError(
-            "--format live needs a terminal to show a screen on and to take keys from; for a pipe "
-            "use --format lines"
-        )
-    return "lines" if plain else chosen_format(style)
+    def style(self, plain: bool, in_lines: str = "") -> Format:
+        """The format that was chosen; `in_lines` is an option that does not go with the screen.
+
+        Raises UsageError for --plain (`plain`) or such an option with another format, or where
+        there is no terminal for a screen.
+        """
+        from bilprov.analyzer.output.outputs import has_terminal
+
+        if in_lines and self.format == "live":
+            raise click.UsageError(f"{in_lines} is shown in lines: leave out --format live")
+        if plain and self.format not in (None, "lines"):
+            raise click.UsageError(
+                f"--plain is --format lines: give it or --format {self.format}, not both"
+            )
+        if self.format == "live" and not has_terminal():
+            raise click.UsageError(
+                "--format live needs a terminal to show a screen on and to take keys from; for a "
+                "pipe use --format lines"
+            )
+        return self.format or ("lines" if plain or in_lines or not has_terminal() else "live")
 
 
 def asked_here(parameter: str) -> bool:

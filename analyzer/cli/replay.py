@@ -15,19 +15,15 @@ from bilprov.analyzer.cli.command import argument, command, flag, group, option,
 from bilprov.analyzer.cli.options import (
     Finite,
     LineOptions,
-    RowOptions,
+    ShownOptions,
     WindowOptions,
     compiled,
     confirm_motion,
-    count_option,
-    filter_option,
     judge_option,
     max_drive_option,
     note,
     note_each,
     plain_option,
-    session_format_option,
-    session_style,
     timeout_option,
 )
 from bilprov.analyzer.cli.settings import PortName
@@ -78,10 +74,7 @@ class ReplayOptions:
         help="How fast it is played: 1 as recorded, 2 twice as fast, 0 without pauses.",
     )
     span: WindowOptions = group(WindowOptions)
-    expression: str | None = filter_option()
-    style: Format | None = session_format_option()
-    rows: RowOptions = group(RowOptions)
-    count: int | None = count_option()
+    shown: ShownOptions = group(ShownOptions)
     duration: float | None = option(
         type=Finite(0, min_open=True),
         help="End after S seconds of the recording, counted from --start.",
@@ -103,12 +96,6 @@ class ReplayOptions:
     def in_lines(self) -> str:
         """The option that does not go with the screen, "" for none."""
         return "--to" if self.port is not None else "--judge" if self.judged else ""
-
-    def checked_style(self) -> Format:
-        """The format, from all options that have a say. Raises UsageError if they contradict."""
-        if self.in_lines and self.style == "live":
-            raise click.UsageError(f"{self.in_lines} is shown in lines: leave out --format live")
-        return session_style(self.style, self.plain or (self.style is None and bool(self.in_lines)))
 
 
 @command(ReplayOptions)
@@ -137,15 +124,15 @@ def replay(options: ReplayOptions) -> int:
     port, rate = options.port, options.rate
     if options.judged and port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
-    if options.count is not None and port is not None:
+    if options.shown.count is not None and port is not None:
         raise click.UsageError("--count counts the frames shown; with --to, --duration ends it")
     if options.judged:
         promise_verdict()
     window = options.span.window(options.duration)
     protocol = protocol_in_use()
-    style = options.checked_style()
-    rows = options.rows.style(protocol, style)
-    test = compiled(options.expression, protocol)
+    style = options.shown.style(options.plain, options.in_lines)
+    rows = options.shown.rows.style(protocol, style)
+    test = compiled(options.shown.expression, protocol)
     timeout = options.truncation_timeout
     timeout = None if timeout is None else round(timeout * MS)
     opened = _opened(options, protocol, timeout, window, style)
@@ -186,7 +173,7 @@ def replay(options: ReplayOptions) -> int:
             attached = capture.metadata.get("attached") != "no"
             judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
         output = opened_output(style, protocol, rows, capture.start)
-        shown = Shown(output, test, options.count, window)
+        shown = Shown(output, test, options.shown.count, window)
         pipeline = Pipeline(opened.decoder, Statistics(), shown, judge=judge)
         if target is not None:
             sent = send_again(
@@ -251,7 +238,7 @@ def _look_through(
     from bilprov.analyzer.screen.terminal import shown
 
     capture = opened.capture
-    feed = capture_feed(opened, protocol, test, options.count, window)
+    feed = capture_feed(opened, protocol, test, options.shown.count, window)
     # The screen has one line for it, so the file's name stands without its folder.
     named = replace(capture, path=Path(capture.path.name))
     sentences = (*said_about(named, protocol), opened.note)
@@ -261,7 +248,7 @@ def _look_through(
         capture.start,
         capture_line(capture, protocol).byte_time,
         rows,
-        options.expression or "",
+        options.shown.expression or "",
         test,
         options.rate,
     )

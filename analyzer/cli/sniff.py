@@ -27,17 +27,13 @@ from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.cli.options import (
     Finite,
     LineOptions,
-    RowOptions,
+    ShownOptions,
     asked_here,
     compiled,
-    count_option,
-    filter_option,
     judge_option,
     note,
     note_hindrances,
     plain_option,
-    session_format_option,
-    session_style,
     timeout_option,
 )
 from bilprov.analyzer.cli.settings import PortName
@@ -46,7 +42,6 @@ from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
 from bilprov.analyzer.output.outputs import (
-    Format,
     NoOutput,
     Shown,
     opened_output,
@@ -105,10 +100,7 @@ class SniffOptions:
     keep: int | None = option(
         metavar="N", type=click.IntRange(1), help="Keep the newest N parts of this log only."
     )
-    expression: str | None = filter_option()
-    style: Format | None = session_format_option()
-    rows: RowOptions = group(RowOptions)
-    count: int | None = count_option()
+    shown: ShownOptions = group(ShownOptions)
     duration: float | None = option(type=Finite(0, min_open=True), help="End after S seconds.")
     plain: bool = plain_option()
     wait: bool = flag("Wait for a port that is not there yet, and for one that is unplugged.")
@@ -172,12 +164,12 @@ def sniff(options: SniffOptions) -> int:
     does.
     """
     path, quiet = options.path, options.quiet
-    style = session_style(options.style, options.plain)
+    style = options.shown.style(options.plain)
     rotation = options.rotation()
     protocol = protocol_in_use()
     settings = options.line.settings(protocol)
-    test = compiled(options.expression, protocol)
-    rows = options.rows.style(protocol, style)
+    test = compiled(options.shown.expression, protocol)
+    rows = options.shown.rows.style(protocol, style)
     timeout = timeout_in_ns(protocol, options.truncation_timeout)
     preload(protocol)
     with ExitStack() as stack:
@@ -232,7 +224,7 @@ def sniff(options: SniffOptions) -> int:
 
         queue = None
         if quiet:
-            lost = listened(Shown(NoOutput(), test, options.count), PATIENCE, say)
+            lost = listened(Shown(NoOutput(), test, options.shown.count), PATIENCE, say)
         elif style == "live":
             from bilprov.analyzer.screen.browser import Told
             from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
@@ -242,7 +234,7 @@ def sniff(options: SniffOptions) -> int:
             def watched(feed: Feed[Lost]) -> Lost:
                 output = ScreenOutput(feed, statistics, recorder)
                 tell = partial(setattr, feed, "notice")
-                lost = listened(AllShown(output, test, options.count), PATIENCE, tell)
+                lost = listened(AllShown(output, test, options.shown.count), PATIENCE, tell)
                 feed.stays, feed.said = lost.unplugged, lost.sentence
                 return lost
 
@@ -253,7 +245,7 @@ def sniff(options: SniffOptions) -> int:
                 source.start_wall,
                 settings.byte_time,
                 rows,
-                options.expression or "",
+                options.shown.expression or "",
                 test,
             )
             name = shown(feed, told, stopper)
@@ -264,7 +256,7 @@ def sniff(options: SniffOptions) -> int:
         else:
             queue = stack.enter_context(TextQueue(sys.stdout))
             output = opened_output(style, protocol, rows, source.start_wall, queue.write)
-            lost = listened(Shown(output, test, options.count), 0, say)
+            lost = listened(Shown(output, test, options.shown.count), 0, say)
     waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
     failure = recorder.failure if path and recorder else ""
     if isinstance(recorder, Recorder) and not failure:

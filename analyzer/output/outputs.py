@@ -128,13 +128,6 @@ def opened_output(
     return stream_output(style, write, times.padded if rows.time else None)
 
 
-def chosen_format(asked: Format | None) -> Format:
-    """The requested format; if there is none, `live` on a terminal and `lines` in a pipe."""
-    if asked is not None:
-        return asked
-    return "live" if has_terminal() else "lines"
-
-
 def has_terminal() -> bool:
     """Whether the full screen can be shown: there is a terminal to draw on and to type at."""
     streams = (sys.stdin, sys.stdout)
