@@ -19,9 +19,9 @@ import io
 import os
 import select
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, NamedTuple, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from bilprov.analyzer.cli.failures import say
 
@@ -34,10 +34,10 @@ _VERDICTS = (0, 1, 3)  # the exit codes that say something about a device or a f
 class _Descriptor(io.FileIO):
     """The descriptor of a standard stream; drops output after the error that `broke` it."""
 
-    def __init__(self, number: int, name: str, *, needed: bool) -> None:
+    def __init__(self, number: int, name: str) -> None:
         super().__init__(number, "w", closefd=False)
-        self.called = name
-        self.needed = needed
+        self.called = f"standard {'output' if name == 'stdout' else 'error'}"
+        self.needed = name == "stdout"
         self.verdict = False
         self.broke: OSError | None = None
 
@@ -61,68 +61,44 @@ class _Descriptor(io.FileIO):
         """Whether the stream was closed from the start, or was not open for writing."""
         return self.broke is not None and self.broke.errno == errno.EBADF
 
-    @property
-    def unread(self) -> bool:
-        """Whether the stream broke because its reader closed it."""
-        return isinstance(self.broke, (BrokenPipeError, ConnectionResetError))
-
-    @property
-    def why(self) -> str:
-        """The reason why the stream broke, in words."""
-        if self.was_closed:
-            return f"{self.called} is closed"
-        return f"{self.called}: {self.broke.strerror if self.broke else ''}"
-
-
-class Streams(NamedTuple):
-    """The standard output and standard error of a running command, if they are real streams."""
-
-    streams: list[TextIO]
-    descriptors: list[_Descriptor]
-
     def settled(self, status: int) -> int:
-        """Flush the streams and return the exit code of a command that ended with `status`.
-
-        If a stream broke and that matters, one sentence on standard error says so.
-        """
-        for stream in self.streams:
-            with suppress(SystemExit):
-                stream.flush()
-        for one in self.descriptors:
-            if one.broke is None:
-                continue
-            if one.verdict:
-                say(f"{one.why}: not all could be shown, so the exit code is 2")
-                status = 2 if status in _VERDICTS else status
-            elif one.needed and one.unread:
-                status = 0 if status in _VERDICTS else status
-            elif one.needed and not one.was_closed:
-                say(one.why)
-                status = 2
-        return status
+        """The exit code of a command that ended with `status`; says what broke, if it matters."""
+        if self.broke is None:
+            return status
+        why = " is closed" if self.was_closed else f": {self.broke.strerror}"
+        if self.verdict:
+            say(f"{self.called}{why}: not all could be shown, so the exit code is 2")
+            return 2 if status in _VERDICTS else status
+        if not self.needed or self.was_closed:
+            return status
+        if isinstance(self.broke, (BrokenPipeError, ConnectionResetError)):  # its reader closed it
+            return 0 if status in _VERDICTS else status
+        say(f"{self.called}{why}")
+        return 2
 
 
 @contextmanager
-def standard_streams() -> Iterator[Streams]:
-    """Replace the process's streams by ones that handle breaking; restore them at the end."""
+def standard_streams() -> Iterator[Callable[[int], int]]:
+    """Replace the process's streams by ones that handle breaking; restore them at the end.
+
+    Gives a function that flushes them and returns the exit code of a command that ended with a
+    status. If a stream broke and that matters, one sentence on standard error says so.
+    """
     nowhere = _fill_closed_descriptors()
     own = sys.stdin, sys.stdout, sys.stderr
-    if sys.stdin is None:
-        sys.stdin = open(nowhere, closefd=False)  # noqa: SIM115
-    streams: list[TextIO] = []
-    descriptors: list[_Descriptor] = []
-    for attribute in ("stdout", "stderr"):
-        stream = getattr(sys, attribute)
-        number = nowhere if stream is None else _number(stream)
-        if number is None:
-            continue
-        name = {"stdout": "standard output", "stderr": "standard error"}[attribute]
-        descriptor = _Descriptor(number, name, needed=attribute == "stdout")
-        streams.append(_text(descriptor, stream))
-        descriptors.append(descriptor)
-        setattr(sys, attribute, streams[-1])
+    sys.stdin = sys.stdin or open(nowhere, closefd=False)  # noqa: SIM115
+    opened = [pair for name in ("stdout", "stderr") if (pair := _opened(name, nowhere))]
+
+    def settled(status: int) -> int:
+        for stream, _ in opened:
+            with suppress(SystemExit):
+                stream.flush()
+        for _, descriptor in opened:
+            status = descriptor.settled(status)
+        return status
+
     try:
-        yield Streams(streams, descriptors)
+        yield settled
     finally:
         sys.stdin, sys.stdout, sys.stderr = own
         os.close(nowhere)
@@ -146,20 +122,26 @@ def _fill_closed_descriptors() -> int:
     return number
 
 
-def _number(stream: TextIO) -> int | None:
-    """The descriptor of a stream, None if it has none, as when Python code captures the output."""
+def _opened(name: str, nowhere: int) -> tuple[TextIO, _Descriptor] | None:
+    """Put a stream that handles breaking in the place of a standard stream.
+
+    Gives it and its descriptor; None where it has none, as when Python code captures the output.
+
+    """
+    stream: TextIO | None = getattr(sys, name)
     try:
-        stream.flush()
-        return stream.fileno()
+        if stream:
+            stream.flush()
+        number = stream.fileno() if stream else nowhere
     except (OSError, ValueError):
         return None
-
-
-def _text(descriptor: _Descriptor, like: TextIO | None) -> io.TextIOWrapper:
-    return io.TextIOWrapper(
+    descriptor = _Descriptor(number, name)
+    text = io.TextIOWrapper(
         io.BufferedWriter(descriptor),
-        encoding=like.encoding if like else "utf-8",
+        encoding=stream.encoding if stream else "utf-8",
         errors="backslashreplace",  # a narrow locale is no reason to fail
-        line_buffering=bool(getattr(like, "line_buffering", True)),
-        write_through=bool(getattr(like, "write_through", False)),
+        line_buffering=bool(getattr(stream, "line_buffering", True)),
+        write_through=bool(getattr(stream, "write_through", False)),
     )
+    setattr(sys, name, text)
+    return text, descriptor

@@ -266,11 +266,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from bilprov.analyzer.cli.failures import interrupts_kept, report
     from bilprov.analyzer.cli.streams import standard_streams
 
-    with interrupts_kept(), standard_streams() as streams:
+    with interrupts_kept(), standard_streams() as settled:
         try:
-            status = streams.settled(_run(list(sys.argv[1:] if arguments is None else arguments)))
+            status = settled(_run(list(sys.argv[1:] if arguments is None else arguments)))
         except BaseException as error:
-            status = streams.settled(report(error))
+            status = settled(report(error))
     sys.exit(exit_status(status))
 
 
