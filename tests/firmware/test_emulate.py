@@ -9,7 +9,6 @@ import socket
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -22,13 +21,11 @@ from click.testing import CliRunner
 
 from bilprov import __main__ as front_door
 from bilprov.analyzer.transport.streams import parse_address
-from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.dut.boards.paced import HELD, PacedBoard
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
-from tests.support.decoding import conversation
 from tests.support.firmware import AVR, built
 from tests.support.robots import PATIENCE, Served, emulate, sentence, unwell
 from tests.vectors import FRAMES
@@ -223,18 +220,6 @@ def test_after_a_long_stop_it_catches_up_bit_by_bit(bench: Make) -> None:
 
 
 @AVR
-def test_at_rest_it_is_looked_at_seldom(bench: Make) -> None:
-    line = bench(built())
-    line.send(b"\x00")
-    line.wait(50 * MS)
-
-    due = line.device.deadline()
-
-    assert due is not None
-    assert due - line.now >= MS
-
-
-@AVR
 def test_firmware_that_reads_no_more_loses_bytes_and_holds_up_nobody(bench: Make) -> None:
     line = bench(echo("HANGS"))
     line.send(bytes(500))
@@ -327,26 +312,6 @@ def test_pyserial_gets_the_answers_of_the_document_from_its_pty(robot: Served) -
 
 
 @AVR
-def test_a_header_alone_is_answered_when_its_time_is_over(robot: Served) -> None:
-    with opened(robot.port) as port:
-        port.write(b"\x11")
-        assert port.read(1) == b"\x04"
-        port.write(b"\x11\x20")
-        assert port.read(1) == b"\x00"
-
-
-@AVR
-def test_thousands_of_frames_sent_at_once_are_all_answered_in_order(
-    robot: Served, protocol: Protocol
-) -> None:
-    data, codes = frames(protocol, 3000)
-    assert len(data) > 4096
-    with opened(robot.port) as port:
-        port.write(data)
-        assert port.read(len(codes)) == codes
-
-
-@AVR
 def test_its_probe_tells_what_the_pins_show(robot: Served) -> None:
     with opened(robot.port) as port:
         for frame in (b"\x00", b"\x11\x80", b"\x81\x05", b"\x51\xff", b"\x20"):
@@ -380,23 +345,6 @@ def test_the_suite_passes_it_over_its_pty() -> None:
 
 
 @AVR
-@pytest.mark.parametrize(("answer", "code"), [(b"\x01", 0), (b"\x00", 1)])
-def test_a_capture_is_replayed_to_its_pty(
-    robot: Served, tmp_path: Path, answer: bytes, code: int
-) -> None:
-    path = tmp_path / "drive.mcap"
-    talk = [(b"\x11\x7f", b"\0"), (b"\x20", b"\0"), (b"\x81\x05", b"\0"), (b"\x90", answer)]
-    with CaptureWriter(path, start_wall=0, metadata={}, version="0") as writer:
-        for event in conversation(talk):
-            writer.chunk(event)  # type: ignore[arg-type]
-
-    result = command("replay", str(path), "--to", robot.port, "--yes")
-
-    assert result.returncode == code, (result.stdout + result.stderr).decode()
-    assert robot.state()["moving"] is False
-
-
-@AVR
 def test_a_pty_and_tcp_are_served_together(tmp_path: Path) -> None:
     options = ("--pty", "--listen", "127.0.0.1:0")
     with emulate(echo(), *options, lines=3) as served:
@@ -407,30 +355,6 @@ def test_a_pty_and_tcp_are_served_together(tmp_path: Path) -> None:
         code, out, _ = ended(served)
 
     assert (code, out) == (0, "")
-
-
-@AVR
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("listen", [[], ["--listen", "127.0.0.1:0"]], ids=["pty", "tcp"])
-def test_it_serves_until_it_is_told_to_stop(number: signal.Signals, listen: list[str]) -> None:
-    with emulate(built(), *listen) as served:
-        assert served.port.startswith("socket://127.0.0.1:" if listen else "/dev/")
-        assert served.probe.startswith("tcp:127.0.0.1:")
-        made = None if listen else Path(served.port).stat().st_ctime_ns
-        assert ended(served, number) == (0, "", "")
-        # Another test may have got a pty of the same name by now.
-        with suppress(FileNotFoundError):
-            assert Path(served.port).stat().st_ctime_ns != made
-
-
-@AVR
-def test_an_address_that_the_network_reaches_is_warned_of() -> None:
-    with emulate(built(), "--listen", "0.0.0.0:0") as served:
-        address = served.port.removeprefix("socket://")
-        code, _, err = ended(served)
-
-    assert code == 0
-    assert err == f"{address} is open to the network: anybody there can drive the robot\n"
 
 
 @AVR

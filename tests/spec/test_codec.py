@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from bilprov.spec.codec import (
     all_data,
     bad_data,
-    bit_names,
     build,
     judge,
     nearest,
@@ -25,11 +24,9 @@ from bilprov.spec.fields import Outcome
 from bilprov.spec.grammar import FRAME
 from bilprov.spec.protocol import Protocol, load
 from tests.vectors import (
-    COLOURS,
     FRAME_COUNTS,
     FRAMES,
     HEADERS,
-    RESPONSES,
     VALID_FRAMES,
     FrameVector,
     InstructionRow,
@@ -190,19 +187,6 @@ def test_a_frame_is_described_in_words(protocol: Protocol, frame: str, text: str
     assert judge(protocol, bytes.fromhex(frame)).describe() == text
 
 
-@pytest.mark.parametrize(("value", "names"), COLOURS.items())
-def test_the_bits_of_the_led_are_red_green_and_blue(
-    protocol: Protocol, value: int, names: tuple[str, ...]
-) -> None:
-    (field,) = protocol.by_name["LED"].fields
-
-    assert bit_names(field, value) == names
-
-
-def test_bytes_are_shown_in_hex_with_spaces() -> None:
-    assert spaced(b"\x81\x05") == "81 05"
-
-
 @pytest.mark.parametrize("vector", VALID_FRAMES, ids=lambda v: v.frame.hex(" "))
 def test_what_is_built_is_what_the_document_sends(protocol: Protocol, vector: FrameVector) -> None:
     assert vector.name is not None
@@ -260,13 +244,6 @@ def test_what_cannot_be_built_is_said_in_a_sentence(
         build(protocol, name, fields)
 
     assert str(raised.value) == sentence
-
-
-def test_building_leaves_the_given_fields_alone(protocol: Protocol) -> None:
-    given = {"speed": 3}
-    build(protocol, "Speed", given)
-
-    assert given == {"speed": 3}
 
 
 def test_a_header_may_lie_about_its_data(protocol: Protocol) -> None:
@@ -327,17 +304,3 @@ def test_the_nearest_frame_is_valid_and_is_nearest_to_itself(
     assert nearest(protocol, found, following) == found
     if judge(protocol, frame).valid:
         assert found == frame
-
-
-@given(data=st.binary(min_size=1, max_size=16))
-def test_a_known_instruction_is_never_taken_for_another(protocol: Protocol, data: bytes) -> None:
-    frame = data[: 1 + (data[0] & 0b1111)]
-    judgement = judge(protocol, frame)
-
-    if judgement.instruction:
-        assert judge(protocol, nearest(protocol, frame)).instruction == judgement.instruction
-
-
-def test_every_outcome_has_a_vector(protocol: Protocol) -> None:
-    assert {judge(protocol, v.frame).outcome for v in FRAMES} == set(Outcome)
-    assert {v.code for v in FRAMES} == {row.code for row in RESPONSES}

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.framing import Framed, Framer
+from bilprov.spec.framing import Framed, Framer, Kind
 from tests.vectors import FRAMES, STREAMS, FrameVector, StreamVector
 
 # Section 2: the last four bits of the header say how many data bytes follow.
@@ -115,85 +115,63 @@ def test_a_frame_is_whole_with_its_last_announced_byte(vector: FrameVector) -> N
     assert framer.missing == 1 + announced - len(frame)
 
 
-def test_the_time_out_cuts_at_exactly_the_deadline() -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
-    assert list(framer.feed(b"\x42", 100)) == []
-    assert framer.deadline == 150
-
-    assert list(framer.advance(149)) == []
-    assert list(framer.advance(150)) == [Framed("truncated", 100, 100, 150, b"\x42")]
-    assert framer.deadline is None
-    assert framer.held == b""
-
-
-def test_the_time_out_counts_from_the_last_byte_not_from_the_first() -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
-    assert list(framer.feed(b"\x43\x01", 100)) == []
-    assert list(framer.feed(b"\x02", 149)) == []
-
-    assert framer.deadline == 199
-    assert list(framer.feed(b"\x03", 198)) == [
-        Framed("instruction", 100, 198, 198, b"\x43\x01\x02\x03")
-    ]
-
-
-def test_a_byte_just_before_the_deadline_belongs_to_the_frame() -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
-    assert list(framer.feed(b"\x41", 100)) == []
-
-    assert list(framer.feed(b"\x20", 149)) == [Framed("instruction", 100, 149, 149, b"\x41\x20")]
-
-
-def test_a_byte_at_the_deadline_is_the_next_header() -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
-    assert list(framer.feed(b"\x41", 100)) == []
-
-    assert list(framer.feed(b"\x20", 150)) == [
-        Framed("truncated", 100, 100, 150, b"\x41"),
-        Framed("instruction", 150, 150, 150, b"\x20"),
-    ]
-
-
-def test_a_frame_cut_short_is_known_at_its_deadline_however_late_one_looks() -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
-    assert list(framer.feed(b"\x41", 100)) == []
-
-    assert [record.known for record in framer.advance(10_000)] == [150]
+FOREVER = 10**18
+# What comes when (no bytes: time only passes), the time-out, and the records.
+TIMES = {
+    "cut at exactly the deadline": (
+        [(100, b"\x42"), (149, b""), (150, b"")],
+        TIMEOUT,
+        [Framed("truncated", 100, 100, 150, b"\x42")],
+    ),
+    "counted from the last byte": (
+        [(100, b"\x43\x01"), (149, b"\x02"), (198, b"\x03")],
+        TIMEOUT,
+        [Framed("instruction", 100, 198, 198, b"\x43\x01\x02\x03")],
+    ),
+    "a byte at the deadline is a header": (
+        [(100, b"\x41"), (150, b"\x20")],
+        TIMEOUT,
+        [
+            Framed("truncated", 100, 100, 150, b"\x41"),
+            Framed("instruction", 150, 150, 150, b"\x20"),
+        ],
+    ),
+    "known at the deadline however late one looks": (
+        [(100, b"\x41"), (10_000, b"")],
+        TIMEOUT,
+        [Framed("truncated", 100, 100, 150, b"\x41")],
+    ),
+    "nothing is due between frames": (
+        [(3, b"\x20"), (FOREVER, b"")],
+        TIMEOUT,
+        [Framed("instruction", 3, 3, 3, b"\x20")],
+    ),
+    "without a time-out it waits for ever": (
+        [(0, b"\x41"), (FOREVER - 1, b""), (FOREVER, b"\x07")],
+        None,
+        [Framed("instruction", 0, FOREVER, FOREVER, b"\x41\x07")],
+    ),
+}
 
 
-def test_between_frames_nothing_is_held_missing_or_due() -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
-    assert len(list(framer.feed(b"\x20\x11\xff", 3))) == 2
+@pytest.mark.parametrize("case", TIMES)
+def test_a_pause_of_the_time_out_ends_a_frame(case: str) -> None:
+    steps, timeout, records = TIMES[case]
+    framer = Framer(LENGTHS, timeout)
+    found: list[Framed] = []
+    for now, data in steps:
+        found += framer.feed(data, now) if data else framer.advance(now)
 
+    assert found == records
     assert (framer.held, framer.missing, framer.deadline) == (b"", 0, None)
-    assert list(framer.advance(10**18)) == []
 
 
-def test_without_a_time_out_a_frame_waits_for_ever() -> None:
-    framer = Framer(LENGTHS, timeout=None)
-    assert list(framer.feed(b"\x41", 0)) == []
-
-    assert framer.deadline is None
-    assert list(framer.advance(10**18)) == []
-    assert list(framer.feed(b"\x07", 10**18)) == [
-        Framed("instruction", 0, 10**18, 10**18, b"\x41\x07")
-    ]
-
-
-def test_dropping_gives_up_the_frame_begun_and_the_next_byte_is_a_header() -> None:
+@pytest.mark.parametrize("kind", ["garbage", "truncated"])
+def test_dropping_gives_up_the_frame_begun_and_the_next_byte_is_a_header(kind: Kind) -> None:
     framer = Framer(LENGTHS, TIMEOUT)
     assert list(framer.feed(b"\x43\x01", 5)) == []
+    assert framer.deadline == 5 + TIMEOUT
 
-    assert list(framer.drop(9)) == [Framed("garbage", 5, 5, 9, b"\x43\x01")]
+    assert framer.drop(9, kind) == [Framed(kind, 5, 5, 9, b"\x43\x01")]
+    assert framer.drop(9) == []
     assert [record.data for record in framer.feed(b"\x20", 9)] == [b"\x20"]
-
-
-def test_dropping_between_frames_gives_nothing() -> None:
-    assert list(Framer(LENGTHS, TIMEOUT).drop(9)) == []
-
-
-def test_the_kind_of_what_is_dropped_can_be_told() -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
-    assert list(framer.feed(b"\x43", 5)) == []
-
-    assert [record.kind for record in framer.drop(9, "truncated")] == ["truncated"]

@@ -6,21 +6,11 @@ import pytest
 from construct import StreamError, ValidationError
 
 from bilprov.spec.fields import Instruction, Ranged, Sets
-from bilprov.spec.grammar import FRAME, HEADER, INSTRUCTIONS, RESPONSE
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.grammar import FRAME, HEADER, INSTRUCTIONS
 from tests.vectors import (
     BAD_DATA_FRAMES,
-    HEADERS,
-    LINE,
-    LONGEST_FRAME,
-    RESPONSES,
-    TIMING,
-    UNUSED_IDS,
     VALID_FRAMES,
-    VERSION,
     FrameVector,
-    InstructionRow,
-    ResponseRow,
 )
 
 by_bytes = pytest.mark.parametrize("vector", VALID_FRAMES, ids=lambda v: v.frame.hex(" "))
@@ -60,39 +50,6 @@ def test_the_header_is_four_bits_of_id_and_four_of_length() -> None:
     for byte in range(256):
         parsed = HEADER.parse(bytes([byte]))
         assert (parsed.id, parsed.length) == (byte >> 4, byte & 0b1111)
-
-
-@pytest.mark.parametrize("row", RESPONSES, ids=lambda r: r.name)
-def test_a_response_parses_to_its_name_and_builds_from_it(row: ResponseRow) -> None:
-    assert RESPONSE.parse(bytes([row.code])) == row.name
-    assert RESPONSE.build(row.name) == bytes([row.code])
-
-
-@pytest.mark.parametrize("row", HEADERS, ids=lambda r: r.name)
-def test_every_instruction_is_the_documents(protocol: Protocol, row: InstructionRow) -> None:
-    spec = protocol.by_id[row.id]
-
-    assert (spec.name, spec.document, spec.length) == (row.name, row.document, row.length)
-    assert [field.name for field in spec.fields] == [row.field] * row.length
-    assert spec.prose.endswith(".")
-    assert all(field.prose for field in spec.fields)
-
-
-def test_the_instructions_and_the_unused_ids_are_all_ids(protocol: Protocol) -> None:
-    assert [s.id for s in protocol.instructions] == [row.id for row in HEADERS]
-    assert protocol.unused_ids == UNUSED_IDS
-    assert protocol.longest_frame == LONGEST_FRAME
-
-
-def test_the_responses_are_the_documents(protocol: Protocol) -> None:
-    assert [(r.code, r.name, r.document) for r in protocol.responses] == list(RESPONSES)
-    assert all(r.prose for r in protocol.responses)
-
-
-def test_what_the_document_leaves_open_is_as_we_read_it(protocol: Protocol) -> None:
-    assert {name: getattr(protocol.timing, name) for name in TIMING} == TIMING
-    assert {name: getattr(protocol.line, name) for name in LINE} == LINE
-    assert protocol.version == VERSION
 
 
 @pytest.mark.parametrize("declaration", INSTRUCTIONS.values(), ids=lambda d: d.name)

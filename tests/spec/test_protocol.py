@@ -14,7 +14,7 @@ from bilprov.spec.codec import all_data, bad_data, build, judge, nearest, raw_fr
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import GrammarError, Protocol, load
-from tests.vectors import FRAMES, HEADERS, UNUSED_IDS
+from tests.vectors import FRAMES, UNUSED_IDS
 
 
 def replaced(text: str, *pairs: tuple[str, str]) -> str:
@@ -33,29 +33,6 @@ def without_led(text: str) -> str:
 # Facts that are read out of the grammar.
 
 
-def test_a_header_byte_is_split_and_put_together_again(protocol: Protocol) -> None:
-    assert protocol.headers[0x41] == (4, 1)
-    assert protocol.header_bytes[4, 1] == 0x41
-    assert len(protocol.header_bytes) == 256
-    assert [(name, width) for name, width, _ in protocol.header_bits] == [("id", 4), ("length", 4)]
-
-
-def test_every_header_tells_how_many_data_follow(protocol: Protocol) -> None:
-    assert protocol.lengths == bytes(range(16)) * 16
-    assert protocol.ids == protocol.data_lengths == range(16)
-
-
-def test_instructions_and_responses_are_found_by_name_id_code_and_outcome(
-    protocol: Protocol,
-) -> None:
-    for row in HEADERS:
-        assert protocol.by_name[row.name] is protocol.by_id[row.id]
-    for response in protocol.responses:
-        assert protocol.codes[response.code] is response
-        assert protocol.answers[response.outcome] is response
-    assert set(protocol.answers) == set(Outcome)
-
-
 def test_a_field_tells_where_it_lies_and_what_it_allows(protocol: Protocol) -> None:
     (rgb,) = protocol.by_name["LED"].fields
 
@@ -66,17 +43,6 @@ def test_a_field_tells_where_it_lies_and_what_it_allows(protocol: Protocol) -> N
 
 def test_the_limits_of_the_state_come_from_fields_and_factors(protocol: Protocol) -> None:
     assert protocol.limits == {"speed": (0, 255), "steering": (-255, 255), "led": (0, 7)}
-
-
-def test_the_filler_is_the_header_of_stop(protocol: Protocol) -> None:
-    assert protocol.stop.name == "Stop"
-    assert protocol.pad_byte == 0x00
-
-
-def test_a_fault_does_to_the_state_what_stop_does(protocol: Protocol) -> None:
-    assert sorted(protocol.on_fault.assignments) == sorted(protocol.stop.effect.assignments)
-    assert protocol.on_fault.motion is Motion.STOPPED
-    assert protocol.power_on == State()
 
 
 # A value among values.
@@ -377,10 +343,3 @@ def test_a_grammar_that_does_not_run_is_refused_in_a_sentence(
         rf"the grammar mine\.py does not load: {sentence}; start from a copy of spec/grammar\.py",
         str(raised.value),
     )
-
-
-def test_nothing_is_no_grammar() -> None:
-    with pytest.raises(
-        GrammarError, match=r"^the grammar x cannot be used: it declares no HEADER$"
-    ):
-        load("", "x")

@@ -52,19 +52,6 @@ def test_every_header_at_every_truncation_is_judged_as_by_the_grammar(
                 assert steps[frame] == step
 
 
-@pytest.mark.slow
-def test_every_first_byte_after_every_header_is_judged_as_by_the_grammar(
-    each_protocol: Protocol,
-) -> None:
-    random, steps = Random(2), Steps(each_protocol)
-
-    for header, length in enumerate(each_protocol.lengths):
-        for first in range(256 if length else 1):
-            frame = (bytes([header, first]) + random.randbytes(length))[: 1 + length]
-            assert steps[frame].judgement == judge(each_protocol, frame)
-            assert after(steps[frame]) == judged(each_protocol, frame)
-
-
 @pytest.mark.parametrize("kind", ["no bytes", "a byte too many"])
 def test_what_is_not_one_frame_is_refused(protocol: Protocol, kind: str) -> None:
     frame = b"" if kind == "no bytes" else raw_frame(protocol, protocol.stop.id, 0) + b"\0"

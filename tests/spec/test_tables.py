@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from itertools import pairwise
 from random import Random
 
 import numpy as np
@@ -143,19 +142,6 @@ def test_every_field_of_every_frame_has_the_value_that_the_grammar_parses(
             assert values == [spec.decode(frame)[part.name] for frame in frames]
 
 
-@given(stream=st.binary(max_size=400), start=st.integers(0, 20))
-def test_frames_begin_where_the_framer_finds_them(
-    each_protocol: Protocol, stream: bytes, start: int
-) -> None:
-    tables = frame_tables(each_protocol)
-    start = min(start, len(stream))
-
-    offsets, end = found(tables, stream, start)
-
-    expected, after = framed(each_protocol, stream[start:])
-    assert (offsets, end) == ([start + place for place in expected], start + after)
-
-
 @given(stream=st.binary(max_size=300), cuts=st.lists(st.integers(0, 300), max_size=8))
 def test_a_stream_in_any_cuts_has_the_same_frames(
     each_protocol: Protocol, stream: bytes, cuts: list[int]
@@ -211,20 +197,6 @@ def test_a_frame_over_the_end_of_a_block_is_left_open_until_it_is_whole(
     for length in range(BLOCK, len(stream)):
         whole = bisect_right(starts[1:], length)
         assert found(frame_tables(protocol), stream[:length]) == (places[:whole], starts[whole])
-
-
-def test_no_bytes_hold_no_frames(each_protocol: Protocol) -> None:
-    assert found(frame_tables(each_protocol), b"") == ([], 0)
-
-
-def test_the_frames_of_blocks_follow_each_other(protocol: Protocol) -> None:
-    stream = np.frombuffer(Random(6).randbytes(3 * BLOCK), np.uint8)
-
-    blocks = list(frame_tables(protocol).blocks(stream))
-
-    assert len(blocks) == 3
-    for (_, header), (offsets, _) in pairwise(blocks):
-        assert offsets[0] == header
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,14 +25,13 @@ from bilprov.analyzer.doctor.examination import of_line
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
 from bilprov.analyzer.doctor.listening import heard
 from bilprov.analyzer.doctor.system import Subject, examined, notes, subject
-from bilprov.analyzer.transport.errors import LinkError, denied
+from bilprov.analyzer.transport.errors import NO_BRAILLE, LinkError, denied
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Held, Machine
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached
 from tests.support.commands import command
@@ -85,6 +85,55 @@ def test_what_is_no_serial_port_is_looked_at_no_further(name: str) -> None:
     assert "not a serial port" in found.sentence
 
 
+PORT = "/dev/ttyUSB0"
+
+
+@pytest.mark.parametrize(
+    ("holder", "ends"),
+    [
+        ("minicom", "kill 42"),
+        ("ModemManager", "sudo systemctl stop ModemManager.service"),  # it would be started anew
+        ("agetty", "sudo systemctl stop serial-getty@ttyUSB0.service"),
+    ],
+)
+def test_a_holder_is_named_with_the_kindest_way_to_end_it(
+    machine: FakeMachine, holder: str, ends: str
+) -> None:
+    machine.run(42, holder, machine.adapter())
+    found = findings(machine, PORT)["holder"]
+    assert (found.grade, found.command) == (Grade.BLOCKS, ends)
+    assert found.sentence.startswith(f"{PORT} is in use by another program, {holder} (pid 42);")
+
+
+SET_LATENCY = "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
+
+
+@pytest.mark.parametrize(
+    ("check", "options", "file", "text", "mends"),
+    [
+        ("lock file", {}, "/run/lock/LCK..ttyUSB0", "42", "sudo rm /run/lock/LCK..ttyUSB0"),
+        ("console", {}, "/sys/class/tty/console/active", "ttyUSB0", "sudo dmesg --console-off"),
+        ("brltty", {"usb_udev": BRAILLE}, "", "", NO_BRAILLE),
+        ("latency timer", {"latency": 16}, "", "", SET_LATENCY),
+    ],
+)
+def test_what_is_worth_a_word_is_found_alone_with_the_command_that_mends_it(
+    machine: FakeMachine, check: str, options: dict[str, Any], file: str, text: str, mends: str
+) -> None:
+    port = machine.adapter(**({"latency": 1} | options))
+    if file:
+        machine.write(file, text)
+    (found,) = [one for one in findings(machine, port).values() if one.grade is not Grade.FINE]
+    assert (found.check, found.grade, found.command) == (check, Grade.ADVICE, mends)
+
+
+def test_a_lock_file_of_a_program_that_runs_is_no_trouble(machine: FakeMachine) -> None:
+    port = machine.adapter()
+    machine.write("/run/lock/LCK..ttyUSB0", "42\n")
+    machine.run(42, "minicom")
+    assert "lock file" not in findings(machine, port)
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to another group")
 def test_who_has_joined_the_group_has_to_log_in_again(machine: FakeMachine) -> None:
     port = machine.adapter()
@@ -93,29 +142,6 @@ def test_who_has_joined_the_group_has_to_log_in_again(machine: FakeMachine) -> N
     user = pwd.getpwuid(os.geteuid()).pw_name
     machine.write("/etc/group", f"tty:x:5:{user}\ndialout:x:20:other,{user}\n")
     assert denied(port, machine).command == "newgrp dialout"
-
-
-def test_a_holder_is_named_with_the_kindest_way_to_end_it(machine: FakeMachine) -> None:
-    port = machine.adapter()
-    machine.run(42, "minicom", port)
-    found = findings(machine, port)["holder"]
-    assert found.sentence.startswith(f"{port} is in use by another program, minicom (pid 42);")
-    assert found.command == "kill 42"
-
-
-@pytest.mark.parametrize(
-    ("name", "ends"),
-    [
-        ("ModemManager", "sudo systemctl stop ModemManager.service"),
-        ("agetty", "sudo systemctl stop serial-getty@ttyUSB0.service"),
-    ],
-)
-def test_a_holder_that_would_be_started_anew_is_ended_by_its_service(
-    machine: FakeMachine, name: str, ends: str
-) -> None:
-    port = machine.adapter()
-    machine.run(42, name, port)
-    assert findings(machine, port)["holder"].command == ends
 
 
 @pytest.mark.parametrize(("count", "words"), [(1, "1 process is"), (2, "2 processes are")])
@@ -127,21 +153,6 @@ def test_processes_that_cannot_be_looked_into_are_no_verdict(
     assert found.grade is Grade.UNSEEN
     assert f"; {words} other users' and cannot be looked into" in found.sentence
     assert found.command == "sudo fuser -v /dev/ttyUSB0"
-
-
-def test_a_lock_file_is_stale_once_its_program_has_ended(machine: FakeMachine) -> None:
-    port = machine.adapter()
-    machine.write("/run/lock/LCK..ttyUSB0", "42\n")
-    assert findings(machine, port)["lock file"].command == "sudo rm /run/lock/LCK..ttyUSB0"
-    machine.run(42, "minicom")
-    assert "lock file" not in findings(machine, port)
-
-
-def test_a_console_of_the_kernel_is_told(machine: FakeMachine) -> None:
-    port = machine.adapter()
-    assert "console" not in findings(machine, port)
-    machine.write("/sys/class/tty/console/active", "tty0 ttyUSB0\n")
-    assert findings(machine, port)["console"].grade is Grade.ADVICE
 
 
 def test_modem_manager_is_told_unless_it_has_to_leave_the_adapter_alone(
@@ -160,21 +171,6 @@ def test_modem_manager_is_told_unless_it_has_to_leave_the_adapter_alone(
         machine.write("/run/udev/data/c188:0")
         machine.write(f"/run/udev/data/{file}", MM_IGNORED)
         assert findings(machine, port)["ModemManager"].grade is Grade.FINE
-
-
-def test_a_braille_display_that_is_none_is_told(machine: FakeMachine) -> None:
-    port = machine.adapter(usb_udev=BRAILLE)
-    assert findings(machine, port)["brltty"].grade is Grade.ADVICE
-
-
-@pytest.mark.parametrize(("milliseconds", "grade"), [(1, Grade.FINE), (16, Grade.ADVICE)])
-def test_a_latency_timer_is_told_where_it_matters(
-    machine: FakeMachine, milliseconds: int, grade: Grade
-) -> None:
-    port = machine.adapter(latency=milliseconds)
-    found = findings(machine, port)["latency timer"]
-    assert found.grade is grade
-    assert f"{milliseconds} ms" in found.sentence
 
 
 def test_the_command_for_a_latency_timer_writes_the_file_that_is_read(
@@ -246,37 +242,40 @@ def test_answers_that_fit_neither_way_round_are_not_laid_to_the_taps(protocol: P
     assert "either way round" in found.sentence
 
 
-def test_two_taps_on_one_wire_are_told(protocol: Protocol) -> None:
-    events = [Chunk(n, side, b"\x11\x50\x20") for n in range(3) for side in ("host", "device")]
-    (found,) = heard(protocol, NAMES, events, 2)
-    assert found.sentence.startswith("both taps hear the same bytes")
+WIRE = [(n, side, b"\x11\x50\x20") for n in range(3) for side in ("host", "device")]
+
+
+@pytest.mark.parametrize(
+    ("chunks", "grade", "sentence"),
+    [
+        ([], Grade.UNSEEN, "not a byte was heard in 2 s: a device speaks only when it is asked"),
+        (WIRE, Grade.BLOCKS, "both taps hear the same bytes: they are on one wire, or the line is"),
+        (
+            [(0, "host", b"\x00Hello from U-Boot\r\n")],
+            Grade.ADVICE,
+            "protocol: 'Hello from U-Boot'",
+        ),
+        *(
+            ([(0, "host", bytes.fromhex(frame) * 20)], Grade.FINE, "came in 2 s")
+            for frame in ("20", "41 0a", "20 30", "41 41 51 42")  # which look like text
+        ),
+    ],
+)
+def test_what_is_heard_is_told_in_a_sentence(
+    protocol: Protocol, chunks: list[tuple[int, Direction, bytes]], grade: Grade, sentence: str
+) -> None:
+    names = {side: NAMES[side] for side in NAMES if side == "host" or len(chunks) > 1}
+    (found,) = heard(protocol, names, [Chunk(*chunk) for chunk in chunks], 2)
+    assert found.grade is grade
+    assert sentence in found.sentence
 
 
 def test_framing_errors_mean_another_baud_rate(protocol: Protocol) -> None:
     events = [Chunk(0, "host", b"\xf8\x00"), Line(1, "framing", "host", "2 counted by the driver")]
-    found, _ = heard(protocol, {"host": "/dev/ttyUSB0"}, events, 2)
+    found, _ = heard(protocol, {"host": PORT}, events, 2)
     assert found.grade is Grade.BLOCKS
     assert found.sentence.startswith("the driver counted 2 framing errors in 2 bytes")
     assert found.command == "bilprov ports /dev/ttyUSB0 --ask --yes"
-
-
-def test_text_on_the_line_is_shown(protocol: Protocol) -> None:
-    events = [Chunk(0, "host", b"\x00Hello from U-Boot\r\n")]
-    (found,) = heard(protocol, {"host": "/dev/ttyUSB0"}, events, 2)
-    assert found.sentence.endswith("another protocol: 'Hello from U-Boot'")
-
-
-@pytest.mark.parametrize("frame", ["20", "41 0a", "20 30", "41 41 51 42"])
-def test_frames_that_look_like_text_are_none(protocol: Protocol, frame: str) -> None:
-    events = [Chunk(0, "host", bytes.fromhex(frame) * 20)]
-    (found,) = heard(protocol, {"host": "/dev/ttyUSB0"}, events, 2)
-    assert found.grade is Grade.FINE
-
-
-def test_silence_is_no_verdict(protocol: Protocol) -> None:
-    (found,) = heard(protocol, {"host": "/dev/ttyUSB0"}, [], 2)
-    assert found.grade is Grade.UNSEEN
-    assert "not a byte was heard in 2 s" in found.sentence
 
 
 @pytest.mark.waits
@@ -403,16 +402,12 @@ def test_a_line_that_echoes_at_one_rate_is_asked_at_no_other(protocol: Protocol)
     assert wire.tuned == 9600
 
 
-def test_a_line_without_baud_rates_is_asked_once() -> None:
-    assert rates_of("socket://127.0.0.1:5000", 115200) == (115200,)
-    assert rates_of("/dev/ttyUSB0", 31250)[0] == 31250
-
-
 @pytest.mark.parametrize("baud", [*RATES, 31250])
 def test_each_rate_is_asked_at_once_a_round(baud: int) -> None:
-    rates = rates_of("/dev/ttyUSB0", baud)
+    rates = rates_of(PORT, baud)
     assert sorted(rates) == sorted({*RATES, baud})
     assert rates[0] == baud
+    assert rates_of("socket://127.0.0.1:5000", baud) == (baud,)
 
 
 def test_a_rate_at_which_garbage_comes_is_told_once(protocol: Protocol) -> None:
@@ -532,37 +527,3 @@ def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_p
         assert "a device answers at 9600 baud, not at 115200;" in said
         assert f"bilprov conform {pty.name} --baud 9600\n" in said
         assert command("--grammar", str(grammar), *asks, "--baud", "9600").returncode == 0
-
-
-@pytest.mark.waits
-def test_two_taps_that_are_swapped_are_told_by_the_command(protocol: Protocol) -> None:
-    with (
-        open_pty() as host,
-        open_pty() as device,
-        running("ports", device.name, host.name, "--seconds", "1") as doctor,
-    ):
-        while b"opened" not in doctor.stdout.readline():
-            pass
-        for frame in (b"\x11\x50", b"\x20", b"\x41\x07", b"\x81\x09", b"\x30", b"\x90") * 2:
-            os.write(host.master, frame)
-            threading.Event().wait(0.01)
-            os.write(device.master, bytes([judge(protocol, frame).response.code]))
-            threading.Event().wait(0.01)
-        code, out, err = doctor.result()
-    assert (code, err) == (2, b"")
-    assert b"the taps are swapped" in out
-    assert f"bilprov sniff {host.name} {device.name}".encode() in out
-
-
-@pytest.mark.waits
-def test_sniff_send_and_conform_name_the_holder_of_a_port() -> None:
-    with open_pty() as pty, running("sniff", pty.name) as holder:
-        while b"open" not in holder.stdout.readline():
-            pass
-        for arguments in (["sniff"], ["send", "--yes"], ["conform", "--yes"]):
-            name, *options = arguments
-            items = ["90"] if name == "send" else []
-            result = command(name, pty.name, *items, *options)
-            assert result.returncode == 2
-            assert f"or end it: kill {holder.process.pid}".encode() in result.stderr
-        assert holder.end()[0] == 0

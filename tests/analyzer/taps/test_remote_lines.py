@@ -155,31 +155,6 @@ def test_a_board_with_a_bug_does_not_conform_behind_it(behind: Behind, tmp_path:
     assert result.returncode == 1, (result.stdout + result.stderr).decode()
 
 
-@pytest.mark.sample(0)
-@AVR
-@pytest.mark.parametrize(("bug", "codes"), [("", (0, 3)), ("-DBUG_STOP_KEEPS_PWM", (1, 3))])
-@pytest.mark.timeout(200)
-def test_over_a_bad_line_no_good_board_fails_and_no_bad_one_passes(
-    bug: str, codes: tuple[int, ...]
-) -> None:
-    faults = ["--drop", "1e-4", "--flip", "1e-5", "--delay", "5ms", "--seed", "3"]
-    with emulate(built(bug)) as served, running("lab", "line", *faults, served.port, "pty") as line:
-        path = line.stdout.readline().decode().strip()
-        probe = ["--probe", served.probe, "--yes", "--level", "smoke"]
-        result = process("conform", path, *probe, timeout=150)  # what is lost is tried again
-    assert result.returncode in codes, (result.stdout + result.stderr).decode()
-
-
-@pytest.mark.sample(1)
-@lines
-def test_a_gross_fault_is_found_behind_it(behind: Behind, tmp_path: Path) -> None:
-    faulty = simulate("--fault", "ok-to-bad-data", pty=True)
-    with faulty as served, behind(served.port, tmp_path) as url:
-        only = ["--only", "bad-data/LED/8", "--fail-fast", "--level", "smoke"]
-        result = process("conform", url, "--probe", served.probe, "--yes", *only)
-    assert result.returncode == 1, (result.stdout + result.stderr).decode()
-
-
 @lines
 def test_every_byte_passes_both_ways(behind: Behind, tmp_path: Path) -> None:
     """Between two programs of ours: one on the device's pty, one behind the line."""
