@@ -1,15 +1,8 @@
-"""Open points of the document (PICS), as data: the choices that a device can make and must keep to.
-
-Each point belongs to a reading (`spec.readings`), which says it in words and gives the verdict of
-its other choices. The suite's accepted answers, its model of the state, the experiments that find
-out a device's choices, `--allow` and the simulated devices that choose otherwise read this table.
-"""
+"""Which points are open after a frame, and which other answers to it are then legal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import cache
 from typing import NamedTuple
 
@@ -17,142 +10,10 @@ from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Effect, Moment
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS, Behaviour, OpenPoint
 
 SILENCE_READING = "R-truncated-known"
 """The reading that lets a device stop at a truncated frame without an answer."""
-
-
-class Behaviour(StrEnum):
-    """What a device does that makes a choice, other than to answer."""
-
-    SILENT = "silent"
-    KEPT = "kept"
-    RESET = "reset"
-    DISCARDED = "discarded"
-
-
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """One way to read an open point.
-
-    `word` names it in reports and profiles. `does` is the outcome that is answered, or another
-    behaviour; None where an experiment of its own tells it. `option` is the value of `--allow`
-    without which such a device fails; the grammar limits a value in capitals.
-    """
-
-    word: str
-    does: Outcome | Behaviour | None = None
-    option: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class OpenPoint:
-    """An open point: its id (a reading, or a part of one), and its choices, the default first.
-
-    A point about the state is about one `variable`, after frames of these `moments`. `skipped` is
-    the value of `--allow` with which it is not tested, "" where there is none.
-    """
-
-    id: str
-    choices: tuple[Choice, ...]
-    variable: str = ""
-    moments: tuple[Moment, ...] = ()
-    skipped: str = ""
-
-    @property
-    def reading(self) -> str:
-        """The reading that the point belongs to."""
-        return self.id.partition(" ")[0]
-
-    @property
-    def default(self) -> str:
-        """The word of the kit's own choice."""
-        return self.choices[0].word
-
-    def choice(self, word: str) -> Choice | None:
-        """The choice of that word, None if the point has no such choice."""
-        return next((choice for choice in self.choices if choice.word == word), None)
-
-    def word_of(self, seen: str) -> str:
-        """The word of the choice with this behaviour; what was seen itself, if there is none."""
-        return next((choice.word for choice in self.choices if choice.does == seen), seen)
-
-
-def _point(
-    ident: str, default: Choice | str, *others: Choice, on: tuple[str, *tuple[Moment, ...]] = ("",)
-) -> OpenPoint:
-    first = default if isinstance(default, Choice) else Choice(default)
-    variable, *moments = on
-    return OpenPoint(ident, (first, *others), variable, tuple(moments))
-
-
-_TOO_MANY, _TOO_FEW = Choice("too-many", Outcome.TOO_MANY), Choice("too-few", Outcome.TOO_FEW)
-_SILENT = Choice("silent", Behaviour.SILENT)
-_FLUSHED = Choice("flushed", Behaviour.DISCARDED)
-_LOST = Choice("lost-after-fault", Behaviour.DISCARDED)
-_KEPT, _UNCHANGED = (Choice(word, Behaviour.KEPT) for word in ("kept", "unchanged"))
-_RESET, _ZEROED, _STRAIGHT, _OFF = (
-    Choice(word, Behaviour.RESET) for word in ("reset", "zeroed", "straight", "off")
-)
-
-POINTS: dict[str, OpenPoint] = {
-    point.id: point
-    for point in (
-        _point("R-unused-length", "header", _TOO_MANY, _TOO_FEW),
-        _point("R-competing-errors", "length", Choice("data", Outcome.BAD_DATA)),
-        _point(
-            "R-led-upper-bits",
-            Choice("refused", Outcome.BAD_DATA),
-            Choice("ignored", Outcome.VALID, "led-upper=ignore"),
-        ),
-        _point("R-led-id", "table", Choice("example", option="led-id=ID")),
-        _point("R-truncated-known", "answered", _SILENT),
-        _point("R-truncated-unused", "header", _TOO_FEW, _TOO_MANY, _SILENT),
-        _point("R-truncated-long", "too-few", _TOO_MANY, _SILENT),
-        _point("R-truncation-timeout", "between-bytes", Choice("whole-frame")),
-        _point("R-answer-point", "after-data", Choice("at-header")),
-        _point("R-drain-known", "consumed", _FLUSHED),
-        _point(
-            "R-drain-unused",
-            "consumed",
-            _FLUSHED,
-            Choice("run", option="unused-length=header-only"),
-        ),
-        *(
-            replace(_point(f"R-pipelining {kind}", "in-order", _LOST), skipped="pipelining=no")
-            for kind in ("unused-id", "too-few", "bad-data")
-        ),
-        _point("R-fault-state speed", _KEPT, _ZEROED, on=("speed", Moment.FAULT)),
-        _point("R-fault-state steering", _RESET, _KEPT, on=("steering", Moment.FAULT)),
-        _point("R-stop-steering", _RESET, _KEPT, on=("steering", Moment.STOP)),
-        _point("R-stop-speed", _KEPT, _ZEROED, on=("speed", Moment.STOP)),
-        _point("R-drive-steering", _KEPT, _STRAIGHT, on=("steering", Moment.DRIVE)),
-        _point("R-rotate-steering", _KEPT, _RESET, on=("steering", Moment.ROTATION)),
-        _point("R-steer-rotating", "remembered", Choice("curve"), on=("steering", Moment.SETTING)),
-        _point("R-speed-moving", "at-once", Choice("next-motion"), on=("speed", Moment.SETTING)),
-        _point("R-led-state stop", _UNCHANGED, _OFF, on=("led", Moment.STOP)),
-        _point("R-led-state fault", _UNCHANGED, _OFF, on=("led", Moment.FAULT)),
-        _point("R-watchdog", "drives-on", Choice("stops")),
-        _point(
-            "R-version",
-            Choice("current", Outcome.VALID),
-            Choice("older", Outcome.UNKNOWN_ID, "version=VERSION"),
-        ),
-    )
-}
-
-SPLIT = {("R-drive-steering", "straight"): ("R-rotate-steering", "reset")}
-"""Choices that meant another one too, before their point was split: older profiles hold them."""
-
-STATE_POINTS = tuple(ident for ident, point in POINTS.items() if point.variable)
-"""The open points about the robot's state after a frame."""
-
-FLUSH_POINTS = tuple(
-    ident
-    for ident, point in POINTS.items()
-    if any(choice.does is Behaviour.DISCARDED for choice in point.choices)
-)
-"""The open points at which a device may discard what follows a fault."""
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Errata and readings of the source document, as data; verdicts refer to them by id.
+"""Errata, readings and open points of the source document, as data; verdicts name their ids.
 
 Quotations are the document's own Swedish words. Only the errata check (`bilprov.spec.errata`)
 computes from these texts: it judges the document's examples by the grammar.
@@ -6,7 +6,11 @@ computes from these texts: it judges the document's examples by the grammar.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Moment
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +31,71 @@ class Erratum:
     meant: str = ""
 
 
+class Behaviour(StrEnum):
+    """What a device does that makes a choice, other than to answer."""
+
+    SILENT = "silent"
+    KEPT = "kept"
+    RESET = "reset"
+    DISCARDED = "discarded"
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One way to read an open point.
+
+    `word` names it in reports and profiles. `does` is the outcome that is answered, or another
+    behaviour; None where an experiment of its own tells it. `option` is the value of `--allow`
+    without which such a device fails; the grammar limits a value in capitals.
+    """
+
+    word: str
+    does: Outcome | Behaviour | None = None
+    option: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenPoint:
+    """An open point: its id (a reading, or a part of one), and its choices, the default first.
+
+    The suite's accepted answers, its model of the state, the experiments that find out a device's
+    choices, `--allow` and the simulated devices that choose otherwise read it.
+
+    A point about the state is about one `variable`, after frames of these `moments`. `skipped` is
+    the value of `--allow` with which it is not tested, "" where there is none.
+    """
+
+    id: str
+    choices: tuple[Choice, ...]
+    variable: str = ""
+    moments: tuple[Moment, ...] = ()
+    skipped: str = ""
+
+    @property
+    def reading(self) -> str:
+        """The reading that the point belongs to."""
+        return self.id.partition(" ")[0]
+
+    @property
+    def default(self) -> str:
+        """The word of the kit's own choice."""
+        return self.choices[0].word
+
+    def choice(self, word: str) -> Choice | None:
+        """The choice of that word, None if the point has no such choice."""
+        return next((choice for choice in self.choices if choice.word == word), None)
+
+    def word_of(self, seen: str) -> str:
+        """The word of the choice with this behaviour; what was seen itself, if there is none."""
+        return next((choice.word for choice in self.choices if choice.does == seen), seen)
+
+
 @dataclass(frozen=True, slots=True)
 class Reading:
     """A point on which the document is silent: our default, and the verdicts of other choices.
 
-    `others` are pairs of (choice, verdict), the best verdict first.
+    `others` are pairs of (choice, verdict), the best verdict first. `points` are what a device can
+    choose there and must keep to (PICS), where that can be found out.
     """
 
     id: str
@@ -40,6 +104,7 @@ class Reading:
     quote: str
     default: str
     others: tuple[tuple[str, str], ...] = ()
+    points: tuple[OpenPoint, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -134,6 +199,30 @@ _ANSWER = "Styrelektroniken svarar med en byte"
 _LED = "De sista tre bitarna i databyten styr färgerna i ordningen RGB."
 _STEER = "Förflyttar roboten åt höger i tidigare satt hastighet och riktning."
 
+
+def _points(
+    default: Choice | str,
+    *others: Choice,
+    parts: tuple[str, ...] = ("",),
+    on: tuple[str, *tuple[Moment, ...]] = ("",),
+    skipped: str = "",
+) -> tuple[OpenPoint, ...]:
+    """The open points of the parts of a reading; the reading puts its own id before each."""
+    first = default if isinstance(default, Choice) else Choice(default)
+    variable, *moments = on
+    choices = (first, *others)
+    return tuple(OpenPoint(part, choices, variable, tuple(moments), skipped) for part in parts)
+
+
+_TOO_MANY, _TOO_FEW = Choice("too-many", Outcome.TOO_MANY), Choice("too-few", Outcome.TOO_FEW)
+_SILENT = Choice("silent", Behaviour.SILENT)
+_FLUSHED = Choice("flushed", Behaviour.DISCARDED)
+_LOST = Choice("lost-after-fault", Behaviour.DISCARDED)
+_KEPT, _UNCHANGED = (Choice(word, Behaviour.KEPT) for word in ("kept", "unchanged"))
+_RESET, _ZEROED, _STRAIGHT, _OFF = (
+    Choice(word, Behaviour.RESET) for word in ("reset", "zeroed", "straight", "off")
+)
+
 READINGS = (
     Reading(
         "R-unused-length",
@@ -142,6 +231,7 @@ READINGS = (
         _UNUSED,
         "BAD_HEADER, whatever follows, and stop",
         (("too many or too few, and stop", "non-strict"), ("no stop", "fail")),
+        points=_points("header", _TOO_MANY, _TOO_FEW),
     ),
     Reading(
         "R-known-length",
@@ -158,6 +248,7 @@ READINGS = (
         f"{_MANY} / Felaktig data mottagen",
         "the length is judged first: too many",
         (("bad data", "non-strict"),),
+        points=_points("length", Choice("data", Outcome.BAD_DATA)),
     ),
     Reading(
         "R-led-upper-bits",
@@ -169,6 +260,10 @@ READINGS = (
             ("ignored: OK, the low bits shown, no stop", "fail; non-strict if allowed"),
             ("OK with stop, BAD_DATA without stop, or only some bits checked", "fail"),
         ),
+        points=_points(
+            Choice("refused", Outcome.BAD_DATA),
+            Choice("ignored", Outcome.VALID, "led-upper=ignore"),
+        ),
     ),
     Reading(
         "R-led-id",
@@ -177,6 +272,7 @@ READINGS = (
         "10010001 00000010 Sätt RGB-dioden till grönt.",
         "the ID of table 1",
         (("the example's ID instead", "fail; non-strict if allowed"), ("both", "fail")),
+        points=_points("table", Choice("example", option="led-id=ID")),
     ),
     Reading(
         "R-example-right",
@@ -196,6 +292,7 @@ READINGS = (
             ("stop without an answer", "non-strict"),
             ("never times out and keeps driving", "fail"),
         ),
+        points=_points("answered", _SILENT),
     ),
     Reading(
         "R-truncated-unused",
@@ -204,6 +301,7 @@ READINGS = (
         _UNUSED,
         "after a time-out BAD_HEADER and stop",
         (("too few", "non-strict"),),
+        points=_points("header", _TOO_FEW, _TOO_MANY, _SILENT),
     ),
     Reading(
         "R-truncated-long",
@@ -212,6 +310,7 @@ READINGS = (
         f"{_MANY} / {_FEW}",
         "too few",
         (("too many", "non-strict"),),
+        points=_points("too-few", _TOO_MANY, _SILENT),
     ),
     Reading(
         "R-truncation-timeout",
@@ -220,6 +319,7 @@ READINGS = (
         "hur många efterföljande byte med data som följer efter",
         "not stated; the simulator takes the grammar's time-out between bytes; measured",
         (("outside the grammar's limits, or counted over the whole frame", "non-strict"),),
+        points=_points("between-bytes", Choice("whole-frame")),
     ),
     Reading(
         "R-answer-deadline",
@@ -258,6 +358,7 @@ READINGS = (
             ("at the header, the data then taken silently, one answer", "non-strict"),
             ("at the header of a frame that may still be valid", "fail"),
         ),
+        points=_points("after-data", Choice("at-header")),
     ),
     Reading(
         "R-drain-known",
@@ -266,6 +367,7 @@ READINGS = (
         "hur många efterföljande byte med data som följer efter",
         "consumed",
         (("flushed until idle", "non-strict"), ("run as instructions", "fail")),
+        points=_points("consumed", _FLUSHED),
     ),
     Reading(
         "R-drain-unused",
@@ -274,6 +376,7 @@ READINGS = (
         "hur många efterföljande byte med data som följer efter",
         "consumed",
         (("flushed", "non-strict"), ("run as instructions", "fail; non-strict if allowed")),
+        points=_points("consumed", _FLUSHED, Choice("run", option="unused-length=header-only")),
     ),
     Reading(
         "R-pipelining",
@@ -282,6 +385,9 @@ READINGS = (
         _ANSWER,
         "run in order, one answer each",
         (("lost after a fault", "non-strict"), ("reordered or merged", "fail")),
+        points=_points(
+            "in-order", _LOST, parts=("unused-id", "too-few", "bad-data"), skipped="pipelining=no"
+        ),
     ),
     Reading(
         "R-fault-state",
@@ -293,6 +399,8 @@ READINGS = (
             ("speed zeroed, or steering kept", "informational"),
             ("moving again before a motion instruction", "fail"),
         ),
+        points=_points(_KEPT, _ZEROED, parts=("speed",), on=("speed", Moment.FAULT))
+        + _points(_RESET, _KEPT, parts=("steering",), on=("steering", Moment.FAULT)),
     ),
     Reading(
         "R-stop-steering",
@@ -301,6 +409,7 @@ READINGS = (
         _STOP,
         "direction and steering",
         (("direction only", "non-strict"),),
+        points=_points(_RESET, _KEPT, on=("steering", Moment.STOP)),
     ),
     Reading(
         "R-stop-speed",
@@ -309,6 +418,7 @@ READINGS = (
         _STOP,
         "kept (example 5.3 rests on it)",
         (("zeroed", "non-strict"),),
+        points=_points(_KEPT, _ZEROED, on=("speed", Moment.STOP)),
     ),
     Reading(
         "R-drive-steering",
@@ -317,6 +427,7 @@ READINGS = (
         "Sätter färdriktning framåt",
         "kept",
         (("straight", "informational"),),
+        points=_points(_KEPT, _STRAIGHT, on=("steering", Moment.DRIVE)),
     ),
     Reading(
         "R-rotate-steering",
@@ -325,6 +436,7 @@ READINGS = (
         "Stannar roboten och roterar",
         "kept",
         (("reset, as by Stop", "informational"),),
+        points=_points(_KEPT, _RESET, on=("steering", Moment.ROTATION)),
     ),
     Reading(
         "R-resolution",
@@ -353,6 +465,7 @@ READINGS = (
         _STEER,
         "remembered, goes on rotating",
         (("becomes a curve", "informational"), ("stops", "fail")),
+        points=_points("remembered", Choice("curve"), on=("steering", Moment.SETTING)),
     ),
     Reading(
         "R-speed-moving",
@@ -361,6 +474,7 @@ READINGS = (
         "Används i samband med de övriga instruktionerna.",
         "takes effect at once (example 5.1 rests on it)",
         (("only at the next motion instruction", "non-strict"),),
+        points=_points("at-once", Choice("next-motion"), on=("speed", Moment.SETTING)),
     ),
     Reading(
         "R-speed-zero",
@@ -376,6 +490,8 @@ READINGS = (
         _SAFETY,
         "unchanged",
         (("off", "informational"),),
+        points=_points(_UNCHANGED, _OFF, parts=("stop",), on=("led", Moment.STOP))
+        + _points(_UNCHANGED, _OFF, parts=("fault",), on=("led", Moment.FAULT)),
     ),
     Reading(
         "R-power-on",
@@ -400,6 +516,7 @@ READINGS = (
         "",
         "keeps driving",
         (("stops by itself", "informational"), ("resumes by itself", "fail")),
+        points=_points("drives-on", Choice("stops")),
     ),
     Reading(
         "R-version",
@@ -408,6 +525,9 @@ READINGS = (
         "Ny instruktion för LED-styrning",
         "v1.1",
         (("its ID is unused, as in v1.0", "fail; non-strict if allowed"),),
+        points=_points(
+            Choice("current", Outcome.VALID), Choice("older", Outcome.UNKNOWN_ID, "version=VERSION")
+        ),
     ),
     Reading(
         "R-line",
@@ -418,3 +538,24 @@ READINGS = (
         (("XON/XOFF or a cooked terminal: XON is the header of Speed", "fail"),),
     ),
 )
+
+POINTS = {
+    ident: replace(point, id=ident)
+    for reading in READINGS
+    for point in reading.points
+    for ident in [f"{reading.id} {point.id}".strip()]
+}
+"""The open points by id."""
+
+SPLIT = {("R-drive-steering", "straight"): ("R-rotate-steering", "reset")}
+"""Choices that meant another one too, before their point was split: older profiles hold them."""
+
+STATE_POINTS = tuple(ident for ident, point in POINTS.items() if point.variable)
+"""The open points about the robot's state after a frame."""
+
+FLUSH_POINTS = tuple(
+    ident
+    for ident, point in POINTS.items()
+    if any(choice.does is Behaviour.DISCARDED for choice in point.choices)
+)
+"""The open points at which a device may discard what follows a fault."""

@@ -44,8 +44,8 @@ from bilprov.conformance.report.junit import as_junit
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.summary import show, show_compared
 from bilprov.spec.errors import LONGEST_SENTENCE, UserError, one_line
-from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS
 from tests.support.grammars import PIECES, PLACES, VALUE, loaded_or_said, use, with_texts
 from tests.support.surfaces import BROKEN, HOSTILE, NUL, seen
 

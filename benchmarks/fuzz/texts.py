@@ -39,7 +39,7 @@ from bilprov.captures.schemas import Chunk
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.spec import explain as explaining
 from bilprov.spec.codec import judge
-from bilprov.spec.open_points import POINTS
+from bilprov.spec.readings import POINTS
 
 _WALL = 1_790_000_000_000_000_000  # ns since 1970
 _EXPLAINED = 24  # bytes: what comes after them takes as long again, and shows nothing new

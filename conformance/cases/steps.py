@@ -16,8 +16,9 @@ from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
 from bilprov.conformance.oracle.verdicts import Accepted
 from bilprov.spec.codec import all_data, bad_data, build, raw_frame
 from bilprov.spec.fields import Outcome
-from bilprov.spec.open_points import POINTS, other_answers
+from bilprov.spec.open_points import other_answers
 from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.readings import POINTS
 
 
 class FrameClass(StrEnum):

@@ -19,7 +19,8 @@ from bilprov.conformance.mutation.faults.vocabulary import (
 )
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import MOTIONS, Moment, Motion, moment_of, rotates
-from bilprov.spec.open_points import POINTS, Behaviour, OpenPoint, open_point, points_after
+from bilprov.spec.open_points import open_point, points_after
+from bilprov.spec.readings import POINTS, Behaviour, OpenPoint
 
 # Says whether a device takes the other choice now, from the device and the ID of the frame.
 Chooses = Callable[[MutatedDevice, int], bool]

@@ -27,8 +27,8 @@ from bilprov.conformance.mutation.faults.vocabulary import (
 from bilprov.conformance.mutation.variant_behaviour import Chooses, always, only
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
-from bilprov.spec.open_points import POINTS, Behaviour
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS, Behaviour
 
 FAMILY = "variant"
 Make = Callable[[Chooses], Fault]

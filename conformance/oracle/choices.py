@@ -10,9 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 from bilprov.conformance.oracle.verdicts import LABELS, Verdict
-from bilprov.spec.open_points import POINTS, SPLIT
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.readings import READINGS
+from bilprov.spec.readings import POINTS, READINGS, SPLIT
 
 _VERDICTS = {reading.id: LABELS.get(reading.verdict, Verdict.FAIL) for reading in READINGS}
 

@@ -13,8 +13,8 @@ from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words, look_words, state_words
 from bilprov.spec.motion import WHEELS, State
-from bilprov.spec.open_points import POINTS, STATE_POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS, STATE_POINTS
 
 
 def judge_answers(

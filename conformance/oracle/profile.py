@@ -17,8 +17,8 @@ from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.wheel_curve import WheelCurve
 from bilprov.spec.motion import Motion
-from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS
 
 _TIMES = {
     "truncation_timeout_ms": "truncation_timeout",

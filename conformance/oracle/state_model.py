@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.spec.motion import MOTIONS, Effect, Moment, Motion, State, moment_of, rotates
-from bilprov.spec.open_points import Behaviour, OpenPoint, open_after
+from bilprov.spec.open_points import open_after
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import Behaviour, OpenPoint
 
 VARIABLES = ("speed", "steering", "led")
 

@@ -10,8 +10,8 @@ from bilprov.conformance.cases.levels import COMPLETE
 from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, sequences, silence, suite
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.spec.open_points import STATE_POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import STATE_POINTS
 
 
 def proven(

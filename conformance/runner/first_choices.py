@@ -20,7 +20,8 @@ from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import movers, moving_to
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Effect, State, moment_of
-from bilprov.spec.open_points import Behaviour, open_after
+from bilprov.spec.open_points import open_after
+from bilprov.spec.readings import Behaviour
 
 _CASE = "the first frames after power-on"
 

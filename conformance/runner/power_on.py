@@ -28,7 +28,7 @@ from bilprov.conformance.runner.homing import pad
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.codec import spaced
 from bilprov.spec.motion import State
-from bilprov.spec.open_points import FLUSH_POINTS
+from bilprov.spec.readings import FLUSH_POINTS
 
 _STOPPED = "stopped"
 _CALIBRATION = 20

@@ -28,8 +28,8 @@ from bilprov.conformance.runner.tally import Tally
 from bilprov.conformance.runner.time_limit import TimeLimit
 from bilprov.conformance.runner.waiting import CoarseLine, Waiting
 from bilprov.spec.codec import spaced
-from bilprov.spec.open_points import FLUSH_POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import FLUSH_POINTS
 
 
 @dataclass(frozen=True, slots=True)

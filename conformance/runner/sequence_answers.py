@@ -14,7 +14,7 @@ from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Trial
-from bilprov.spec.open_points import FLUSH_POINTS, POINTS
+from bilprov.spec.readings import FLUSH_POINTS, POINTS
 
 Early = list[tuple[int, tuple[tuple[int, int], ...]]]
 """For each pause inside a burst: how many of its bytes had been sent, and the answers in it."""

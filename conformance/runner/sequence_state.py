@@ -11,7 +11,7 @@ from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words, state_words
 from bilprov.conformance.runner.sequence_answers import Mismatch, unasked
 from bilprov.conformance.runner.trial import Trial
-from bilprov.spec.open_points import POINTS
+from bilprov.spec.readings import POINTS
 
 _IDLE_MS = 4 * MS  # between two looks while the line is idle
 

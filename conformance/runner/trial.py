@@ -14,7 +14,7 @@ from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.waiting import GaveUp
-from bilprov.spec.open_points import POINTS
+from bilprov.spec.readings import POINTS
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
-from bilprov.spec.open_points import FLUSH_POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import FLUSH_POINTS
 
 _PAUSE = 4 * MS  # the longest inside a frame
 _NEVER = 5  # answers missing in succession, until `patience` becomes as short as `usual`

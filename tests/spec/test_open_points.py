@@ -7,8 +7,9 @@ from collections import Counter
 import pytest
 
 from bilprov.spec.codec import judge
-from bilprov.spec.open_points import POINTS, other_choices
+from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS
 from tests.support.commands import command
 from tests.vectors import READING_IDS
 

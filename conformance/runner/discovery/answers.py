@@ -24,8 +24,8 @@ from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import setting
 from bilprov.spec.codec import bad_data
 from bilprov.spec.fields import Outcome
-from bilprov.spec.open_points import POINTS, Behaviour
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS, Behaviour
 
 
 def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:

@@ -23,8 +23,8 @@ from bilprov.conformance.runner.noise import case_bytes, is_no_chance
 from bilprov.conformance.runner.power_on import first_frames_lost
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.fields import Outcome
-from bilprov.spec.open_points import FLUSH_POINTS, POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import FLUSH_POINTS, POINTS
 
 READING = "reading/"
 """What the id of an experiment's case begins with."""

@@ -17,8 +17,9 @@ from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.slow_preambles import set_up_slowly
 from bilprov.spec.by_effect import fitted, movers, setting
 from bilprov.spec.motion import Effect, Moment, State, moment_of
-from bilprov.spec.open_points import POINTS, Behaviour, OpenPoint, open_after
+from bilprov.spec.open_points import open_after
 from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.readings import POINTS, Behaviour, OpenPoint
 
 _LOOK = 50 * MS  # between two looks while the line is silent
 _AGAIN = 500 * MS  # how long a robot that stopped by itself is observed

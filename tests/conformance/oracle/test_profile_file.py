@@ -8,8 +8,8 @@ import pytest
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.oracle.profile import profile_from, profile_text
-from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS
 
 LED_ID = {"led-id": "9"}
 MEASURED: dict[str, Any] = {

@@ -17,9 +17,8 @@ from bilprov.conformance.oracle.state_model import (
     Model,
 )
 from bilprov.spec.motion import Motion, State
-from bilprov.spec.open_points import POINTS, STATE_POINTS
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.readings import READINGS
+from bilprov.spec.readings import POINTS, READINGS, STATE_POINTS
 from tests.vectors import SEQUENCES, RobotState, Sequence
 
 DRIVING = State(Motion.FORWARD, speed=200, steering=40, led=5)

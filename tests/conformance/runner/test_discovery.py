@@ -27,8 +27,8 @@ from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig
-from bilprov.spec.open_points import POINTS
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS
 from tests.support.robots import ALL_SEEING, MS, CountingLink, run_over
 from tests.vectors import READING_IDS
 
