@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from bilprov.spec.codec import Judgement, judge
 from bilprov.spec.motion import Effect
@@ -51,20 +52,7 @@ class Steps(dict[bytes, Step]):
         known = self._faulty.get(key)
         if known is None:
             known = self._faulty[key] = self._step(judge(self._protocol, frame))
-        was = known.judgement
-        same = Judgement(
-            frame,
-            was.id,
-            was.length,
-            was.instruction,
-            was.fields,
-            was.outcome,
-            was.response,
-            was.reason,
-            was.clause,
-            was.reading,
-        )
-        return Step(same, known.motion, known.speed, known.steering, known.led)
+        return replace(known, judgement=replace(known.judgement, frame=frame))
 
     def _step(self, judgement: Judgement) -> Step:
         effect = self._protocol.on_fault

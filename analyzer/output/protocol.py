@@ -154,8 +154,10 @@ def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[Renderabl
 
 def readings_json(readings: Sequence[Reading]) -> list[dict[str, Any]]:
     """The readings as JSON objects; `others` are pairs of choice and verdict."""
+    keys = ("id", "clause", "point", "quote", "default")
     return [
-        {**asdict(r), "others": [{"choice": c, "verdict": v} for c, v in r.others]}
+        {key: getattr(r, key) for key in keys}
+        | {"others": [{"choice": c, "verdict": v} for c, v in r.others]}
         for r in readings
     ]
 
