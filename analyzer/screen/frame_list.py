@@ -205,7 +205,8 @@ class FrameList(ScrollView, can_focus=True):
 
     def _chosen(self, line: Text, width: int) -> Text:
         """The chosen row, without colours, which would be a patchwork on its ground."""
-        chosen = Text(line.plain, self.get_component_rich_style("chosen"))
+        chosen = Text(line.plain)
+        chosen.stylize(self.get_component_rich_style("chosen"))
         at = _FRONT
         for column, room in self._widths(width):
             for byte in self.lit if column.name == BYTES.name else ():

@@ -155,6 +155,9 @@ def test_each_row_has_the_sign_and_the_colour_of_whose_fault_it_is(protocol: Pro
         for row in rows:
             first = "".join(str(span.style) for span in row.spans if not span.start)
             assert first == styles.get(row.plain[0], "")
+        await pilot.press("j")
+        grounds = [next(iter(screen.frames.render_line(y))).style for y in (1, 2, 3)]
+        assert [bool(style and style.bgcolor) for style in grounds] == [False, True, False]
 
     operated(screen, steps)
 
