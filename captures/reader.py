@@ -18,7 +18,13 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import Volume, kept_parts, merged, start_of, stated_start, volumes_of
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, Recorded
-from bilprov.captures.storage.records import JSON_ERRORS, MAGIC, AttachmentRecord, Damaged
+from bilprov.captures.storage.records import (
+    FOOTER,
+    JSON_ERRORS,
+    MAGIC,
+    AttachmentRecord,
+    Damaged,
+)
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import since, stated_number
 
@@ -334,6 +340,34 @@ def open_capture(path: str | Path) -> Capture:
     contents = _surveyed(path)
     _check_topics(path, contents)
     return _capture_of(path, contents, (Volume(path, contents),))
+
+
+def appended(capture: Capture) -> Capture | None:
+    """What a writer has added to an unfinished capture of one file, as a capture of its own.
+
+    None where no complete record was added. Raises CaptureError if the file cannot be read.
+    """
+    from bilprov.captures.storage.recovery import Lost, RecordFile
+
+    volume = capture.volumes[0]
+    start = end = volume.contents.regions[-1][1]
+    finished = False
+    try:
+        with volume.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            source = RecordFile(file, size)
+            for found in source.walk(start, size):
+                if isinstance(found, Lost):
+                    break
+                end, finished = found.end, found.opcode == FOOTER
+    except OSError as error:
+        raise _unreadable(volume.path, error) from error
+    if end == start:
+        return None
+    # Its messages are counted on from those before, which a capture by itself would miss.
+    contents = with_changes(volume.contents, size=size, regions=((start, end),), counted=False)
+    volumes = (volume._replace(contents=contents),)
+    return with_changes(capture, contents=contents, volumes=volumes, unfinished=not finished)
 
 
 def open_indexed(path: str | Path) -> Capture | None:

@@ -242,7 +242,7 @@ def _look_through(
     # The screen has one line for it, so the file's name stands without its folder.
     named = replace(capture, path=Path(capture.path.name))
     sentences = (*said_about(named, protocol), opened.note)
-    feed.notice = "; ".join(filter(None, sentences))
+    feed.notice = "" if feed.live else "; ".join(filter(None, sentences))
     told = Told(
         capture.path.name,
         capture.start,

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import ClassVar, TypeVar
 
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
+from textual.strip import Strip
 from textual.widgets import SelectionList, Static
 from textual.widgets.selection_list import Selection
 
 from bilprov.analyzer.screen.keys import BINDINGS, MOVES
-from bilprov.analyzer.screen.signs import LOOKS
+from bilprov.analyzer.screen.signs import CHOSEN, LOOKS, UNCHOSEN
 from bilprov.captures.text import escape_controls
 
 Answer = TypeVar("Answer")
@@ -63,7 +65,7 @@ class ColumnChoice(Dialog[list[str]]):
         super().__init__()
         room, shown = max(map(len, columns)) + 1, set(chosen)
         self._names = list(columns)
-        self.listed = SelectionList(
+        self.listed = _Columns(
             *(
                 Selection(Text(escape_controls(f"{name:<{room}}{says}")), name, name in shown)
                 for name, says in columns.items()
@@ -79,3 +81,14 @@ class ColumnChoice(Dialog[list[str]]):
     def action_take(self) -> None:
         """Give the names of the chosen columns, in the order of the list."""
         self.dismiss([name for name in self._names if name in self.listed.selected])
+
+
+class _Columns(SelectionList[str]):
+    def render_line(self, y: int) -> Strip:
+        """A column with a sign that tells whether it is chosen; Textual's own do so by colour."""
+        strip, index = super().render_line(y), self.scroll_offset.y + y
+        if index >= self.option_count:
+            return strip
+        sign = CHOSEN if self.get_option_at_index(index).value in self.selected else UNCHOSEN
+        _, _, _, space, *words = strip
+        return Strip([Segment(sign, space.style), space, *words])

@@ -19,6 +19,7 @@ from bilprov.analyzer.replay.recorder import Recorder
 from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.replay.spool import Spool
 from bilprov.analyzer.screen.recording import Recording
+from bilprov.captures.reader import Capture, appended
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 DRAW_EVERY = 0.1  # s
 MOST_MEMORY = 300 << 20  # bytes of packed rows; a live session keeps no more
+_STILL = 60  # s since a capture was last written to, after which nobody is taken to write it
+_LAG = 2_000_000_000  # ns after which a writer has written what came
 _SWITCH = 0.00005  # s after which a thread yields to the reader of a line (Python: 5 ms)
 
 
@@ -118,11 +121,34 @@ def capture_feed(
                 rows.show(batch)
             feed.progress = min(1.0, int(events.t[-1]) / length)
             time.sleep(0)  # whoever waits for the interpreter gets it now
+        feed.progress = None
+        if feed.live:
+            for batch in _followed(opened, feed.stopped):
+                rows.show(batch)
         for batch in opened.decoder.finish():
             rows.show(batch)
-        feed.progress = None
 
-    return Feed(Recording(protocol), read, stays=True)
+    whole = count is None and window.after is None
+    return Feed(Recording(protocol), read, stays=True, live=whole and _is_written(opened.capture))
+
+
+def _is_written(capture: Capture) -> bool:
+    """Whether a capture is probably still being written."""
+    age = time.time() - capture.volumes[0].path.stat().st_mtime
+    return capture.unfinished and not capture.in_parts and age < _STILL
+
+
+def _followed(opened: Opened, stopped: Event) -> Iterator[Batch]:
+    """Decode what is added to a capture, until its writer finishes it or it is `stopped`."""
+    capture = opened.capture
+    while capture.unfinished and not stopped.wait(DRAW_EVERY):
+        more = appended(capture)
+        if more is None:
+            yield from opened.decoder.advance(time.time_ns() - capture.start - _LAG)
+            continue
+        capture = more
+        for events in capture.batches():
+            yield from opened.decoder.decode(events)
 
 
 class RecordingOutput(NoOutput):

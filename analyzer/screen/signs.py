@@ -50,13 +50,14 @@ def look_of(record: Record) -> Look:
 
 TO_DEVICE, TO_HOST, NEITHER = "→", "←", " "
 MARK, CUT, RECORDS = "◆", "…", "●"
+CHOSEN, UNCHOSEN = "●", "○"
 FOLDED, UNFOLDED = "▸ ", "▾ "
 LEVELS = " ▁▂▃▄▅▆▇█"
 
 _ASCII = dict(
     zip(
-        "→←◆…▸▾█░┼●○▲▼▪■↻↺▁▂▃▄▅▆▇─━│┌┐└┘╭╮╰╯▐▌",
-        "><*~+-#.+*o^v.x)(..:-=+*--|++++++++[]",
+        "→←◆…▸▾█░┼●○▲▼▪■↻↺▁▂▃▄▅▆▇─━│┌┐└┘╭╮╰╯",
+        "><*~+-#.+*o^v.x)(..:-=+*--|++++++++",
         strict=True,
     )
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from pathlib import Path
@@ -17,8 +18,9 @@ from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.output.statistics import Statistics
+from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.recorder import session_metadata
-from bilprov.analyzer.replay.seek import opened_at
+from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.replay.spool import PARTS, Spool
 from bilprov.analyzer.screen.bars import status_line
 from bilprov.analyzer.screen.car import car
@@ -26,7 +28,9 @@ from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_
 from bilprov.analyzer.screen.figures import figures
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.row_export import export
+from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, State
+from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.decoding import MS
@@ -129,6 +133,53 @@ def test_the_screen_has_all_of_a_capture_or_the_part_that_is_asked_for(protocol:
     first = rows_of(protocol, count=3, test=faulty)
     assert len(first) == 3
     assert faulty.selection(Records(first)).everything
+
+
+def test_a_capture_that_is_still_written_is_followed_to_its_end(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    path = tmp_path / "growing.mcap"
+    with CaptureWriter(path, start_wall=time.time_ns(), metadata={}, version="1") as writer:
+
+        def written(first: int, stop: int) -> None:
+            for at in range(first, stop):
+                writer.chunk(Chunk(at * MS, "host", b"\x11\x05"))
+                writer.chunk(Chunk(at * MS + MS // 2, "device", b"\0"))
+            writer.flush()
+
+        written(0, 10)
+        capture = open_capture(path)
+        feed = capture_feed(Opened(capture, capture_decoder(capture, protocol)), protocol)
+        assert feed.live
+        feed.start()
+        for count in (10, 50, 3000):
+            written(feed.recording.rows // 2, count)
+            give_up = time.monotonic() + 20
+            while feed.recording.rows < 2 * count:
+                assert time.monotonic() < give_up
+                time.sleep(0.01)
+    feed.join()  # the file is finished: nothing more can come
+    capture = open_capture(path)
+    whole = capture_feed(Opened(capture, capture_decoder(capture, protocol)), protocol)
+    assert not whole.live
+    whole.start()
+    whole.join()
+    rows = range(6000)
+    assert feed.recording.records(rows) == whole.recording.records(rows)
+    assert feed.recording.rows == whole.recording.rows == 6000
+
+
+def test_a_capture_whose_writer_is_gone_is_not_waited_for(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(SAMPLE.read_bytes()[:-2000])
+    os.utime(path, (0, 0))
+    feed = capture_feed(opened_at(path, protocol, 0), protocol)
+    assert not feed.live
+    feed.start()
+    feed.join()
+    assert feed.recording.rows
 
 
 def recorded(protocol: Protocol, count: int) -> Recording:
