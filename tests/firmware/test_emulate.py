@@ -20,7 +20,6 @@ import serial
 from click.testing import CliRunner
 
 from bilprov import __main__ as front_door
-from bilprov.analyzer.transport.streams import parse_address
 from bilprov.conformance.dut.boards.paced import HELD, PacedBoard
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.spec.codec import judge
@@ -179,19 +178,6 @@ def test_bytes_take_their_time_on_the_wire_both_ways(bench: Make) -> None:
 
 
 @AVR
-def test_a_slower_wire_is_slower_both_ways(bench: Make) -> None:
-    line = bench(built(), byte_time=10 * BYTE)
-    sent = line.now
-    line.send(b"\x11\x50\x20")
-    line.wait(20 * MS)
-
-    assert line.answers == b"\x00\x00"
-    # The second and the third byte end there; an answer takes as long again.
-    for (at, _), end in zip(line.heard, (11, 21), strict=True):
-        assert at >= sent + (end + 10) * BYTE
-
-
-@AVR
 def test_a_machine_that_was_busy_skips_no_time(bench: Make) -> None:
     prompt, late = bench(built()), bench(built())
     for line, step in ((prompt, None), (late, 10 * MS)):
@@ -342,19 +328,6 @@ def test_the_suite_passes_it_over_its_pty() -> None:
         result = process("conform", served.port, *words, timeout=110)
 
     assert unwell(result) == {"power-on/Forward": "skipped"}  # nobody can switch its power
-
-
-@AVR
-def test_a_pty_and_tcp_are_served_together(tmp_path: Path) -> None:
-    options = ("--pty", "--listen", "127.0.0.1:0")
-    with emulate(echo(), *options, lines=3) as served:
-        address = parse_address(served.lines[1].removeprefix("socket://"))
-        with socket.create_connection(address) as client:
-            client.sendall(b"\x20")
-            assert client.recv(1) == b"\x20"
-        code, out, _ = ended(served)
-
-    assert (code, out) == (0, "")
 
 
 @AVR

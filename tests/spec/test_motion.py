@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bilprov.spec.motion import VARIABLES, Effect, Motion, State, wheels
+from bilprov.spec.motion import Effect, Motion, State, wheels
 from bilprov.spec.protocol import Protocol
 from tests.vectors import POWER_ON, SEQUENCES, WHEELS, Sequence, WheelVector
 
@@ -75,11 +75,6 @@ def test_at_full_steering_the_inner_wheel_stands_still(
     assert abs(turned[1 - inner]) == 200
 
 
-@pytest.mark.parametrize("motion", Motion)
-def test_at_speed_0_no_wheel_turns(motion: Motion) -> None:
-    assert wheels(State(motion, 0, 100), 255) == (0, 0)
-
-
 def test_a_robot_that_cannot_steer_drives_straight_on() -> None:
     assert wheels(State(Motion.FORWARD, 9), 0) == (9, 9)
 
@@ -95,13 +90,3 @@ def test_an_effect_multiplies_a_field_by_its_factor() -> None:
     effect = Effect((("steering", ("strength", -1)),))
 
     assert effect.apply(State(), {"strength": 30}).steering == -30
-
-
-def test_an_effect_tells_what_it_sets() -> None:
-    stops = Effect((("motion", Motion.STOPPED), ("steering", 0)))
-    lights = Effect((("led", ("rgb", 1)),))
-
-    assert stops.motion is Motion.STOPPED
-    assert lights.motion is None
-    assert [v for v in VARIABLES if stops.sets(v)] == ["motion", "steering"]
-    assert [v for v in VARIABLES if lights.sets(v)] == ["led"]

@@ -298,11 +298,6 @@ def test_a_bridge_passes_and_records_every_byte_both_ways(
     assert got == ALL
 
 
-def test_a_bridge_records_what_nobody_reads(bridge: Bridge, device_line: PtyPair) -> None:
-    device_line.write_some(ALL)
-    assert heard(poll_until(bridge, device=256), "device") == ALL
-
-
 def test_host_programs_may_come_and_go(bridge: Bridge, device_line: PtyPair) -> None:
     for byte in (b"\x10", b"\x90"):
         with open_port(bridge.served) as host:

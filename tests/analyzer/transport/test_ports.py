@@ -29,16 +29,6 @@ from tests.vectors import LINE
 pytestmark = pytest.mark.waits
 
 ALL = bytes(range(256))
-NAMED = {
-    "NUL, which is Stop and OK": 0x00,
-    "Ctrl-C": 0x03,
-    "Ctrl-D": 0x04,
-    "XON": 0x11,
-    "XOFF": 0x13,
-    "Ctrl-Z": 0x1A,
-    "delete": 0x7F,
-    "telnet's escape": 0xFF,
-}
 # A child that may not open what its owner root may.
 AS_NOBODY = """
 import os, sys
@@ -167,14 +157,6 @@ def test_every_byte_passes_a_pty_unchanged_both_ways(pty: PtyPair, port: Port) -
     assert read_from(port, 256) == ALL
 
 
-@pytest.mark.parametrize("byte", NAMED.values(), ids=NAMED)
-def test_bytes_that_terminals_act_on_pass_alone(pty: PtyPair, port: Port, byte: int) -> None:
-    port.write(bytes([byte]))
-    assert master_gives(pty, 1) == bytes([byte])
-    pty.write_some(bytes([byte]))
-    assert read_from(port, 1) == bytes([byte])
-
-
 def test_a_pty_is_raw_before_anybody_opens_it(pty: PtyPair) -> None:
     slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY)
     try:
@@ -259,14 +241,6 @@ def test_every_byte_passes_rfc2217_and_none_is_lost_when_the_peer_goes(
         assert read_from(port, 256) == ALL
         with pytest.raises(LinkError, match="closed by the other side"):
             read_from(port, 1)
-
-
-def test_reading_never_waits_and_takes_all_that_came(pty: PtyPair, port: Port) -> None:
-    assert port.read() == b""
-    pty.write_some(ALL)
-    wait_readable([port], None)
-    assert read_from(port, len(ALL)) == ALL
-    assert port.read() == b""
 
 
 def test_a_pty_counts_no_line_errors_and_neither_does_a_loop(port: Port) -> None:
@@ -386,12 +360,6 @@ def test_a_port_that_is_not_there() -> None:
         assert found.path in sentence
 
 
-@pytest.mark.parametrize("name", ["127.0.0.1:7701", "tcp:127.0.0.1:7701", "robot.local:7701"])
-def test_an_address_is_answered_with_the_url_that_was_meant(name: str) -> None:
-    address = name.removeprefix("tcp:")
-    assert f"did you mean socket://{address}, " in refusal(name)
-
-
 def test_a_port_in_use(pty: PtyPair, port: Port) -> None:
     already = f"{pty.name} is open in this program already; a port is opened once"
     assert refusal(pty.name) == refusal(f"spy://{pty.name}") == already
@@ -482,6 +450,10 @@ def test_an_address_where_nobody_listens(listener: socket.socket) -> None:
         ("hwgrep://no such thing", "no ports found matching"),
         ("", "there is no port ''"),
         ("socket", "there is no socket"),
+        *(
+            (name, f"did you mean socket://{name.removeprefix('tcp:')}, ")
+            for name in ("127.0.0.1:7701", "tcp:127.0.0.1:7701", "robot.local:7701")
+        ),
     ],
 )
 def test_a_name_that_is_no_port_is_said_with_its_reason(name: str, reason: str) -> None:
@@ -493,9 +465,3 @@ def test_numbers_of_a_device_that_is_not_there_mean_one_thing(number: int) -> No
     error = OSError(number, "x")
     assert "no device behind it" in str(opening_failed("/dev/ttyUSB0", error, "", []))
     assert "/dev/ttyUSB0 disappeared" in str(link_lost("/dev/ttyUSB0", error))
-
-
-def test_ports_are_listed_in_order() -> None:
-    found = list_ports()
-    assert found == sorted(found)
-    assert all(Path(port.path).exists() for port in found)
