@@ -13,7 +13,7 @@ from rich.text import Text
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
 from bilprov.analyzer.transport.errors import path_in
 from bilprov.analyzer.transport.machine import Machine
-from bilprov.captures.text import escape_controls
+from bilprov.captures.text import escape_controls, quantity
 
 INDENT = 2 + max(len(grade) for grade in Grade) + 2
 """Columns before a sentence, and before the command below it."""
@@ -63,5 +63,5 @@ def conclusion(names: Sequence[str], findings: Sequence[Finding]) -> Text:
             f"{which} cannot be used as {'they are' if len(names) > 1 else 'it is'}", "bold"
         )
     advice = sum(finding.grade is Grade.ADVICE for finding in findings)
-    more = f"; {advice} thing{'s' if advice > 1 else ''} to fix" if advice else ""
+    more = f"; {quantity(advice, 'thing')} to fix" if advice else ""
     return Text(f"{which} can be used{more}", "bold")

@@ -12,7 +12,7 @@ from bilprov.analyzer.doctor.finding import Finding, Grade
 from bilprov.analyzer.taps.sources import Events, Source
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 from bilprov.spec.protocol import Protocol
 
 _TEXT = re.compile(rb"[\t\r\n\x20-\x7e]{8,}")  # as boards print while they boot
@@ -66,12 +66,8 @@ def heard(
     if len(names) > 1:
         yield _wired(protocol, names, events, data)
     else:
-        sentence = f"{_counted(count, 'byte')} came in {seconds:.3g} s"
+        sentence = f"{quantity(count, 'byte')} came in {seconds:.3g} s"
         yield Finding("traffic", Grade.FINE, sentence)
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _is_traffic(protocol: Protocol, data: bytes) -> bool:
@@ -96,8 +92,8 @@ def _miscounted(
     for kind, means in _MEANS.items():
         errors = sum(int(line.detail.split()[0]) for line in lines if line.event == kind)
         if errors:
-            counted = _counted(errors, f"{kind} error")
-            sentence = f"the driver counted {counted} in {_counted(count, 'byte')}: {means}"
+            counted = quantity(errors, f"{kind} error")
+            sentence = f"the driver counted {counted} in {quantity(count, 'byte')}: {means}"
             (name, *others) = names.values()
             asks = kind == "framing" and not others
             command = f"bilprov ports {quote(name)} --ask --yes" if asks else ""
@@ -128,7 +124,7 @@ def _wired(
         command = f"bilprov sniff {quote(names['device'])} {quote(names['host'])}"
         return Finding("taps", Grade.BLOCKS, sentence, command)
     if count < _LEAST_ANSWERS:
-        heard_of = _counted(count, "answer")
+        heard_of = quantity(count, "answer")
         sentence = f"only {heard_of} came, too few to decide whether the taps are swapped"
         return Finding("taps", Grade.UNSEEN, sentence)
     if straight < _MISFIT:
