@@ -12,6 +12,8 @@ from bilprov.analyzer.screen.keys import BINDINGS
 from bilprov.analyzer.screen.signs import RECORDS
 from bilprov.captures.text import printable, quantity
 
+_LEAST = "  ? help  q quit"  # the keys beside what is told
+
 
 def head_line(
     title: str, feed: Feed[Any], frames: FrameList, doing: str, expression: str, width: int
@@ -20,22 +22,17 @@ def head_line(
 
     `doing` is how the chosen row moves by itself, `expression` the filter; both "" for none.
     """
-    left = Text(printable(title), "bold")
+    left = Text(f"/ {printable(expression)}  " if expression else "", "bold cyan", end="")
+    left = Text.assemble(left, (printable(title), "bold"))
     if feed.captured:
-        left.append(f"  {RECORDS} {printable(feed.captured)}", "not bold")
+        left.append(f"  {RECORDS} {printable(feed.captured)}")
     shown, rows = frames.count - frames.view.first, feed.recording.rows - feed.recording.first
-    right = Text()
-    if expression:
-        right.append(f"  / {printable(expression)}", "bold cyan")
     share = feed.progress  # its thread may be done at any moment
-    if share is not None:
-        doing = f"reading {share:.0%}"
-    right.append(f"  {doing}" if doing else "")
+    right = Text(f"  reading {share:.0%}" if share is not None else f"  {doing}")
     if frames.held is not None:
         waiting = frames.view.count - frames.count
-        right.append(f"  paused, {waiting:,} waiting", "bold reverse")
+        right = Text.assemble("  ", (f"paused, {waiting:,} waiting", "bold reverse"))
     right.append(f"  {shown:,} of {rows:,}" if expression else f"  {quantity(rows, 'row')}", "bold")
-    left.truncate(max(0, width - right.cell_len), overflow="crop")
     return _spread(left, right, width)
 
 
@@ -46,7 +43,8 @@ def status_line(doing: str, feed: Feed[Any], said: str, width: int) -> Text:
     """
     told = _told(doing, feed, said)
     if told:
-        return _spread(told, Text("  ? help  q quit", "dim"), width)
+        fits = width - told.cell_len >= len(_LEAST)
+        return _spread(told, Text(_LEAST if fits else "", "dim"), width)
     line = Text()
     keys = [key for key in BINDINGS if key.show]
     room = width - sum(len(f"{key.key_display} {key.description}") + 3 for key in keys[-2:])
@@ -73,12 +71,6 @@ def _told(doing: str, feed: Feed[Any], said: str) -> Text:
 
 
 def _spread(left: Text, right: Text, width: int) -> Text:
-    """Two texts at the ends of a line; where both do not fit, the left one has all of it."""
-    if left.cell_len + right.cell_len > width:
-        right = Text() if left.cell_len else right
-    left = left.copy()
-    left.truncate(width - right.cell_len, overflow="crop", pad=True)
-    line = left + right
-    line.no_wrap = True
-    line.truncate(width, overflow="crop")
-    return line
+    """Two texts at the ends of a line, of which the right one is never cut."""
+    left.truncate(max(0, width - right.cell_len), overflow="crop", pad=True)
+    return left + right

@@ -109,7 +109,7 @@ def capture_feed(
 
     def read(feed: Feed[None]) -> None:
         kind = AllShown if count is None else Shown
-        rows = kind(RecordingOutput(feed.recording), test, count, window)
+        rows = kind(ScreenOutput(feed), test, count, window)
         length = max(1, opened.capture.contents.last - opened.capture.start)
         feed.progress = 0.0
         for events in opened.batches():
@@ -151,18 +151,7 @@ def _followed(opened: Opened, stopped: Event) -> Iterator[Batch]:
             yield from opened.decoder.decode(events)
 
 
-class RecordingOutput(NoOutput):
-    """Adds decoded batches to a recording."""
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-
-    def show(self, batch: Batch) -> None:
-        """Add a batch."""
-        self._recording.add(batch)
-
-
-class ScreenOutput(RecordingOutput):
+class ScreenOutput(NoOutput):
     """Adds decoded batches to the recording of a feed, and takes the rates ten times a second.
 
     Rows are let go that are older than what a spool still has, and where the recording takes more
@@ -172,16 +161,19 @@ class ScreenOutput(RecordingOutput):
     def __init__(
         self,
         feed: Feed[Any],
-        statistics: Statistics,
+        statistics: Statistics | None = None,
         recorder: Recorder | Spool | None = None,
         most: int = MOST_MEMORY,
     ) -> None:
-        super().__init__(feed.recording)
         self._feed = feed
         self._statistics = statistics
         self._recorder = recorder
         self._most = most
         self._next = 0.0
+
+    def show(self, batch: Batch) -> None:
+        """Add a batch."""
+        self._feed.recording.add(batch)
 
     def tick(self, now: int) -> None:
         """Take the rates at `now` (ns since the start), if it is time."""
@@ -189,7 +181,7 @@ class ScreenOutput(RecordingOutput):
             return
         self._next = time.monotonic() + DRAW_EVERY
         feed = self._feed
-        feed.rates = self._statistics.rates(now)
+        feed.rates = self._statistics.rates(now) if self._statistics else None
         gone, recorder = feed.recording.first, self._recorder
         if isinstance(recorder, Spool):
             feed.keeps = not recorder.failure

@@ -45,7 +45,7 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
     for name, counted in totals.instructions().items():
         if counted.frames:
             late = f"{_ms(counted.latencies.median)} ms" if counted.latencies else ""
-            lines.append(Text(f"{printable(name):<11} {counted.frames:>6,} {late:>7}", "dim"))
+            lines.append(Text(f"{printable(name):<11}{counted.frames:>6,} {late:>8}", "dim"))
     return lines
 
 

@@ -215,7 +215,7 @@ class FrameList(ScrollView, can_focus=True):
         return chosen
 
     def _heading(self, width: int) -> Text:
-        names = {TIME: _HEADINGS.get(self.time_style, "from mark" if self.reference else "time")}
+        names = {TIME: _HEADINGS.get(self.time_style, "since row" if self.reference else "time")}
         cells = [
             self._padded(names.get(column, column.heading), room, column.right)
             for column, room in self._widths(width)

@@ -181,7 +181,8 @@ def test_a_filter_shows_how_many_rows_pass_and_export_writes_them(
         await pilot.press(*"4j")
         await typed(screen, pilot, "speed < 9")
         assert (screen.frames.count, screen.frames.row) == (9, 5)
-        assert text_of(screen)[0].endswith("/ speed < 9  9 of 121")
+        first = text_of(screen)[0]
+        assert (first[:11], first[-10:]) == ("/ speed < 9", "  9 of 121")
         for name, words in (("there.csv", "never overwritten"), ("a.txt", ".csv or .jsonl")):
             await written(pilot, screen, name)
             assert words in text_of(screen)[-1]
@@ -193,7 +194,8 @@ def test_a_filter_shows_how_many_rows_pass_and_export_writes_them(
         await written(pilot, screen, "out.jsonl")  # the line's event is none of its rows
         assert "120 rows written to out.jsonl" in text_of(screen)[-1]
         await pilot.press("e")
-        assert "/ faulty  12 of 121" in text_of(screen)[0]
+        assert text_of(screen)[0].startswith("/ faulty ")
+        assert text_of(screen)[0].endswith(" 12 of 121")
         await pilot.press("e")
         assert screen.frames.count == 121
 
@@ -363,7 +365,7 @@ def test_times_are_shown_in_each_style_and_from_a_row_on(screen: Browser) -> Non
             shown.append(text_of(screen)[screen.frames.region.bottom - 1].split()[1:4])
             await pilot.press(key)
             await pilot.pause()
-        assert "from mark" in text_of(screen)[1]
+        assert "since row" in text_of(screen)[1]
         assert text_of(screen)[screen.frames.region.bottom - 1].split()[2] == "0.0010"
 
     operated(screen, steps)

@@ -215,7 +215,7 @@ def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> N
         "latency 0.5 ms",
         "p95 0.5, max 0.5 ms",
         "",
-        "Speed        1,001  0.5 ms",
+        "Speed       1,001   0.5 ms",
     ]
 
 
