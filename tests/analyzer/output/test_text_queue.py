@@ -22,9 +22,9 @@ def pipe() -> Iterator[Pipe]:
     ours, theirs = os.pipe()
     stream = os.fdopen(theirs, "w")
     yield ours, stream
+    os.close(ours)  # first: what is written to a full pipe then fails, and does not wait
     with suppress(BrokenPipeError):
         stream.close()
-    os.close(ours)
 
 
 def _read(ours: int, size: int) -> bytes:
