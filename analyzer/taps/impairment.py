@@ -41,10 +41,6 @@ class Noise:
             return "doubled", bytes([byte, byte])
         return "", bytes([byte])
 
-    def over(self, data: bytes, chance: Random) -> bytes:
-        """Apply the noise to each byte of `data` and return the bytes that arrive."""
-        return b"".join(self.impair(byte, chance)[1] for byte in data)
-
 
 @dataclass(frozen=True, slots=True)
 class LineFaults:

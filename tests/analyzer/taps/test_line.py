@@ -74,6 +74,24 @@ def test_the_account_holds(noise: Noise, seed: int, data: bytes) -> None:
         assert sum(bits) == direction.flipped
 
 
+@pytest.mark.parametrize(
+    ("noise", "arrived"),
+    [(Noise(), b"abc"), (Noise(dropped=1.0), b""), (Noise(doubled=1.0), b"aabbcc")],
+    ids=["none", "dropped", "doubled"],
+)
+def test_a_dropped_byte_is_missing_and_a_doubled_one_comes_twice(
+    noise: Noise, arrived: bytes
+) -> None:
+    assert passed(ImpairedDirection(LineFaults(noise), 1, "A to B"), [b"abc"]) == arrived
+
+
+def test_a_flip_changes_any_one_bit() -> None:
+    arrived = passed(ImpairedDirection(LineFaults(Noise(flipped=1.0)), 1, "A to B"), [ALL])
+
+    changes = {before ^ after for before, after in zip(ALL, arrived, strict=True)}
+    assert changes == {1 << bit for bit in range(8)}
+
+
 def test_both_directions_and_every_seed_have_chances_of_their_own() -> None:
     faults = LineFaults(Noise(0.1, 0.1, 0.1))
     directions = [

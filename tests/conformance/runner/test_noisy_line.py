@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from random import Random
-
 import pytest
 
 from benchmarks.noise import LINES, Trial, noisy_run
@@ -15,25 +13,6 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 
 pytestmark = pytest.mark.slow
-
-EACH = bytes(range(256)) * 40
-
-
-def differing(arrived: bytes) -> list[int]:
-    return [before ^ after for before, after in zip(EACH, arrived, strict=True) if before != after]
-
-
-def test_a_flipped_byte_differs_in_one_bit():
-    found = differing(Noise(flipped=0.1).over(EACH, Random(1)))
-    assert 500 < len(found) < 1600
-    assert {change.bit_count() for change in found} == {1}
-    assert {change.bit_length() for change in found} == set(range(1, 9))
-
-
-def test_a_dropped_byte_is_missing_and_a_doubled_one_comes_twice():
-    assert Noise(dropped=1.0).over(b"abc", Random(1)) == b""
-    assert Noise(doubled=1.0).over(b"abc", Random(1)) == b"aabbcc"
-    assert Noise().over(EACH, Random(1)) == EACH
 
 
 @pytest.mark.parametrize("chances", [(-0.1, 0, 0), (1.5, 0, 0), (0.5, 0.5, 0.5)])
