@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 
+from bilprov.analyzer.client.link import drive, interruption
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS
@@ -35,7 +36,7 @@ from bilprov.conformance.cases.selection import (
     reaches,
     share,
 )
-from bilprov.conformance.dut.link import Device, drive, interruption
+from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIM, Target, device_target
 from bilprov.conformance.oracle.choices import Choices, parse_allowed

@@ -27,12 +27,12 @@ from rich.console import Console
 
 from bilprov.__main__ import main
 from bilprov.analyzer.cli.typed_input import bytes_or_pause
+from bilprov.analyzer.client.probes import ProbeError, parse_look
 from bilprov.analyzer.foreign import LARGEST_NUMBER, LONGEST_TEXT, from_json, from_toml
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.probes import ProbeError, parse_look
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.profile import profile_from, profile_text

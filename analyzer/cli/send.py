@@ -145,7 +145,7 @@ def _opened(port: str, settings: LineSettings, *, wait: bool) -> Port | None:
     if not wait:
         return open_port(port, settings)
     with Stopper() as stopper:
-        return opened_when_there(partial(open_port, port, settings), stopper, note)
+        return opened_when_there(partial(open_port, port, settings), lambda: stopper.stopped, note)
 
 
 def _resumed(
@@ -158,7 +158,7 @@ def _resumed(
     """
     while place.lasts:
         note(f"{lost}; waiting")
-        port = opened_again(place, settings, stopper, lost)
+        port = opened_again(place, settings, lost, lambda: stopper.stopped)
         if port is None:
             break
         gap = f"{port.name} was lost and is there again, and the robot was stopped there first"

@@ -292,7 +292,7 @@ def _opened(
     try:
         if not wait:
             return opened_tap(given, settings)
-        return opened_when_there(partial(opened_tap, given, settings), stopper, say)
+        return opened_when_there(partial(opened_tap, given, settings), lambda: stopper.stopped, say)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
 

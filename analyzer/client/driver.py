@@ -1,4 +1,4 @@
-"""Drives a robot on a wire: one method per instruction of the protocol, each returns its answer."""
+"""Drives a robot on a link: one method per instruction of the protocol, each returns its answer."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ import inspect
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from bilprov.analyzer.client.homing import home, stops
+from bilprov.analyzer.client.link import Link, done
+from bilprov.analyzer.client.operations import Heard, Procedure, listen, send
 from bilprov.analyzer.client.turns import Turns
-from bilprov.analyzer.client.wire import Heard, Wire, home, stops
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge, spaced
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.python_names import method_names, parameter_names
 
+T = TypeVar("T")
 _SHOWN = 8  # answers that a sentence lists
 
 
@@ -65,7 +68,7 @@ class Answer:
 
 
 class Driver:
-    """One robot on a wire.
+    """One robot on a link.
 
     Each instruction of `protocol` is a method: `RotateLeft` is `rotate_left()`, and its fields are
     the parameters, in order or by keyword. A method sends the instruction and returns its answer.
@@ -80,11 +83,11 @@ class Driver:
     Several threads may use one driver: each instruction and its answer are by themselves.
     """
 
-    def __init__(self, protocol: Protocol, wire: Wire, timeout: float | None = None) -> None:
+    def __init__(self, protocol: Protocol, link: Link, timeout: float | None = None) -> None:
         timing = protocol.timing
         longest = timing.answer_longest + timing.truncation_longest
         self.protocol = protocol
-        self._wire = wire
+        self._link = link
         self._patience = longest if timeout is None else timeout
         self._methods = method_names(protocol)
         self._in_step = True
@@ -112,8 +115,9 @@ class Driver:
         with self._alone():
             self._in_step = False
             self._require_silence(0)
-            sent = self._wire.send(data)
-            heard = self._wire.listen(answers, round(self._patience * MS)) if answers else ()
+            sent = self._do(send(data))
+            patience = round(self._patience * MS)
+            heard = self._do(listen(answers, patience)).answers if answers else ()
             if len(heard) != answers:
                 raise self._miscounted(data, answers, heard)
             self._in_step = True
@@ -131,7 +135,7 @@ class Driver:
         robot does not answer.
         """
         with self._alone():
-            if not home(self.protocol, self._wire):
+            if not self._do(home(self.protocol)):
                 raise self._nobody()
             self._in_step = True
 
@@ -194,8 +198,12 @@ class Driver:
         with self._turns.taken():
             yield
 
+    def _do(self, procedure: Procedure[T]) -> T:
+        """Run a procedure over the link. Raises LinkError."""
+        return done(procedure, self._link)
+
     def _require_silence(self, patience: int) -> None:
-        heard = self._wire.listen(None, patience)
+        heard = self._do(listen(None, patience)).answers
         if heard:
             self._in_step = False
             raise RobotError(f"{self._names(heard)} came without an instruction")

@@ -18,8 +18,10 @@ from types import FrameType
 from typing import Self
 
 from bilprov.analyzer.client.driver import Driver, NoAnswer, RobotError
+from bilprov.analyzer.client.homing import halt, home_once
+from bilprov.analyzer.client.link import done
+from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.turns import Turns
-from bilprov.analyzer.client.wire import PortWire, home_once, stops
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
@@ -61,9 +63,9 @@ class _OpenRobot:
         with self._turns.taken(_PATIENCE) as alone, suppress(LinkError):
             self.halted, self.why = True, "" if self.in_block else why
             if self.in_block or not alone:  # the end of the block homes it
-                self._port.write(stops(self._protocol))
+                halt(self._protocol, self._port)
             else:
-                home_once(self._protocol, PortWire(self._port))
+                done(home_once(self._protocol), PortLink(self._port))
 
     def drop(self) -> None:
         """Home the robot and close its port, and warn that nobody did."""
@@ -184,7 +186,7 @@ class PortDriver(Driver):
         self._open = True
         self._signals = ExitStack()
         try:
-            super().__init__(grammar, PortWire(self._port), timeout)
+            super().__init__(grammar, PortLink(self._port), timeout)
             self._held = _OpenRobot(self.protocol, self._port, self._turns)
             self.home()
         except BaseException:
@@ -212,7 +214,7 @@ class PortDriver(Driver):
 
     def _home_and_close(self) -> None:
         try:
-            if not home_once(self.protocol, self._wire):
+            if not self._do(home_once(self.protocol)):
                 raise self._nobody()
         finally:
             self._dropped.detach()

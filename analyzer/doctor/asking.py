@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from enum import Enum
 from shlex import quote
 
-from bilprov.analyzer.client.wire import Wire, home_once
+from bilprov.analyzer.client.homing import home_once
+from bilprov.analyzer.client.link import Link, done
+from bilprov.analyzer.client.operations import listen, send
 from bilprov.analyzer.doctor.finding import Finding, Grade
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.captures.schemas import MS
@@ -58,14 +60,14 @@ def longest_time(protocol: Protocol, rates: Sequence[int]) -> float:
 
 def asked(
     protocol: Protocol,
-    wire: Wire,
+    link: Link,
     tune: Callable[[int], object],
     rates: Sequence[int],
     given_up: Callable[[], bool] = lambda: False,
 ) -> tuple[Answered, ...]:
     """Ask at each rate until answers come; give what came back, the last at the rate that is left.
 
-    `tune` sets the wire's baud rate, and raises LinkError for one that it does not have; `given_up`
+    `tune` sets the line's baud rate, and raises LinkError for one that it does not have; `given_up`
     is called before each rate. A device that answers is homed at the end, and on every way out
     stops are sent at the last rate. Raises LinkError if the port is lost.
     """
@@ -78,7 +80,7 @@ def asked(
                 tune(rate)
             except LinkError:
                 continue
-            answered = _link_check(protocol, wire, rate, expected=rate == rates[0])
+            answered = _link_check(protocol, link, rate, expected=rate == rates[0])
             if answered.reply is not Reply.NOTHING:
                 found.append(answered)
             if answered.reply in (Reply.ANSWERS, Reply.ECHO):
@@ -87,16 +89,16 @@ def asked(
             tune(rates[0])
     finally:
         with suppress(LinkError):
-            home_once(protocol, wire)
+            done(home_once(protocol), link)
     return tuple(found)
 
 
-def _link_check(protocol: Protocol, wire: Wire, rate: int, *, expected: bool) -> Answered:
+def _link_check(protocol: Protocol, link: Link, rate: int, *, expected: bool) -> Answered:
     """Home the device and, if anything comes back, send the link check.
 
     At another rate than the `expected` one a stray 0 is no proof: a refusal has to be right too.
     """
-    if not home_once(protocol, wire):
+    if not done(home_once(protocol), link):
         return Answered(rate, Reply.NOTHING)
     setting, unused, short = link_check(protocol)
     longest, more = (
@@ -105,9 +107,9 @@ def _link_check(protocol: Protocol, wire: Wire, rate: int, *, expected: bool) ->
     )
     exchanges = []
     for frame in filter(None, (unused, setting, short)):
-        wire.send(frame)
-        came = [*wire.listen(1, longest), *wire.listen(None, more)]
-        exchanges.append((frame, bytes(byte for _, byte in came)))
+        done(send(frame), link)
+        came = [*done(listen(1, longest), link).codes, *done(listen(None, more), link).codes]
+        exchanges.append((frame, bytes(came)))
     codes = {spec.code for spec in protocol.responses}
     due = {frame: judge(protocol, frame).response.code for frame, _ in exchanges}
     sure = any(due[frame] and came == bytes([due[frame]]) for frame, came in exchanges)

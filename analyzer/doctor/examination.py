@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
+from functools import partial
 
-from bilprov.analyzer.client.wire import PortWire, stops
+from bilprov.analyzer.client.homing import halt
+from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.doctor.asking import asked, told
 from bilprov.analyzer.doctor.finding import Finding, Grade, refused
 from bilprov.analyzer.doctor.listening import heard, listened
@@ -58,13 +60,9 @@ def of_line(
 def _of_answers(
     protocol: Protocol, port: Port, rates: Sequence[int], stopper: Stopper
 ) -> Iterator[Finding]:
-    def halt() -> None:
-        with suppress(LinkError):
-            port.write(stops(protocol))
-
-    stopper.before_suspending(halt)
+    stopper.before_suspending(partial(halt, protocol, port))
     try:
-        found = asked(protocol, PortWire(port), port.set_baud, rates, lambda: stopper.stopped)
+        found = asked(protocol, PortLink(port), port.set_baud, rates, lambda: stopper.stopped)
     except LinkError as error:
         yield refused("answers", error)
         return

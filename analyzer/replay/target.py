@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
-from bilprov.analyzer.client.wire import PortWire, home, home_once, stops
+from bilprov.analyzer.client.homing import halt, home, home_once
+from bilprov.analyzer.client.link import LinkListener, done
+from bilprov.analyzer.client.operations import send
+from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.decode.records import Record, written_state
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import MS, Chunk, Line
@@ -21,7 +23,7 @@ from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
 
-class Target(Closing):
+class Target(Closing, LinkListener):
     """One device on an open port; a context manager that homes it on every way out.
 
     Before Ctrl-Z suspends the process it is stopped, which is also a request to `stopper`.
@@ -50,27 +52,36 @@ class Target(Closing):
         self._heard = heard
         self._protocol = protocol
         self._port = port
-        self._wire = PortWire(port)
+        self._link = PortLink(port, tap=self)
         self._stopper = stopper
         self._session = Session(protocol, timeout=timeout, skew=0)
-        self._start = time.monotonic_ns()
-        self._halted = False  # by stops that the session does not know of
+        self._start = 0  # on the link's clock
+        # Stops are under way that the session does not know of.
+        self._homing = self._halted = False
         stopper.before_suspending(self._halt)
 
     def begin(self) -> None:
         """Home the device: stopped, at a frame boundary. Raises LinkError if it never answers."""
-        self.answered_stops = self._home()
+        self._home(patient=True)
         self.require_answer()
-        self._start = time.monotonic_ns()
+        self._start = self._link.now()
 
     def send(self, data: bytes) -> None:
         """Send host bytes. Raises LinkError."""
         self.pump(0)
-        now = self._now()
-        self._port.write(data)
-        self._show(self._session.feed(Chunk(now, "host", data)))
+        done(send(data), self._link)
         self.driven_out = False
         self._instructed = time.monotonic()
+
+    def sent(self, data: bytes, t: int) -> None:
+        """Bytes that go to the device."""
+        if not self._homing:
+            self._show(self._session.feed(Chunk(t - self._start, "host", data)))
+
+    def received(self, data: bytes, t: int) -> None:
+        """Bytes that came from it."""
+        if not (self._homing or self._halted):  # else these are answers to the stops
+            self._show(self._session.feed(Chunk(t - self._start, "device", data)))
 
     def pump(self, seconds: float, also: Sequence[int] = ()) -> list[int]:
         """Read what the device sends, waiting at most `seconds` for that.
@@ -83,13 +94,8 @@ class Target(Closing):
         until = self._instructed + self._max_drive
         if limited:
             seconds = min(seconds, until - time.monotonic())
-        waited = [self._stopper.fileno(), *also]
-        _, ready = wait_readable([self._port], max(0.0, seconds), waited)
-        data = self._port.read()
-        if self._halted:  # these are answers to the stops
-            data = b""
-        records = self._session.feed(Chunk(self._now(), "device", data)) if data else []
-        self._show([*records, *self._session.advance(now)])
+        ready = self._link.attend(seconds, [self._stopper.fileno(), *also])
+        self._show(self._session.advance(now))
         if limited and time.monotonic() >= until:
             self.home()
             self.driven_out = True
@@ -124,8 +130,7 @@ class Target(Closing):
         A `patient` homing waits for a device that may still boot.
         """
         self._show(self._session.finish())
-        self.answered_stops = self._home() if patient else home_once(self._protocol, self._wire)
-        self._halted = False
+        self._home(patient=patient)
         was = self.state
         before = State(Motion(was.motion), was.speed, was.steering, was.led)
         self.state = written_state(self._protocol.stop.effect.apply(before))
@@ -141,8 +146,7 @@ class Target(Closing):
         `gap` says in words what was. Raises LinkError if the port is lost again; whether the device
         answered, `require_answer` tells.
         """
-        self._port.close()
-        self._port, self._wire = port, PortWire(port)
+        self._port.renew(port)
         self._show(self._session.feed(Line(self._now(), "reconnected", "device", gap)))
         self.home(patient=True)
 
@@ -167,15 +171,21 @@ class Target(Closing):
 
     def close(self) -> None:
         """Home the device and close its port; further calls do nothing."""
-        answered = False
+        # A second Ctrl-C changes nothing here: the device is brought to a stop first.
         with contextlib.suppress(LinkError):  # the port is lost: nothing can be sent to it
-            # A second Ctrl-C changes nothing here: the device is brought to a stop first.
-            answered = home_once(self._protocol, self._wire)
-        self.answered_stops = answered
+            self._home(patient=False)
         self._port.close()
 
-    def _home(self) -> bool:
-        return home(self._protocol, self._wire, lambda: self._stopper.stopped)
+    def _home(self, *, patient: bool) -> None:
+        """Home the device, and note whether it answered, without a record of that."""
+        self.answered_stops, self._homing = False, True
+        stopped = home(self._protocol, lambda: self._stopper.stopped)
+        try:
+            self.answered_stops = done(
+                stopped if patient else home_once(self._protocol), self._link
+            )
+        finally:
+            self._homing = self._halted = False
 
     def require_answer(self) -> None:
         """Raise LinkError if the device did not answer the last homing, unless that was stopped."""
@@ -186,8 +196,7 @@ class Target(Closing):
 
     def _halt(self) -> None:
         self._halted = True
-        with contextlib.suppress(LinkError):
-            self._port.write(stops(self._protocol))
+        halt(self._protocol, self._port)
 
     def _show(self, records: Iterable[Record]) -> None:
         for record in records:
@@ -195,7 +204,7 @@ class Target(Closing):
             self._heard(record)
 
     def _now(self) -> int:
-        return time.monotonic_ns() - self._start
+        return self._link.now() - self._start
 
 
 def scaled_timeout(timeout: int, rate: float) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -9,8 +11,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port, wait_readable
-from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.transport.ports import open_port
 
 T = TypeVar("T")
 
@@ -60,28 +61,36 @@ class Place:
 
 
 def opened_when_there(
-    opened: Callable[[], T], stopper: Stopper, tell: Callable[[str], object]
+    opened: Callable[[], T],
+    stopped: Callable[[], bool],
+    tell: Callable[[str], object] = lambda sentence: None,
+    seconds: float = math.inf,
 ) -> T | None:
-    """What `opened` gives once it raises no LinkError; None if a stop was asked for before.
+    """What `opened` gives once it raises no LinkError; None if `stopped`, or `seconds` are over.
 
     `tell` is told why it is waited for, each reason once.
     """
     said = ""
-    while not stopper.stopped:
+    until = time.monotonic() + seconds
+    while not stopped() and time.monotonic() < until:
         try:
             return opened()
         except LinkError as error:
             if str(error) != said:
                 said = str(error)
                 tell(f"{said}; waiting")
-        wait_readable([], LOOK_AGAIN, [stopper.fileno()])
+        time.sleep(LOOK_AGAIN)
     return None
 
 
 def opened_again(
-    place: Place, settings: LineSettings, stopper: Stopper, lost: LinkError
+    place: Place,
+    settings: LineSettings,
+    lost: LinkError,
+    stopped: Callable[[], bool],
+    seconds: float = math.inf,
 ) -> Port | None:
-    """The port that was lost, once it is there again; None if a stop was asked for before.
+    """The port that was lost, once it is there again; None if `stopped`, or `seconds` are over.
 
     Raises `lost` for a port that cannot be found again.
     """
@@ -94,4 +103,4 @@ def opened_again(
             raise lost
         return open_port(path, settings)
 
-    return opened_when_there(opened, stopper, lambda sentence: None)
+    return opened_when_there(opened, stopped, seconds=seconds)

@@ -24,6 +24,7 @@ from bilprov.analyzer.cli.options import (
     note_suspension,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
+from bilprov.analyzer.client.probes import asks_person
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
@@ -57,7 +58,6 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
 )
 from bilprov.conformance.cli.robot import RobotOptions
-from bilprov.conformance.dut.probes import asks_person
 from bilprov.conformance.dut.target import PORT, Target, target_named
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.profile import profile_text

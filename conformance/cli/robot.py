@@ -12,11 +12,11 @@ import click
 from bilprov.analyzer.cli.command import argument, group, option
 from bilprov.analyzer.cli.options import LineOptions, asked_here, yes_option
 from bilprov.analyzer.cli.settings import PortName
+from bilprov.analyzer.client.port_link import by_command
+from bilprov.analyzer.client.probes import PROBES
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.options import fault_option, named_device, variant_option
-from bilprov.conformance.dut.port_link import by_command
-from bilprov.conformance.dut.probes import PROBES
 from bilprov.conformance.dut.target import PORT, SIM, Target, TargetName, open_target
 from bilprov.spec.protocol import Protocol
 

@@ -20,9 +20,9 @@ from bilprov.analyzer.cli.options import (
     yes_option,
 )
 from bilprov.analyzer.cli.settings import PortName
+from bilprov.analyzer.client.probes import PROBES
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.conformance.dut.probes import PROBES
 from bilprov.conformance.dut.target import BOARD, SIM
 from bilprov.spec.protocol import Protocol
 

@@ -1,23 +1,15 @@
-"""Interfaces of device, link and listener, and `drive`, which runs a procedure over a link.
+"""The interface of a device, and the environment of a run.
 
-Also the environment: what, besides grammar and options, is needed to repeat a run.
+That is what, besides grammar and options, is needed to repeat it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import msgspec
 
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.operations import Ended, Operation, Procedure, Reply
-
-T = TypeVar("T")
-
-
-HELD_ANSWERS = 1 << 13
-"""Answer bytes kept between two operations: a device that floods must not fill the memory."""
 
 
 class Observability(msgspec.Struct, frozen=True, rename={"available": "open", "costly": "sparse"}):
@@ -73,60 +65,3 @@ class Device(Protocol):
 
     def look(self, now: int) -> Look:
         """What the wheels and the LED do at `now`."""
-
-
-class LinkListener:
-    """Is told everything that passes over a link; times are in ns. Does nothing here."""
-
-    def sent(self, data: bytes, t: int) -> None:
-        """Bytes that go to the device."""
-
-    def received(self, data: bytes, t: int) -> None:
-        """Bytes that came from it."""
-
-    def looked(self, look: Look) -> None:
-        """A reading of the probe."""
-
-
-class Link(Protocol):
-    """The connection to a device under test: does operations, one at a time."""
-
-    def do(self, operation: Operation) -> Reply:
-        """Do one operation. Raises conformance.dut.operations.Ended when it cannot."""
-
-
-def drive(procedure: Procedure[T], link: Link, interrupted: Callable[[], bool | str]) -> T:
-    """Run a procedure over a link to its end and return what it returns.
-
-    `interrupted` is called before and after each operation. The first time that it returns True
-    (the user's wish) or a sentence (what of the kit failed), Ended is thrown into the procedure,
-    which then only homes the robot. What the operation brought is not judged: it was cut short.
-    """
-    reply: Any = None
-    error: BaseException | None = None
-    told = False
-
-    def end_if_interrupted() -> None:
-        nonlocal told
-        if not told and (why := interrupted()):
-            told = True
-            raise interruption(why)
-
-    while True:
-        try:
-            operation = procedure.throw(error) if error else procedure.send(reply)
-        except StopIteration as end:
-            return end.value  # type: ignore[no-any-return]  # what the generator's type says
-        error = None
-        try:
-            end_if_interrupted()
-            reply = link.do(operation)
-            end_if_interrupted()
-        except Ended as ended:
-            error = ended
-
-
-def interruption(why: bool | str) -> Ended:
-    """The Ended for an interruption: True is the user's wish, a sentence a failure of the kit."""
-    failed = isinstance(why, str)
-    return Ended(str(why) if failed else "interrupted", error=failed, line_works=True)

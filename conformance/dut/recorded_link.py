@@ -12,12 +12,8 @@ from typing import TypeVar
 
 import msgspec
 
-from bilprov.analyzer.foreign import safe
-from bilprov.captures import topics
-from bilprov.captures.reader import Message
-from bilprov.captures.schemas import Asked, Look
-from bilprov.conformance.dut.link import HELD_ANSWERS
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.link import HELD_ANSWERS
+from bilprov.analyzer.client.operations import (
     OPERATION_NAMES,
     Ended,
     Listen,
@@ -30,6 +26,10 @@ from bilprov.conformance.dut.operations import (
     Reply,
     Send,
 )
+from bilprov.analyzer.foreign import safe
+from bilprov.captures import topics
+from bilprov.captures.reader import Message
+from bilprov.captures.schemas import Asked, Look
 from bilprov.spec.codec import spaced
 
 TOPICS = frozenset({topics.HOST_RAW, topics.DEVICE_RAW, topics.LOOKS, topics.ASKS})

@@ -6,11 +6,15 @@ A name is `sim`, `emulator:KIND:FIRMWARE`, or else a port: a path or a pyserial 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
-from bilprov.analyzer.client.wire import stops
+from bilprov.analyzer.client.homing import halt
+from bilprov.analyzer.client.link import Link, LinkListener
+from bilprov.analyzer.client.port_link import PortLink, Power
+from bilprov.analyzer.client.probes import PROBES, Probe, look_time, open_probe
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
 from bilprov.analyzer.transport.machine import Machine
@@ -21,9 +25,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.checked_device import CheckedDevice
 from bilprov.conformance.dut.fault import CONFORMING, Fault
-from bilprov.conformance.dut.link import Device, Environment, Link, LinkListener, Observability
-from bilprov.conformance.dut.port_link import PortLink, Power
-from bilprov.conformance.dut.probes import PROBES, Probe, look_time, open_probe
+from bilprov.conformance.dut.link import Device, Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.spec.protocol import Protocol
@@ -216,16 +218,10 @@ def _port_target(
         "probe": probe_name,
     }
 
-    def halt() -> None:
-        with suppress(LinkError):
-            port.write(stops(protocol))
-
     return Target(
         protocol,
         Environment(False, observability, power is not None, port.name, about),
-        connect=lambda listener: PortLink(
-            port, probe, stopper.fileno(), listener, power, reconnect
-        ),
-        halt=halt,
+        connect=lambda listener: PortLink(port, probe, stopper, listener, power, reconnect),
+        halt=partial(halt, protocol, port),
         remark=lambda: probe.remark if probe is not None else "",
     )

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from bilprov.conformance.dut.checked_device import DeviceError
-from bilprov.conformance.dut.link import HELD_ANSWERS, Device, LinkListener
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.link import HELD_ANSWERS, LinkListener
+from bilprov.analyzer.client.operations import (
     Listen,
     Observation,
     Observe,
@@ -14,6 +13,8 @@ from bilprov.conformance.dut.operations import (
     Reply,
     Send,
 )
+from bilprov.conformance.dut.checked_device import DeviceError
+from bilprov.conformance.dut.link import Device
 
 
 class VirtualLink:

@@ -6,10 +6,10 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from bilprov.analyzer.client.link import Link, drive
+from bilprov.analyzer.client.operations import Ended, Procedure, send
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.dut.link import Link, drive
-from bilprov.conformance.dut.operations import Ended, Procedure, send
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
 from bilprov.conformance.learning.comparison import Difference

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from bilprov.analyzer.client.link import Link, drive
+from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.dut.link import Link, drive
-from bilprov.conformance.dut.operations import Procedure, listen, observe, send
 from bilprov.conformance.learning.alphabet import reset
 from bilprov.conformance.learning.comparison import Difference
 from bilprov.conformance.learning.machine import Machine, Word

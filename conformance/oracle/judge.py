@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 from dataclasses import replace
 
+from bilprov.analyzer.client.operations import Received
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
-from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.state_model import ExpectedState, FrameEffect, Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict

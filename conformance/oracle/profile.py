@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from bilprov.analyzer.client.operations import Received
 from bilprov.analyzer.foreign import from_toml
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.wheel_curve import WheelCurve
 from bilprov.spec.motion import Motion

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import msgspec
 
+from bilprov.analyzer.client.operations import Observation, Operation, Reply
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.operations import Observation, Operation, Reply
 from bilprov.conformance.oracle.state_model import VARIABLES, FrameEffect
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.spec.motion import Motion

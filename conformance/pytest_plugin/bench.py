@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from queue import SimpleQueue
 
+from bilprov.analyzer.client.probes import ProbeError, asks_person
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.api import (
@@ -25,7 +26,6 @@ from bilprov.conformance.api import (
 )
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.link import Environment
-from bilprov.conformance.dut.probes import ProbeError, asks_person
 from bilprov.conformance.dut.target import Target, open_target, target_named
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.pytest_plugin.robot_client import Client

@@ -1,6 +1,6 @@
 """The client of the fixture `robot`: sends instructions, reads answers, looks through the probe.
 
-It uses a link (`conformance.dut.link.Link`), so a test works alike on a port in real time and on a
+It uses a link (`analyzer.client.link.Link`), so a test works alike on a port in real time and on a
 simulator in virtual time.
 """
 
@@ -9,23 +9,14 @@ from __future__ import annotations
 from typing import TypeVar
 
 from bilprov.analyzer.client.driver import RobotError
+from bilprov.analyzer.client.link import Link, drive
+from bilprov.analyzer.client.operations import Ended, Procedure, listen, observe
 from bilprov.analyzer.client.robot import Instructions
-from bilprov.analyzer.client.wire import Heard as Answers
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.dut.link import Link
-from bilprov.conformance.dut.operations import (
-    Ended,
-    Listen,
-    Observation,
-    Observe,
-    Operation,
-    Received,
-    Send,
-)
 from bilprov.spec.protocol import Protocol
 
 _SETTLE = 2 * MS
-R = TypeVar("R", int, Received, Observation)
+T = TypeVar("T")
 
 
 class Client(Instructions):
@@ -36,15 +27,14 @@ class Client(Instructions):
     """
 
     def __init__(self, protocol: Protocol, link: Link, *, sees: bool) -> None:
-        self._link_wire = LinkWire(link)
-        super().__init__(protocol, self._link_wire)
+        super().__init__(protocol, link)
         self.sees = sees
 
     def look(self) -> Look:
         """What the probe sees now. Raises RobotError where there is no probe."""
         if not self.sees:
             raise RobotError("there is no probe to observe the robot; see --robot-probe")
-        return self._link_wire.look()
+        return self._do(observe()).look
 
     def home(self) -> None:
         """Bring the line to a frame's boundary and the robot to a stop, from wherever it is.
@@ -59,39 +49,13 @@ class Client(Instructions):
 
         Link and probe are two lines: a look may be a little older than the answer.
         """
-        wire = self._link_wire
-        until = wire.now + patience
+        until = self._do(listen(None, 0)).now + patience
         while self.sees and self.look().moving:
-            wire.listen(None, _SETTLE)
-            if wire.now >= until:
+            if self._do(listen(None, _SETTLE)).now >= until:
                 raise RobotError("the robot still moves although it was sent a stop")
 
-
-class LinkWire:
-    """A link as a wire (see `analyzer.client.wire`); `now` (ns) is when it last listened."""
-
-    def __init__(self, link: Link) -> None:
-        self.now = 0
-        self._link = link
-
-    def send(self, data: bytes) -> int:
-        """Send bytes; returns the time (ns) when the last one had gone. Raises RobotError."""
-        return self._do(Send(data), int)
-
-    def listen(self, count: int | None, patience: int) -> Answers:
-        """The answers until there are `count` or `patience` ns are over. Raises RobotError."""
-        heard = self._do(Listen(count, patience), Received)
-        self.now = heard.now
-        return heard.answers
-
-    def look(self) -> Look:
-        """What the probe sees now. Raises RobotError."""
-        return self._do(Observe(), Observation).look
-
-    def _do(self, operation: Operation, kind: type[R]) -> R:
+    def _do(self, procedure: Procedure[T]) -> T:
         try:
-            reply = self._link.do(operation)
+            return drive(procedure, self._link)
         except Ended as ended:
             raise RobotError(str(ended)) from ended
-        assert isinstance(reply, kind)
-        return reply

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.cli.options import NotConfirmed, confirm_motion
+from bilprov.analyzer.client.probes import ProbeError
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.ending import ENDINGS
 from bilprov.analyzer.transport.errors import LinkError
@@ -21,7 +22,6 @@ from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS, STANDARD
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.probes import ProbeError
 from bilprov.conformance.dut.target import SIM
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.choices import parse_allowed

@@ -12,10 +12,10 @@ from typing import Any, get_args
 
 import msgspec
 
+from bilprov.analyzer.client.operations import EndedBy
 from bilprov.analyzer.foreign import from_json
 from bilprov.captures.text import escape_json
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.dut.operations import EndedBy
 from bilprov.conformance.oracle.verdicts import LABELS, Axis, CaseResult, Verdict, worst
 from bilprov.conformance.report import schema
 from bilprov.conformance.report.expected import Comparison

@@ -11,13 +11,13 @@ from typing import Any
 
 import msgspec
 
+from bilprov.analyzer.client.operations import Ended
 from bilprov.analyzer.foreign import safe
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.coverage import covered
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.operations import Ended
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code, worst
 from bilprov.conformance.report.expected import Comparison

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.preamble import frame_effect_of
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.operations import Procedure, Received, listen, observe, send
 from bilprov.conformance.oracle.judge import differences, judge_state
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected, followed
 from bilprov.conformance.cases.budget import (
     Pace,
     before_the_cases,
@@ -20,7 +21,6 @@ from bilprov.conformance.cases.budget import (
 )
 from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.dut.operations import Ended, Procedure, Reconnected, followed
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.attempt import Attempt
 from bilprov.conformance.runner.discovery.discover import discover

@@ -7,11 +7,11 @@ makes one choice in its first frames and another later contradicts itself: the e
 
 from __future__ import annotations
 
+from bilprov.analyzer.client.operations import Procedure, Received, listen, send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.preamble import frame_effect_of, full_state
 from bilprov.conformance.cases.steps import code_of
-from bilprov.conformance.dut.operations import Procedure, Received, listen, send
 from bilprov.conformance.oracle.judge import differences
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words

@@ -9,11 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from bilprov.captures.schemas import MS, Look
-from bilprov.captures.text import quantity
-from bilprov.conformance.cases.case import Case, runner_case
-from bilprov.conformance.cases.preamble import frame_effect_of
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.homing import stops
+from bilprov.analyzer.client.operations import (
     Ended,
     Observation,
     Procedure,
@@ -22,6 +19,10 @@ from bilprov.conformance.dut.operations import (
     observe,
     send,
 )
+from bilprov.captures.schemas import MS, Look
+from bilprov.captures.text import quantity
+from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.cases.preamble import frame_effect_of
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
@@ -36,11 +37,6 @@ from bilprov.spec.motion import VARIABLES, Motion, State
 _FLOOD, _FLOODS = 4, 3
 _SLOW = 20 * MS  # for an answer
 _TRIES = 3  # to see it move: an instruction may get lost on the line
-
-
-def pad(run: Run) -> bytes:
-    """The bytes that home a line: pad bytes, harmless as header and as data, for a whole frame."""
-    return bytes([run.protocol.pad_byte]) * run.protocol.longest_frame
 
 
 def home(run: Run) -> Procedure[Homed]:
@@ -68,7 +64,7 @@ def home_again(run: Run) -> Procedure[None]:
     run.tally.begin_anew()
     run.waiting.answered()
     for _ in range(-(-run.timers.boot // run.timers.longest)):
-        yield from send(pad(run)[:1])
+        yield from send(stops(run.protocol)[:1])
         heard = yield from listen(1, run.timers.longest)
         if heard.answers:
             break
@@ -118,7 +114,7 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[int | No
     lost = owed = 0
     first: int | None = None
     for count in () if run.profile.one_by_one else at_once:
-        yield from send(pad(run)[:count])
+        yield from send(stops(run.protocol)[:count])
         got = yield from _as_they_come(run, count, patience, settle)
         first = next((code for _, code in got), None) if first is None else first
         # What is owed to the stops before is late, and neither lost nor unasked.
@@ -140,7 +136,7 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[int | No
     # of them for data that it still waits for, or discard them until the line is idle for longer.
     in_time = tries = 0
     while tries < 2 * due and (tries < 4 or in_time):
-        yield from send(pad(run)[:1])
+        yield from send(stops(run.protocol)[:1])
         longer = tries > 1 and not in_time
         heard = yield from waiting.answers(1, max(pause, run.timers.longest * longer))
         tries += 1
@@ -200,11 +196,11 @@ def leave(run: Run) -> Procedure[Ended | None]:
 def _leave(run: Run) -> Procedure[Ended | None]:
     seen: Observation | None = None
     clause, requirement = run.protocol.clauses.safety, "the run leaves the robot at rest"
-    case = runner_case(run.protocol, "leave/stopped", clause, requirement, pad(run))
+    case = runner_case(run.protocol, "leave/stopped", clause, requirement, stops(run.protocol))
     last = Trial(run, case)  # the stops are answered while the robot is watched too
     try:
         for _ in range(3):
-            yield from send(pad(run))
+            yield from send(stops(run.protocol))
             yield from listen(run.protocol.longest_frame, run.waiting.usual)
             if not run.config.observable:
                 return None
@@ -217,7 +213,7 @@ def _leave(run: Run) -> Procedure[Ended | None]:
             return ended
         # Interrupted, or the probe lost: the last operation was not done.
         try:
-            yield from send(pad(run))
+            yield from send(stops(run.protocol))
             yield from listen(run.protocol.longest_frame, run.waiting.usual)
         except Ended as again:
             return again

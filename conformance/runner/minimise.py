@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
+from bilprov.analyzer.client.operations import Procedure
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.dut.operations import Procedure
 from bilprov.conformance.runner.attempt import Attempt
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.sequence_answers import Mismatch

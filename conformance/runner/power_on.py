@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bilprov.captures.text import quantity
-from bilprov.conformance.cases.case import Case, runner_case
-from bilprov.conformance.cases.opening import at_rest, link_check, motion_first
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.homing import stops
+from bilprov.analyzer.client.operations import (
     Procedure,
     Received,
     listen,
@@ -19,12 +17,14 @@ from bilprov.conformance.dut.operations import (
     power_cycle,
     send,
 )
+from bilprov.captures.text import quantity
+from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.cases.opening import at_rest, link_check, motion_first
 from bilprov.conformance.oracle.judge import judge_answers, judge_state, lost
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words
-from bilprov.conformance.runner.homing import pad
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.codec import spaced
 from bilprov.spec.motion import State
@@ -125,7 +125,7 @@ def _ahead(run: Run) -> Procedure[None]:
         return
     due, short, paces = run.protocol.longest_frame, list[int](), list[int]()
     for _ in range(_TRIES):
-        sent = yield from send(pad(run))
+        sent = yield from send(stops(run.protocol))
         heard = yield from run.waiting.all_answers(due)
         paces += [max(0, t - sent) // len(heard.answers) for t, _ in heard.answers[-1:]]
         if len(heard.answers) < due:
@@ -137,7 +137,7 @@ def _ahead(run: Run) -> Procedure[None]:
     run.profile.one_by_one = True
     clause, requirement = run.protocol.clauses.responses, "instructions sent ahead are answered too"
     case = runner_case(
-        run.protocol, "line/pipelining", clause, requirement, pad(run), "R-pipelining"
+        run.protocol, "line/pipelining", clause, requirement, stops(run.protocol), "R-pipelining"
     )
     words = f"{quantity(max(short), 'answer')} to {due} stops sent at once"
     reason = f"loses answers: {words}, in each of {_TRIES} tries"
@@ -315,7 +315,7 @@ def _other_device(run: Run, exchanges: list[tuple[bytes, Received]]) -> Procedur
     while not any(code in run.protocol.codes for code in codes[:_FIRST_ANSWERS]):
         if len(codes) >= _FIRST_ANSWERS:
             break
-        yield from send(pad(run))
+        yield from send(stops(run.protocol))
         heard = yield from run.waiting.all_answers(run.protocol.longest_frame)
         if not heard.answers:
             break

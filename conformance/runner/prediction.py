@@ -6,9 +6,9 @@ kind that the rhythm counts.
 
 from __future__ import annotations
 
+from bilprov.analyzer.client.operations import Procedure, listen, send
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.operations import Procedure, listen, send
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.noise import burst_bytes, is_no_noise

@@ -13,11 +13,11 @@ from dataclasses import replace
 
 import msgspec
 
+from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import complete_frame
 from bilprov.conformance.cases.wheel_sweeps import WheelSweep
-from bilprov.conformance.dut.operations import Ended, Procedure, Reconnected
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to

@@ -11,11 +11,11 @@ from itertools import islice
 
 import msgspec
 
+from bilprov.analyzer.client.operations import Received
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, SEEN_AXES, Sight
 from bilprov.conformance.oracle.state_model import Model

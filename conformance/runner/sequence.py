@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from bilprov.analyzer.client.operations import Procedure, Received, listen, send
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.adaptation import adapt_to_device
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.dut.operations import Procedure, Received, listen, send
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_set, untold
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from bilprov.analyzer.client.operations import Procedure, Received, listen
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
-from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words

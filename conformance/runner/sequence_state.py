@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from bilprov.analyzer.client.operations import Procedure, Received, listen, observe
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.dut.operations import Procedure, Received, listen, observe
 from bilprov.conformance.oracle.judge import MOVING, contradiction, differences
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from bilprov.analyzer.client.operations import Procedure, listen, power_cycle, send
 from bilprov.conformance.cases.case import runner_case
-from bilprov.conformance.dut.operations import Procedure, listen, power_cycle, send
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.homing import home, watch
 from bilprov.conformance.runner.run import Run

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 
-from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.cases.adaptation import adapt_to_device
-from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.operations import (
     Observation,
     Procedure,
     Received,
@@ -16,6 +12,10 @@ from bilprov.conformance.dut.operations import (
     observe,
     send,
 )
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.cases.adaptation import adapt_to_device
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.oracle.judge import (
     MOVING,
     contradiction,

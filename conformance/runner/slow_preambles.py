@@ -12,9 +12,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from bilprov.analyzer.client.operations import Procedure
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.operations import Procedure
 from bilprov.conformance.runner.homing import SetUp, home, set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import setting

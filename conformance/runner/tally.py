@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from bilprov.conformance.cases.coverage import kind_of
-from bilprov.conformance.cases.steps import FrameClass, complete_frame
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.operations import (
     Observation,
     Operation,
     PowerCycle,
@@ -19,6 +17,8 @@ from bilprov.conformance.dut.operations import (
     Reply,
     Send,
 )
+from bilprov.conformance.cases.coverage import kind_of
+from bilprov.conformance.cases.steps import FrameClass, complete_frame
 from bilprov.conformance.runner.waiting import Waiting
 from bilprov.spec.protocol import Protocol
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
     Observation,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bilprov.analyzer.client.operations import Ended, Received, Reconnected
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.operations import Ended, Received, Reconnected
 from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.sight import SEEN_AXES
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
+from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.opening import truncation_timeout
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.operations import Procedure, Received, listen, observe, send
 from bilprov.conformance.oracle.judge import judge_answers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.oracle.wording import look_words

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import msgspec
 
+from bilprov.analyzer.client.operations import Procedure, Received, listen
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import group
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.dut.operations import Procedure, Received, listen
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst

@@ -11,10 +11,10 @@ from statistics import median
 
 import msgspec
 
+from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.wheel_sweeps import WheelSweep, evenly
-from bilprov.conformance.dut.operations import Procedure, listen, observe, send
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.oracle.wheel_curve import (
     READING,

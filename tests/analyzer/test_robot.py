@@ -19,13 +19,13 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
+from bilprov.analyzer.client.operations import Ended, Operation
 from bilprov.analyzer.client.robot import Robot
 from bilprov.analyzer.transport.ending import ENDINGS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import CONFORMING, Fault
-from bilprov.conformance.dut.operations import Ended, Operation
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.pytest_plugin.robot_client import Client

@@ -11,12 +11,12 @@ from typing import Any
 import msgspec
 import pytest
 
+from bilprov.analyzer.client.operations import Ended
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Message, open_capture
 from bilprov.conformance.api import Options
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.operations import Ended
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults import fault_bank

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.boards import uno
 from bilprov.conformance.dut.boards.elf import flash
 from bilprov.conformance.dut.boards.libsimavr import Avr
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from bilprov.conformance.dut.operations import Listen, Observation, Observe, Received, Send
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge

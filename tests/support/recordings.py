@@ -9,6 +9,8 @@ from typing import Any
 import msgspec
 from mcap.reader import make_reader
 
+from bilprov.analyzer.client.link import Link, LinkListener
+from bilprov.analyzer.client.operations import Ended, Observation, Operation, Received
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures import topics
@@ -16,8 +18,7 @@ from bilprov.captures.reader import Message, open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.link import Environment, Link, LinkListener, Observability
-from bilprov.conformance.dut.operations import Ended, Observation, Operation, Received
+from bilprov.conformance.dut.link import Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink

@@ -16,14 +16,15 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+from bilprov.analyzer.client.link import LinkListener, drive
+from bilprov.analyzer.client.operations import Observation, Observe, Operation, Received, Reply
 from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.link import LinkListener, Observability, drive
-from bilprov.conformance.dut.operations import Observation, Observe, Operation, Received, Reply
+from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.timers import Timers

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import Procedure, followed
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction
-from bilprov.conformance.dut.link import Observability, drive
-from bilprov.conformance.dut.operations import Procedure, followed
+from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult

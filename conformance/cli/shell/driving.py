@@ -8,6 +8,7 @@ from functools import partial
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, fields_in_words
+from bilprov.analyzer.client.probes import Probe, ProbeError
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
 from bilprov.analyzer.output.outputs import StreamOutput, write_out
@@ -18,7 +19,6 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.probes import Probe, ProbeError
 from bilprov.spec.protocol import Protocol
 
 COMMENT = "#"

@@ -8,13 +8,13 @@ from contextlib import ExitStack
 from typing import Literal
 
 from bilprov.analyzer.cli.options import confirm_motion, note, note_hindrances, note_suspension
+from bilprov.analyzer.client.probes import PROBES, open_probe
 from bilprov.analyzer.output.outputs import stream_output
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
-from bilprov.conformance.dut.probes import PROBES, open_probe
 from bilprov.spec.movement import all_movement, movement_words
 from bilprov.spec.protocol import Protocol
 

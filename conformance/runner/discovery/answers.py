@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from bilprov.analyzer.client.operations import Procedure, Received, listen, send
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.adaptation import adapt_to_device, led_instruction
 from bilprov.conformance.cases.steps import (
@@ -15,7 +16,6 @@ from bilprov.conformance.cases.steps import (
     valid_frame,
     wrong_length_frame,
 )
-from bilprov.conformance.dut.operations import Procedure, Received, listen, send
 from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding

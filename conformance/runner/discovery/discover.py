@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from bilprov.analyzer.client.operations import Procedure
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
-from bilprov.conformance.dut.operations import Procedure
 from bilprov.conformance.oracle.choices import verdict_of
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.discovery.answers import answer_experiments

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from bilprov.conformance.dut.operations import Procedure
+from bilprov.analyzer.client.operations import Procedure
 from bilprov.conformance.runner.run import Run
 
 

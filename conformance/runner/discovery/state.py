@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
+from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.steps import unused_id_frame, wrong_length_frame
-from bilprov.conformance.dut.operations import Procedure, listen, observe, send
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import set_up, watch

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from bilprov.analyzer.client.link import Link, LinkListener
+from bilprov.analyzer.client.operations import Ended, Operation, Reply
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.link import Environment, Link, LinkListener
-from bilprov.conformance.dut.operations import Ended, Operation, Reply
+from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol

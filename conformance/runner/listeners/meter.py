@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
     Observation,

@@ -12,6 +12,15 @@ from collections.abc import Callable, Iterable, Mapping
 
 import msgspec
 
+from bilprov.analyzer.client.operations import (
+    OPERATION_NAMES,
+    Ended,
+    Observation,
+    Operation,
+    Received,
+    Reconnected,
+    Reply,
+)
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
@@ -22,15 +31,6 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Asked, CaseMark, Chunk, Line, Look
 from bilprov.captures.wall_clock import wall_clock
 from bilprov.conformance.dut.link import Environment
-from bilprov.conformance.dut.operations import (
-    OPERATION_NAMES,
-    Ended,
-    Observation,
-    Operation,
-    Received,
-    Reconnected,
-    Reply,
-)
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.json_report import as_json

@@ -18,7 +18,7 @@ from operator import itemgetter
 
 import msgspec
 
-from bilprov.conformance.dut.operations import Ended, Observation, Operation, Received, Reply, Send
+from bilprov.analyzer.client.operations import Ended, Observation, Operation, Received, Reply, Send
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent, WireKind
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.listeners.listener import RunListener

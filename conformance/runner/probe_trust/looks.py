@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from bilprov.analyzer.client.operations import Observation, Procedure, observe
 from bilprov.captures.schemas import Look
 from bilprov.captures.text import quantity
-from bilprov.conformance.dut.operations import Observation, Procedure, observe
 
 _AGAIN = 3  # looks that are made again for one, where they go on differing
 _ODD, _FEW = 0.03, 4  # share of odd looks from which on none is believed, and at least so many

@@ -6,9 +6,10 @@ that lags shows no change at once. It is made once in a run, before the first su
 
 from __future__ import annotations
 
+from bilprov.analyzer.client.homing import stops
+from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.operations import Procedure, listen, observe, send
-from bilprov.conformance.runner.homing import home, pad, set_up
+from bilprov.conformance.runner.homing import home, set_up
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import moving_to
 from bilprov.spec.motion import State
@@ -55,7 +56,7 @@ def _check(run: Run) -> Procedure[str]:
         for wait in (0, _QUIET):
             yield from home(run)
             yield from set_up(run, State(speed=fast))
-            for frame, moving in ((start, True), (pad(run)[:1], False)):
+            for frame, moving in ((start, True), (stops(run.protocol)[:1], False)):
                 yield from listen(None, _QUIET)
                 late = yield from _shown_after(run, run.wire(frame), wait, moving=moving)
                 if late is not None and wait:

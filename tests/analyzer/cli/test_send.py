@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.adapter import Adapter
 from bilprov.analyzer.cli.send import _resumed
-from bilprov.analyzer.client.wire import stops
+from bilprov.analyzer.client.homing import stops
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings

@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.client.wire import Heard
+from bilprov.analyzer.client.operations import Listen, Operation, Received, Send
 from bilprov.analyzer.doctor.asking import RATES, Reply, asked, rates_of, told
 from bilprov.analyzer.doctor.examination import of_line
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
@@ -311,13 +311,16 @@ class Line8N1:
             raise LinkError("no such rate")
         self.tuned = baud
 
-    def send(self, data: bytes) -> int:
-        self.said.append((self.tuned, data))
-        self._device.receive(self._passed(data), self._now)
-        return self._now
+    def do(self, operation: Operation) -> int | Received:
+        if isinstance(operation, Send):
+            self.said.append((self.tuned, operation.data))
+            self._device.receive(self._passed(operation.data), self._now)
+            return self._now
+        assert isinstance(operation, Listen)
+        return self._listen(operation.count, self._now + operation.patience)
 
-    def listen(self, count: int | None, patience: int) -> Heard:
-        until, came = self._now + patience, list[tuple[int, int]]()
+    def _listen(self, count: int | None, until: int) -> Received:
+        came = list[tuple[int, int]]()
         while count is None or len(came) < count:
             due = self._device.deadline()
             if due is None or due > until:
@@ -326,7 +329,7 @@ class Line8N1:
             self._now = max(self._now, due)
             answers = self._passed(self._device.advance(self._now))
             came += [(self._now, byte) for byte in answers]
-        return tuple(came)
+        return Received(tuple(came), self._now)
 
     def _passed(self, data: bytes) -> bytes:
         return data if self.tuned == self.baud else self._garble(data)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.noisy_device import NoisyDevice
+from bilprov.analyzer.client.link import Link, LinkListener
 from bilprov.analyzer.taps.impairment import Noise
 from bilprov.conformance.api import Options, conform, estimated, run_suite, select_cases
-from bilprov.conformance.dut.link import Environment, Link, LinkListener, Observability
+from bilprov.conformance.dut.link import Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink

@@ -11,16 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.ports import open_port
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
-from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.schemas import Look
-from bilprov.conformance.dut import port_link
-from bilprov.conformance.dut.checked_device import DeviceError
-from bilprov.conformance.dut.fault import Fault, answers
-from bilprov.conformance.dut.link import drive
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client import port_link
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
     Observation,
@@ -34,8 +27,15 @@ from bilprov.conformance.dut.operations import (
     observe,
     send,
 )
-from bilprov.conformance.dut.port_link import PortLink
-from bilprov.conformance.dut.probes import Probe, open_probe
+from bilprov.analyzer.client.port_link import PortLink
+from bilprov.analyzer.client.probes import Probe, open_probe
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.schemas import Look
+from bilprov.conformance.dut.checked_device import DeviceError
+from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.spec.protocol import Protocol
@@ -229,7 +229,7 @@ class Room:
         assert self.probe is not None
         stack.callback(self.probe.close)
         self.tap = Noted()
-        self.link = PortLink(self.port, self.probe, self.stopper.fileno(), self.tap)
+        self.link = PortLink(self.port, self.probe, self.stopper, self.tap)
 
 
 @pytest.fixture(params=["tcp", "pty"])
@@ -282,7 +282,7 @@ def test_the_port_goes_on_being_read_while_the_probe_is_asked(protocol: Protocol
         assert probe is not None
         stack.callback(probe.close)
         tap = Noted()
-        link = PortLink(port, probe, stopper.fileno(), tap)
+        link = PortLink(port, probe, stopper, tap)
         link.do(Send(b"\x20"))
         while ("received", b"\0") not in [note[:2] for note in tap.notes]:
             link.do(Observe())
@@ -317,7 +317,7 @@ def test_a_port_that_goes_ends_the_run_and_says_so(protocol: Protocol) -> None:
         name, _ = serving.enter_context(served_here(Simulator(protocol)))
         stopper = stack.enter_context(Stopper())
         port = stack.enter_context(open_port(name))
-        link = PortLink(port, None, stopper.fileno())
+        link = PortLink(port, None, stopper)
         link.do(Send(b"\0"))
         assert heard_of(link, 1, LONG).codes == (0,)
         serving.close()
@@ -366,7 +366,7 @@ def unplugged(
         port = stack.enter_context(open_port(str(name), settings))
         stopper, probe = stack.enter_context(Stopper()), Replies()
         stack.callback(probe.close)
-        yield PortLink(port, probe, stopper.fileno(), reconnect=seconds), probe, pair, stopper
+        yield PortLink(port, probe, stopper, reconnect=seconds), probe, pair, stopper
 
 
 def test_the_reply_to_a_look_that_an_unplug_cut_short_is_not_that_to_the_next(

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from benchmarks.noisy_device import NoisyDevice
+from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
 from bilprov.analyzer.taps.impairment import Noise
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
 from bilprov.conformance.dut.link import Device
-from bilprov.conformance.dut.operations import Listen, Observation, Observe, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.dut.virtual_link import VirtualLink

@@ -7,10 +7,10 @@ from dataclasses import fields
 
 import pytest
 
+from bilprov.analyzer.client.operations import Listen, Received, Send
 from bilprov.conformance.api import Options, conform, suite_ids
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.operations import Listen, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import all_faults, fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict

@@ -16,12 +16,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bilprov.analyzer.client.operations import Received
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
-from bilprov.conformance.dut.operations import Received
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation import variant_behaviour as take
 from bilprov.conformance.mutation.faults.vocabulary import (

@@ -10,9 +10,9 @@ import msgspec
 import pytest
 from rich.console import Console
 
+from bilprov.analyzer.client.operations import Observation, Observe
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.operations import Observation, Observe
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.choices import Choices

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import Ended, Procedure, followed
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
-from bilprov.conformance.dut.link import drive
-from bilprov.conformance.dut.operations import Ended, Procedure, followed
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers

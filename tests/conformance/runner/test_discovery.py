@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import Observation, Operation, Procedure, Received, listen
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction, answers
-from bilprov.conformance.dut.link import Observability, drive
-from bilprov.conformance.dut.operations import Observation, Operation, Procedure, Received, listen
+from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_mixture
 from bilprov.conformance.mutation.faults import fault_bank

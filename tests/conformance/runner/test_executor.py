@@ -12,12 +12,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from bilprov.captures.schemas import Look
-from bilprov.conformance.api import Options, conform
-from bilprov.conformance.cases.case import Case
-from bilprov.conformance.dut.fault import Fault, answers
-from bilprov.conformance.dut.link import Observability, drive
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
     Observation,
@@ -26,6 +22,11 @@ from bilprov.conformance.dut.operations import (
     Received,
     Send,
 )
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.cases.case import Case
+from bilprov.conformance.dut.fault import Fault, answers
+from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.timers import Timers

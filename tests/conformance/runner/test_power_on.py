@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from bilprov.analyzer.client.link import drive
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, select_cases
-from bilprov.conformance.dut.link import Device, drive
+from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import Operation, Reconnected, Reply, Send
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.link import drive
-from bilprov.conformance.dut.operations import Operation, Reconnected, Reply, Send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
+from bilprov.analyzer.client.operations import Ended, Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction, answers
-from bilprov.conformance.dut.operations import Ended, Listen, Observation, Observe, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank

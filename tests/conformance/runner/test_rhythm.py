@@ -6,11 +6,11 @@ from random import Random
 
 import pytest
 
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import Procedure, followed, listen, power_cycle, send
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
-from bilprov.conformance.dut.link import drive
-from bilprov.conformance.dut.operations import Procedure, followed, listen, power_cycle, send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults.vocabulary import (
     Condition,

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
+from bilprov.analyzer.client.operations import Listen, Observation, Operation, Received, Send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.dut.fault import Fault, React, answers
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.operations import Listen, Observation, Operation, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults.vocabulary import answers_with, drives_on, late, sets

@@ -7,11 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.captures.schemas import Look
-from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.link import Environment, Link, LinkListener
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.link import Link, LinkListener
+from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
     Observation,
@@ -22,6 +19,10 @@ from bilprov.conformance.dut.operations import (
     Reply,
     Send,
 )
+from bilprov.captures.schemas import Look
+from bilprov.conformance.api import Options, run_suite
+from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.mutation.faults import fault_bank

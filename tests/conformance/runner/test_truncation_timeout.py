@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from bilprov.analyzer.client.link import drive
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.link import drive
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults.vocabulary import watchdog
 from bilprov.conformance.mutation.pairs import pairs

@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 
 from benchmarks.noisy_device import NoisyDevice
+from bilprov.analyzer.client.link import Link, LinkListener
+from bilprov.analyzer.client.operations import Observation, Observe, Operation, Reply
 from bilprov.analyzer.taps.impairment import Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.link import Device, Environment, Link, LinkListener, Observability
-from bilprov.conformance.dut.operations import Observation, Observe, Operation, Reply
+from bilprov.conformance.dut.link import Device, Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink

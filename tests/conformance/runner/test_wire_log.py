@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform, run_suite
-from bilprov.conformance.dut.operations import Listen, Observation, Observe, Received, Send
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank

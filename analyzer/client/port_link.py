@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port, wait_readable
-from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
-from bilprov.conformance.dut.link import HELD_ANSWERS, LinkListener
-from bilprov.conformance.dut.operations import (
+from bilprov.analyzer.client.link import HELD_ANSWERS, LinkListener
+from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
     Observation,
@@ -23,7 +19,12 @@ from bilprov.conformance.dut.operations import (
     Reply,
     Send,
 )
-from bilprov.conformance.dut.probes import Probe, ProbeError
+from bilprov.analyzer.client.probes import Probe, ProbeError
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import wait_readable
+from bilprov.analyzer.transport.replug import Place, opened_again
+from bilprov.analyzer.transport.signals import Stopper
 from bilprov.spec.errors import UserError
 
 Power = Callable[[], None]
@@ -53,16 +54,17 @@ def by_command(command: str) -> Power:
 class PortLink:
     """Does operations on a port and, where there is one, a probe, in real time.
 
-    `stop` is a file descriptor that is readable once the user wants to stop. `power` switches the
-    robot off and on. A port that is lost is waited for `reconnect` s (`transport.replug`), and the
-    operation then ends with Reconnected. `clock` gives the time in ns.
+    A stop that `stopper` is asked for ends what is waited for, once: the robot has to be homed
+    after that. `tap` is told what passes. `power` switches the robot off and on. A port that is
+    lost is waited for `reconnect` s (`transport.replug`), and the operation then ends with
+    Reconnected. `clock` gives the time in ns.
     """
 
     def __init__(
         self,
         port: Port,
-        probe: Probe | None,
-        stop: int,
+        probe: Probe | None = None,
+        stopper: Stopper | None = None,
         tap: LinkListener | None = None,
         power: Power | None = None,
         reconnect: float = 0.0,
@@ -70,12 +72,12 @@ class PortLink:
     ) -> None:
         self._port = port
         self._probe = probe
-        self._stop = stop
-        self._stopping = False
+        self._stopper = stopper
+        self._stopping = stopper is None
         self._tap = tap
         self._power = power
         self._reconnect = reconnect
-        self._place = Place(port.name)
+        self._place = Place(port.name) if reconnect else None
         self._clock = clock
         self._start = clock()
         self._heard: list[tuple[int, int]] = []
@@ -110,37 +112,31 @@ class PortLink:
     def _lost(self, error: LinkError) -> Ended:
         """Wait for a lost port where that was asked for; returns how that ended."""
         lost = self.now()
-        if not self._reconnect or not self._place.lasts:
+        if self._place is None:
             return Ended(str(error), error=True, line_works=False)
         self._port.close()
         self._heard.clear()
         # A stop that was asked for before cannot be asked for again.
-        stop, longest = [self._stop], self._reconnect
-        if self._stopping:
-            stop, longest = [], min(longest, _PARTING)
-        while self.now() - lost < longest * 1e9:
-            path = self._place.found()
-            try:
-                again = open_port(path, self._port.settings) if path else None
-            except LinkError:  # it has just come and is not ours yet
-                again = None
-            if again is not None:
-                self._port.renew(again)
-                self._place = Place(path)
-                now = self.now()
-                after = f"it was there again after {(now - lost) / 1e9:.1f} s"
-                try:
-                    self._finish_look()
-                except ProbeError as broken:
-                    return Ended(str(broken), error=True, line_works=True)
-                return Reconnected(f"{error}; {after}", lost, now)
-            if wait_readable([], LOOK_AGAIN, stop)[1]:
-                return Ended("interrupted", error=False, line_works=False)
-        return Ended(
-            f"{error}, and it was not there again in {longest:g} s (--reconnect)",
-            error=True,
-            line_works=False,
-        )
+        longest = min(self._reconnect, _PARTING) if self._stopping else self._reconnect
+        again = opened_again(self._place, self._port.settings, error, self._to_stop, longest)
+        if again is None and self._to_stop():
+            return Ended("interrupted", error=False, line_works=False)
+        if again is None:
+            sentence = f"{error}, and it was not there again in {longest:g} s (--reconnect)"
+            return Ended(sentence, error=True, line_works=False)
+        self._place = Place(again.name)
+        self._port.renew(again)
+        now = self.now()
+        try:
+            self._finish_look()
+        except ProbeError as broken:
+            return Ended(str(broken), error=True, line_works=True)
+        after = f"it was there again after {(now - lost) / 1e9:.1f} s"
+        return Reconnected(f"{error}; {after}", lost, now)
+
+    def _to_stop(self) -> bool:
+        """Whether a stop is asked for that has not ended anything yet."""
+        return not self._stopping and self._stopper is not None and self._stopper.stopped
 
     def _finish_look(self) -> None:
         """Take the reply to a look that the lost port cut short: the next is no reply to that.
@@ -203,12 +199,20 @@ class PortLink:
                     self._tap.looked(look)
                 return Observation(asked, self.now(), look)
 
+    def attend(self, seconds: float, also: Sequence[int]) -> list[int]:
+        """Read what comes, waiting at most `seconds` for that or for a descriptor.
+
+        Returns those of the descriptors `also` that are readable. Raises LinkError.
+        """
+        _, ready = wait_readable([self._port], max(seconds, 0), also)
+        self._read()
+        return ready
+
     def _wait(self, patience: int, other: int | None = None) -> bool:
         """Wait up to `patience` ns, reading the port; true if stopped or `other` is ready."""
-        also = [fd for fd in (other, None if self._stopping else self._stop) if fd is not None]
-        _, ready = wait_readable([self._port], max(patience, 0) / 1e9, also)
-        self._read()
-        if self._stop in ready and not self._stopping:
+        stop = None if self._stopping or self._stopper is None else self._stopper.fileno()
+        ready = self.attend(patience / 1e9, [fd for fd in (other, stop) if fd is not None])
+        if stop in ready:
             self._stopping = True
             return other is None
         return other is not None and other in ready

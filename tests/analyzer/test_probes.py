@@ -15,13 +15,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bilprov.analyzer.transport.ports import open_port
-from bilprov.analyzer.transport.pty import open_pty
-from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.operations import Ended, Observation, Observe
-from bilprov.conformance.dut.port_link import PortLink
-from bilprov.conformance.dut.probes import (
+from bilprov.analyzer.client.operations import Ended, Observation, Observe
+from bilprov.analyzer.client.port_link import PortLink
+from bilprov.analyzer.client.probes import (
     ExecProbe,
     Probe,
     ProbeError,
@@ -29,6 +25,10 @@ from bilprov.conformance.dut.probes import (
     open_probe,
     parse_look,
 )
+from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.schemas import Look
 from bilprov.conformance.recheck import recheck
 from tests.support import ROOT
 from tests.support.commands import command
@@ -226,7 +226,7 @@ def test_a_probe_that_fails_ends_the_run_but_not_the_line(
         stack.callback(probe.close)
 
         with pytest.raises(Ended, match=words) as ended:
-            PortLink(port, probe, stopper.fileno()).do(Observe())
+            PortLink(port, probe, stopper).do(Observe())
 
     assert ended.value.error
     assert ended.value.line_works
@@ -242,7 +242,7 @@ def test_a_look_that_knows_nothing_comes_through_the_link(pty: str) -> None:
         assert probe is not None
         stack.callback(probe.close)
 
-        seen = PortLink(port, probe, stopper.fileno()).do(Observe())
+        seen = PortLink(port, probe, stopper).do(Observe())
 
     assert isinstance(seen, Observation)
     assert seen.look.moving is None
@@ -266,7 +266,7 @@ def test_a_probe_that_stays_silent_is_given_up_at_its_own_limit(pty: str, patien
         probe.patience = patience
 
         with pytest.raises(Ended, match=rf"did not answer in {patience:g} s") as ended:
-            PortLink(port, probe, stopper.fileno(), clock=clock).do(Observe())
+            PortLink(port, probe, stopper, clock=clock).do(Observe())
 
     assert ended.value.error
     assert len(asked) >= 9
@@ -346,7 +346,7 @@ QUESTION = re.compile(rb"Does the robot move now\? \[.*?\] ")
 def test_what_a_person_types_that_is_no_text_is_no_known_answer() -> None:
     """The terminal is this test: it is asked once, in a process that has it as its own."""
     ask = (
-        "from bilprov.conformance.dut.probes import AskProbe; probe = AskProbe(); probe.ask(); "
+        "from bilprov.analyzer.client.probes import AskProbe; probe = AskProbe(); probe.ask(); "
         "print(probe.take(7).moving, probe.take(7).moving)"
     )
     with open_pty() as terminal:

@@ -1,18 +1,22 @@
-"""The operations of a test procedure (send, listen, observe, power-cycle) and their results.
+"""The operations of a procedure (send, listen, observe, power-cycle) and their results.
 
-A link does them; the runner reaches the device in no other way. Times are integers in nanoseconds
-on the link's clock, virtual or real.
+A link does them; whatever drives a robot reaches it in no other way. Times are integers in
+nanoseconds on the link's clock, virtual or real.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar
 
 from bilprov.captures.schemas import Look
 
 T = TypeVar("T")
+
+
+Heard: TypeAlias = tuple[tuple[int, int], ...]
+"""Answer bytes, each as (time in ns, byte)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +50,9 @@ class PowerCycle:
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Answer bytes as (time in ns, byte), and the time (ns) when listening ended."""
+    """What was heard, and the time (ns) when listening ended."""
 
-    answers: tuple[tuple[int, int], ...]
+    answers: Heard
     now: int
 
     @property
