@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import ClassVar, NamedTuple
 
+from rich.style import Style
 from rich.text import Text
 from textual.binding import Binding, BindingType
 from textual.widgets import Tree
@@ -132,6 +133,10 @@ class FieldTree(Tree[Detail]):
         shown = tuple(details(self._protocol, record, state=state)) if record else ()
         if shown != self._shown:
             self._fill(shown)
+
+    def render_label(self, node: TreeNode[Detail], base_style: Style, style: Style) -> Text:
+        """A line, which keeps its colours while another pane has the focus."""
+        return super().render_label(node, base_style, style if self.has_focus else Style())
 
     def on_resize(self) -> None:
         """Wrap long lines anew."""
