@@ -352,6 +352,17 @@ def test_marks_go_with_the_rows_that_are_let_go(protocol: Protocol) -> None:
         assert screen.frames.row == screen.feed.recording.first > 0
         await pilot.press("apostrophe")
         assert "no row is marked" in text_of(screen)[-1]
+        for batch in decoded(protocol, drive(2100)):
+            screen.feed.recording.add(batch)
+        await pilot.press("end", "9", "9", "k")
+        await pilot.pause()
+        before = [line[:90] for line in text_of(screen)[1:20]]
+        screen.feed.recording.let_go_oldest()
+        screen.show_rows()
+        await pilot.pause()
+        assert [
+            line[:90] for line in text_of(screen)[1:20]
+        ] == before  # the same rows at the same place
 
     operated(screen, steps)
 
@@ -404,6 +415,8 @@ def test_the_fields_light_their_bytes_and_stay_folded(screen: Browser) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         await pilot.press("j", "enter", "j", "j")
         assert screen.fields.has_focus
+        screen.show_rows()  # as it does when rows come
+        await pilot.pause()
         assert screen.frames.lit == range(1, 2)  # the speed's
         assert any("speed 0000 0000 0 speed" in " ".join(line.split()) for line in text_of(screen))
         await pilot.press("j", "l", "j", "h")  # from a line below its heading

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from threading import RLock
 from typing import Any
 
@@ -113,6 +114,15 @@ def test_a_packed_frame_with_its_answer_takes_few_bytes(protocol: Protocol) -> N
 
     for batch in (*batches, Records(records_of(batches))):
         assert PackedBatch(batch).nbytes < 15 * len(batch) + 1000
+
+
+def test_the_first_row_from_a_time_on_is_found_in_any_block(protocol: Protocol) -> None:
+    events = exchanges([(b"\x11\x05", b"\0")] * 3000, MS, MS // 2)
+    recording = recorded(protocol, told(StreamDecoder(protocol), events, [512]))
+    times = [record.t for record in recording.records(range(recording.rows))]
+    for row in (0, 1, 1500, 3001, recording.rows - 1):
+        assert recording.row_at(times[row]) == bisect_left(times, times[row])
+    assert recording.row_at(times[-1] + 1) == recording.rows
 
 
 def test_the_oldest_rows_can_be_let_go(protocol: Protocol) -> None:
