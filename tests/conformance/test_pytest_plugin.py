@@ -12,8 +12,8 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
+from bilprov.analyzer.client import probes
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut import probes
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
