@@ -5,10 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
-import pty
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -27,12 +24,13 @@ from bilprov.analyzer.output.csv_text import plain
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import Capture, open_capture
-from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.decoding import Event, conversation, decoded
+from tests.support.terminals import on_terminal
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 from tests.support.wires import PATIENCE, running
 
@@ -159,19 +157,15 @@ def test_each_format_has_the_records_of_a_session_one_by_one(
     ],
     ids=" ".join,
 )
-def test_jsonl_is_what_replay_prints(more: list[str]) -> None:
-    shown = command("replay", str(SAMPLE), "--rate", "0", "--format", "jsonl", *more)
-
-    assert exported(SAMPLE, "jsonl", *more) == shown.stdout
-    assert len(csv_rows(exported(SAMPLE, "csv", *more))) == shown.stdout.count(b"\n") > 1
-    assert len(parquet_rows(exported(SAMPLE, "parquet", *more))) == shown.stdout.count(b"\n")
-
-
-def test_csv_is_what_replay_prints() -> None:
-    more = ["--columns", "time,t,direction,rgb,latency,reason", "--time", "delta"]
-    shown = command("replay", str(SAMPLE), "--rate", "0", "--format", "csv", *more)
-
-    assert exported(SAMPLE, "csv", *more) == shown.stdout
+def test_it_is_what_replay_prints(more: list[str]) -> None:
+    columns = ["--columns", "time,t,direction,rgb,latency,reason", "--time", "delta"]
+    for style, asked in (("jsonl", more), ("csv", [*more, *columns])):
+        shown = command("replay", str(SAMPLE), "--rate", "0", "--format", style, *asked).stdout
+        assert exported(SAMPLE, style, *asked) == shown
+        assert shown.count(b"\n") > 2
+    rows = len(csv_rows(exported(SAMPLE, "csv", *more)))
+    assert rows == len(parquet_rows(exported(SAMPLE, "parquet", *more)))
+    assert rows == exported(SAMPLE, "jsonl", *more).count(b"\n")
 
 
 def test_parquet_has_types_and_the_columns_that_are_asked_for(tmp_path: Path) -> None:
@@ -186,20 +180,15 @@ def test_parquet_has_types_and_the_columns_that_are_asked_for(tmp_path: Path) ->
     assert (answer["latency"], answer["latency_ns"]) == (0.001, MS)
 
 
-def test_numbers_that_64_bits_cannot_hold_are_decimals(grammar_text: str) -> None:
-    pytest.importorskip("pyarrow", reason="pip install 'bilprov[parquet]'")
-    from bilprov.analyzer.export.parquet import write_parquet
-    from bilprov.spec.protocol import load
+def test_numbers_that_64_bits_cannot_hold_are_decimals(tmp_path: Path, grammar_text: str) -> None:
+    short, field = "BitStruct, Byte,", '"speed" / Ranged(Byte, 0, 255)'
+    long = '"speed" / Ranged(BytesInteger(15), 0, 2**120 - 1)'
+    grammar = tmp_path / "long.py"
+    grammar.write_text(grammar_text.replace(short, f"{short} BytesInteger,").replace(field, long))
+    said = b"\x1f" + b"\xff" * 15
+    path = written(tmp_path / "a.mcap", conversation([(said, b"\0")]))
 
-    text = grammar_text.replace("BitStruct, Byte,", "BitStruct, Byte, BytesInteger,")
-    text = text.replace(
-        '"speed" / Ranged(Byte, 0, 255)', '"speed" / Ranged(BytesInteger(15), 0, 2**120 - 1)'
-    )
-    protocol = load(text, "long.py")
-    with tempfile.TemporaryDirectory() as folder:
-        said = b"\x1f" + b"\xff" * 15
-        path = written(Path(folder) / "a.mcap", conversation([(said, b"\0")]))
-        row, _ = parquet_rows(written_by(write_parquet, open_capture(path), protocol))
+    row, _ = parquet_rows(exported(path, "parquet", "--grammar", str(grammar)))
 
     assert row["fields.speed"] == row["state.speed"] == 2**120 - 1
 
@@ -231,75 +220,20 @@ def test_without_pyarrow_the_line_that_brings_it_is_told(
     assert not list(tmp_path.iterdir())
 
 
-def test_hostile_words_of_a_capture_stay_in_their_cell(tmp_path: Path) -> None:
-    hostile = '=cmd|"/c calc"!A1\r\n@x,\x1b[2J\u202e'
-    events: list[Event] = [
-        Line(0, hostile, "", hostile),
-        Line(MS, "break", "", "+1"),
-        Chunk(MS, "host", b"\0"),
-    ]
-    path = written(tmp_path / "a.mcap", events)
-
-    for style in ("csv", "jsonl"):
-        assert exported(path, style).decode().replace("\r\n", "").replace("\n", "").isprintable()
-    for row in parquet_rows(exported(path, "parquet")):
-        assert all(text.isprintable() for text in row.values() if isinstance(text, str))
-    assert exported(path, "csv").decode().splitlines()[1].startswith("0.001,,fault,,break,")
-    assert ",'+1," in exported(path, "csv").decode()
-
-
-@pytest.mark.parametrize("style", FORMATS)
-def test_the_format_follows_from_the_files_name_unless_it_is_named(
-    style: str, tmp_path: Path
-) -> None:
-    other = "jsonl" if style == "csv" else "csv"
-    for name, more in (
-        (f"a.{style}", []),
-        (f"A.{style.upper()}", []),
-        (f"b.{other}", ["--format", style]),
-    ):
-        out = tmp_path / name
-        assert command("export", str(SAMPLE), "-o", str(out), *more).returncode == 0
-        assert out.read_bytes() == exported(SAMPLE, style)
-
-
-FULL = """
-import resource, signal, sys
+CLOSED = """
+import os, sys
 from bilprov.__main__ import main
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-sys.dont_write_bytecode = True  # a compiled file would be cut short too
-resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, 1_000))
-main(["export", *sys.argv[1:]])
+reader, writer = os.pipe()
+os.close(reader)
+os.dup2(writer, 1)
+main(["export", *sys.argv[1:], "-o", "-"])
 """
 
 
 @pytest.mark.waits
 @pytest.mark.parametrize("style", FORMATS)
-def test_a_full_disk_is_one_sentence_and_leaves_no_file(tmp_path: Path, style: str) -> None:
-    out = tmp_path / "out"
-
-    done = process(str(SAMPLE), "--format", style, "-o", str(out), code=FULL)
-
-    assert done.returncode == 2
-    assert done.stderr.decode() == f"bilprov: {out} cannot be written: File too large\n"
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.waits
-@pytest.mark.parametrize("style", FORMATS)
 def test_a_reader_that_goes_away_ends_it_quietly(style: str) -> None:
-    reader, writer = os.pipe()
-    os.close(reader)
-    words = ["export", str(SAMPLE), "--format", style, "-o", "-"]
-    done = subprocess.run(
-        [sys.executable, "-m", "bilprov", *words],
-        stdout=writer,
-        stderr=subprocess.PIPE,
-        cwd=ROOT,
-        timeout=PATIENCE,
-        check=False,
-    )
-    os.close(writer)
+    done = process(str(SAMPLE), "--format", style, code=CLOSED)
 
     assert (done.returncode, done.stderr) == (0, b"")
 
@@ -361,39 +295,19 @@ def test_an_interrupted_export_leaves_no_file(tmp_path: Path, number: signal.Sig
     assert list(tmp_path.iterdir()) == [path]
 
 
-def _on_a_terminal(*words: str, out: int | None = None) -> tuple[int, bytes]:
-    """Run the command with standard error (and output, if there is no `out`) on a terminal."""
-    ours, theirs = pty.openpty()
-    shown = b""
-    with subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *words],
-        stdout=theirs if out is None else out,
-        stderr=theirs,
-        cwd=ROOT,
-    ) as child:
-        os.close(theirs)
-        try:
-            while part := os.read(ours, 4_096):
-                shown += part
-        except OSError:  # the other end is closed
-            pass
-    os.close(ours)
-    return child.returncode, shown
-
-
 @pytest.mark.waits
-def test_progress_is_drawn_on_a_terminal(tmp_path: Path) -> None:
-    for path, drawn in ((much(tmp_path / "a.mcap", 700), True), (SAMPLE, False)):
-        words = ("export", str(path), "--format", "csv", "-o", str(tmp_path / "a.csv"), "--force")
-        code, shown = _on_a_terminal(*words, out=subprocess.DEVNULL)
-
-        assert code == 0
-        assert (b"100%" in shown) is drawn
-
-
-@pytest.mark.waits
-def test_what_is_no_text_is_not_written_to_a_terminal() -> None:
-    code, shown = _on_a_terminal("export", str(SAMPLE), "--format", "parquet", "-o", "-")
-
-    assert code == 2
-    assert b"is a terminal" in shown
+@pytest.mark.parametrize(
+    ("kilobytes", "more", "words", "code"),
+    [
+        (700, ["--format", "csv", "-o", "a.csv"], "100%", 0),
+        (0, ["--format", "parquet", "-o", "-"], "is a terminal", 2),
+    ],
+)
+def test_on_a_terminal_progress_is_drawn_and_nothing_but_text_written(
+    tmp_path: Path, kilobytes: int, more: list[str], words: str, code: int
+) -> None:
+    path = much(tmp_path / "a.mcap", kilobytes) if kilobytes else SAMPLE
+    more = [str(tmp_path / one) if one == "a.csv" else one for one in more]
+    with on_terminal("export", str(path), *more) as terminal:
+        terminal.wait_for(words)
+        assert terminal.end() == code

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import subprocess
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
-from bilprov.analyzer.export.pcapng import write_pcapng
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_session import capture_session
@@ -213,6 +211,7 @@ def test_times_are_wall_clock_in_ns_and_the_file_says_what_made_it(
     assert packet.wall == WALL + t
     assert packet.seconds * 10**6 + packet.microseconds == (WALL + t) // 1000
     assert packet.footer == 0
+    assert [kind for kind, _ in blocks(data)] == [0x0A0D0D0A, 1, 1, 6]
     (section, host, device, _) = blocks(data)
     about = options(section[1][16:])
     assert about[4].decode().startswith("bilprov ")
@@ -223,40 +222,6 @@ def test_times_are_wall_clock_in_ns_and_the_file_says_what_made_it(
         assert (kind, body[:2], said[2], said[9]) == (1, b"\xfa\x00", name, b"\x09")
         assert said[3] == b"/dev/tty" + port + b", 9600 8E1"
         assert int.from_bytes(said[8], "little") == 9600
-
-
-def test_an_empty_capture_is_a_file_without_packets(protocol: Protocol, tmp_path: Path) -> None:
-    data = exported(capture_of(tmp_path / "e.mcap", protocol, []), protocol)
-
-    assert [kind for kind, _ in blocks(data)] == [0x0A0D0D0A, 1, 1]
-
-
-def test_packets_are_written_while_the_capture_is_read(protocol: Protocol, tmp_path: Path) -> None:
-    exchanges = [(b"\x11\x40", b"\0")] * 20_000
-    path = capture_of(tmp_path / "long.mcap", protocol, conversation(exchanges))
-
-    class Counting(io.BytesIO):
-        """A stream that notes how much it gets at a time."""
-
-        sizes: ClassVar[list[int]] = []
-
-        def write(self, data: Any) -> int:
-            self.sizes.append(len(data))
-            return len(data)
-
-    stream = Counting()
-    read: list[int] = []
-    write_pcapng(
-        open_capture(path),
-        protocol,
-        stream,
-        test=None,
-        window=Window(),
-        progress=read.append,
-    )
-
-    assert sum(read) == 3 * len(exchanges)
-    assert max(stream.sizes) < sum(stream.sizes) / 5
 
 
 @needs("tshark", package="tshark")

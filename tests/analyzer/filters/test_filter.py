@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from datetime import datetime
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import Filter, compile_filter
@@ -49,61 +48,37 @@ def passing(test: Filter, records: list[Record]) -> list[Any]:
 @pytest.mark.parametrize(
     ("text", "selected"),
     [
-        ("name in (Speed, Forward)", ["11 7f", "20"]),
-        ("speed > 100", ["11 7f"]),
         ("fields.speed == 0x7f", ["11 7f"]),
-        ("strength != 1", ["41 40"]),
         ("kind == response and agrees == False", ["00"]),
         ("'disagreeing' in faults", ["00"]),
         ("faults == ('disagreeing',)", ["00"]),
         ("hex == '81 09' or judgement == BAD_HEADER", ["81 09", "9f" + " 00" * 15, "01"]),
         ("'LED' in reason and direction == host", ["81 09"]),
-        ("state.motion == forward and direction == host", ["20"]),
-        ("state.moving and kind == instruction", ["20"]),
-        ("sequence == 4", ["9f" + " 00" * 15]),
-        ("answers == 4", ["01"]),
-        ("latency >= 0.001 and judgement == BAD_DATA", ["00"]),
         ("kind == fault", [""]),
         ("t > -1 and t < 0.03", ["11 7f", "00"]),
         ("name not in ('Speed', OK) and direction == device", ["01"]),
         (" name ==\nSpeed ", ["11 7f"]),
         ("name == forward or NAME == LED", ["20", "81 09"]),
-        ("name in {Speed, forward}", ["11 7f", "20"]),
         ("name in [Speed]", ["11 7f"]),
-        ("name contains rIG", ["41 40"]),
         ("rgb & 6", []),
         ("rgb & 9 == 9 and (rgb & 8) == 8", ["81 09"]),
         ("id == 9 or id in 4..5", ["41 40", "9f" + " 00" * 15]),
-        ("id != Speed and len == 1", ["81 09", "41 40"]),
-        ("len > 1", ["9f" + " 00" * 15]),
         ("data contains 00 00 00", ["9f" + " 00" * 15]),
-        ("data == 7f", ["11 7f"]),
         ("data == 09 || data in {40, 7f}", ["11 7f", "81 09", "41 40"]),
         ("data == '' and faulty", []),
         ("data[1] >= 0 and len == 1", []),
-        ("data == ''", ["20"]),
         ("data[0] & 0x40 and data[0] < 0x7f", ["41 40"]),
         ("hex contains 81 09 or hex[1] == 0x7f", ["11 7f", "81 09"]),
         ("hex == 81:09", ["81 09"]),
         ("'81 09' in hex", ["81 09"]),
-        ("response == BAD_HEADER", ["01"]),
-        ("response >= 1", ["01"]),
-        ("faulty and direction == device", ["00", "01"]),
         ("faulty and latency > 0.5 ms", ["00", "01"]),
         ("faulty and latency in 999µs..1001 µs", ["00", "01"]),  # with the micro sign
         ("faulty and latency == 1000μs", ["00", "01"]),  # with the Greek letter
-        ("faults contains disagreeing", ["00"]),
         ("faults == disagreeing", ["00"]),
-        ("not !(name == Speed)", ["11 7f"]),
-        ("name == Speed && speed in 100..200", ["11 7f"]),
         ("speed in {1, 100..127}", ["11 7f"]),
         ("speed in 126.5..127.5", ["11 7f"]),
-        ("speed > 126.5 and speed < 127.5", ["11 7f"]),
         ("t == 0.02 or t == 40000us", ["11 7f", "20"]),
-        ("reason contains LED and direction == host", ["81 09"]),
-        ("state.speed == speed", ["11 7f"]),
         ("AGREES != TRUE", ["00"]),
-        ("kind == instruction and not state.moving and len == 1", ["11 7f", "81 09", "41 40"]),
     ],
 )
 def test_a_filter_lets_pass_the_rows_that_it_describes(
@@ -115,49 +90,30 @@ def test_a_filter_lets_pass_the_rows_that_it_describes(
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("text", "kinds"),
     [
-        "speed == 1 or speed != 1",
-        "speed not in (1, 2)",
-        "speed >= 0",
-        "not (speed not in {1}) and name == Speed or speed not in 0..1",
+        ("speed == 1 or speed != 1", {"Speed"}),
+        ("speed not in (1, 2)", {"Speed"}),
+        ("not (speed not in {1}) and name == Speed or speed not in 0..1", {"Speed"}),
+        ("speed & 1 or speed > 0", {"Speed"}),
+        ("len >= 0", {"instruction"}),
+        ("name not contains Sp and id >= 0", {"instruction"}),
+        ("data contains 00 or data not contains 00", {"instruction"}),
+        ("data not in {40, 41}", {"instruction"}),
+        ("sequence >= 0 and kind != fault", {"instruction"}),
+        ("response >= 0", {"response"}),
+        ("latency > -1s", {"response"}),
+        ("agrees != true or agrees == true", {"response"}),
+        ("answers >= 0", {"response"}),
+        ("response & 1 == 1 or response == 0", {"response"}),
     ],
 )
 def test_comparing_what_a_row_does_not_have_is_false(
-    protocol: Protocol, talk: list[Record], text: str
+    protocol: Protocol, talk: list[Record], text: str, kinds: set[str]
 ) -> None:
-    test = compile_filter(text, protocol)
+    lines = map(json_line, passing(compile_filter(text, protocol), talk))
 
-    assert {record.words.split()[0] for record in passing(test, talk)} == {"Speed"}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "id == 1 or id != 1",
-        "len >= 0",
-        "data contains 00 or data not contains 00",
-        "speed & 1 or speed > 0",
-        "sequence >= 0",
-    ],
-)
-def test_an_answer_lacks_what_is_the_instructions(
-    protocol: Protocol, talk: list[Record], text: str
-) -> None:
-    test = compile_filter(text, protocol)
-
-    assert {type(record) for record in passing(test, talk)} == {HostRecord}
-
-
-@pytest.mark.parametrize(
-    "text", ["response >= 0", "latency > -1s", "answers >= 0", "response & 1 == 1 or response == 0"]
-)
-def test_an_instruction_lacks_what_is_the_answers(
-    protocol: Protocol, talk: list[Record], text: str
-) -> None:
-    test = compile_filter(text, protocol)
-
-    assert {type(record) for record in passing(test, talk)} == {DeviceRecord}
+    assert {line.name if kinds == {"Speed"} else line.kind for line in lines if line} == kinds
 
 
 def test_an_answer_of_no_code_is_a_response_and_none_of_the_names(protocol: Protocol) -> None:
@@ -245,20 +201,15 @@ def zone(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
         ("time >= 2026-11-22 14:03:21+01:00", [2, 3]),
         ("time in 2026-11-22..2026-11-22 14:03:20", [0, 1]),
         ("time > 2026-11-23", []),
-        ("time == time or faulty", None),
     ],
 )
 def test_time_is_the_readers_time_of_day(
-    protocol: Protocol, zone: Callable[[str], None], text: str, seconds: list[int] | None
+    protocol: Protocol, zone: Callable[[str], None], text: str, seconds: list[int]
 ) -> None:
     zone("Europe/Stockholm")
     stop = bytes([protocol.pad_byte])
     events: list[Event] = [Chunk(n * 1000 * MS, "host", stop) for n in range(4)]
     records: list[Record] = [*hosts(decoded(Session(protocol), events))]
-    if seconds is None:
-        with pytest.raises(FilterError, match="same"):
-            compile_filter(text, protocol)
-        return
     test = compile_filter(text, protocol)
 
     started = test.started(wall("Europe/Stockholm", "2026-11-22 14:03:19"))
@@ -294,12 +245,10 @@ def test_a_recording_without_a_start_has_no_time_of_day(
 WRONG = [
     # what is missing, or too much
     ("", "", "the filter is empty; write a condition like faulty or latency > 20ms"),
-    ("   ", "", "the filter is empty"),
     ("x" * 1001, "^", "1001 characters, allowed are 1000"),
     ("faulty and", "          ^", "something is missing at the end: a condition like faulty"),
     ("name ==", "       ^", "something is missing at the end: a value or a name"),
     ("speed in", "        ^", "a set like {1, 2} or a range like 1..2"),
-    ("not", "   ^", "something is missing"),
     ("faulty)", "      ^", "closes nothing that is open"),
     ("name in {Speed", "        ^", "'{' is never closed"),
     ("name in {Speed]", "              ^", "']' does not close the '{'"),
@@ -313,7 +262,6 @@ WRONG = [
     # other languages
     ("name = Speed", "     ^", "did you mean ==?"),
     ("name is Speed", "     ^^", "did you mean ==?"),
-    ("name eq Speed", "     ^^", "did you mean ==?"),
     ("faulty | agrees", "       ^", "did you mean ||?"),
     ("faulty & agrees", "^^^^^^", "'faulty' is true or false, and & takes whole numbers"),
     ("faulty ^ agrees", "       ^", "cannot be part of a filter"),
@@ -329,9 +277,7 @@ WRONG = [
     ('name == "a\\x41"', "          ^^", "a backslash goes before a quote or a backslash"),
     # no condition
     ("speed", "^^^^^", "'speed' is a number, not a condition: compare it, like speed > 0"),
-    ("faulty or name", "          ^^^^", "not a condition: compare it, like name == Stop"),
     ("Speed", "^^^^^", "'Speed' is a value, not a condition: write name == Speed"),
-    ("OK", "^^", "write name == OK"),
     ("5", "^", "asks nothing of the row"),
     ("(faulty or agrees) == true", " ^^^^^^^^^^^^^^^^", "join it with and, or, not"),
     # the same for all rows
@@ -340,21 +286,15 @@ WRONG = [
     # kinds that never meet
     ("speed > 'a'", "        ^^^", "text, and speed is a number: write speed > 0"),
     ("name == 1", "        ^", "'1' is a number, and name is a word like Stop"),
-    ("name in (Speed, 1)", "                ^", "is a number, and name is a word"),
-    ("id == OK", "      ^^", "a value of name and response and not of id"),
     ("kind == direction", "        ^^^^^^^^^", "no values in common: they never meet"),
     ("name == judgement", "        ^^^^^^^^^", "these never meet"),
-    ("t > 14:03:20", "    ^^^^^^^^", "is a time of day, and t is a time in seconds"),
     ("time > 5", "       ^", "is not a time of day like 14:03:20; seconds since the start are t"),
     ("reason == 5", "          ^", "is a number, and reason is text"),
     ("latency & 4", "^^^^^^^", "is a time in seconds, and & takes whole numbers"),
     ("data[0] == Speed", "           ^^^^^", "which does not fit here"),
     # values that can never be
     ("speed > 300", "        ^^^", "speed is 0 to 255, so speed > 300 never holds"),
-    ("speed >= 300", "         ^^^", "never holds"),
     ("speed < 0", "        ^", "never holds"),
-    ("speed <= -1", "         ^^", "never holds"),
-    ("speed != 1000", "         ^^^^", "never holds"),
     ("speed in {1, 300}", "             ^^^", "never holds"),
     ("speed in 300..400", "         ^^^", "never holds"),
     ("speed in 1.2..1.8", "         ^^^^^^^^", "no whole number is in this range"),
@@ -364,11 +304,8 @@ WRONG = [
     ("rgb & 4 == 3", "           ^", "has other bits than 4"),
     ("rgb & 0", "      ^", "no such bit"),
     ("rgb & -1", "      ^^", "is not a mask"),
-    ("response == 256", "            ^^^", "response is 0 to 255"),
     ("len == 16", "       ^^", "len is 0 to 15"),
-    ("id == 16", "      ^^", "id is 0 to 15"),
     ("sequence == -1", "            ^^", "sequence is 0 or more"),
-    ("state.steering > 255", "                 ^^^", "state.steering is -255 to 255"),
     ("data[15] == 1", "     ^^", "the last byte that data can have is data[14]"),
     ("data[-1] == 1", "     ^^", "data[0] is the first byte"),
     ("data[x] == 1", "     ^", "data[0] is its first byte"),
@@ -383,17 +320,13 @@ WRONG = [
     ("latency > 20 min", "             ^^^", "which is not a unit (us, ms, s)"),
     # signs that do not fit
     ("agrees < True", "       ^", "true or false, which has no order: use == or !="),
-    ("name < Speed", "     ^", "which has no order"),
-    ("faults < ('slow',)", "       ^", "list of words, which has no order"),
     ("name in Speed", "        ^^^^^", "in takes a set like {Speed} or a range like 1..2"),
-    ("t in 5", "     ^", "in takes a set like {5}"),
     ("name == {Speed}", "        ^^^^^^^", "a set or a range follows in"),
     ("t > 1..2", "     ^^", "a range follows in, like t in 1s..2s"),
     ("name in Speed..LED", "        ^^^^^^^^^^", "which has no ranges: name each value"),
     ("time == 14:03:20", "     ^^", "write time in 14:03:20..14:03:21"),
     ("time in {14:03}", "         ^^^^^", "write a range"),
     ("speed contains 5", "      ^^^^^^^^", "contains is for names, text, bytes and faults"),
-    ("Speed contains LED", "^^^^^^^^^^^^^^^^^^", "the same for all rows"),
     ("1 in speed", "  ^^", "the name stands before in"),
     ("faults in {slow}", "       ^^", "faults contains"),
     # bytes
@@ -437,6 +370,11 @@ def test_what_is_no_filter_is_said_in_one_sentence_that_points_at_it(
         "await_ == 1",
         "True if faulty else False",
         "None",
+        "faults == (!'',)",
+        "faults == (''==0 in 0,)",
+        "faults == ('' contains 0 or 0,)",
+        "strength & 60000000000000000001",
+        "answers" + " & answers" * 40 + " & 0",
     ],
 )
 def test_nothing_but_the_language_is_known(protocol: Protocol, text: str) -> None:
@@ -444,36 +382,25 @@ def test_nothing_but_the_language_is_known(protocol: Protocol, text: str) -> Non
         compile_filter(text, protocol)
 
 
-@given(text=st.text(max_size=40))
-@settings(max_examples=200)
-def test_any_text_is_a_filter_or_an_error_with_its_place(protocol: Protocol, text: str) -> None:
-    _filter_or_error(text, protocol)
-
-
 _PIECES = """
 name speed t time data hex faulty latency Speed OK 1 20ms 14:03 == != < in contains not and or ! &
 && || ( ) { } [ ] , .. ' " 11 ff 0x80 kHz state.moving faults slow
 """
+_SPOKEN = st.lists(st.sampled_from(_PIECES.split()), max_size=9).map(" ".join)
 
 
-@given(pieces=st.lists(st.sampled_from(_PIECES.split()), max_size=9))
-@settings(max_examples=400)
-def test_any_pieces_are_a_filter_or_an_error_with_its_place(
-    protocol: Protocol, pieces: list[str]
-) -> None:
-    _filter_or_error(" ".join(pieces), protocol)
-
-
-def _filter_or_error(text: str, protocol: Protocol) -> None:
-    with suppress(FilterError):
+@given(text=st.one_of(st.text(max_size=40), _SPOKEN, _SPOKEN))
+@settings(max_examples=600)
+def test_any_text_is_a_filter_or_an_error_with_its_place(protocol: Protocol, text: str) -> None:
+    errors: list[FilterError] = []
+    try:
         compile_filter(text, protocol)
-        return
-    with pytest.raises(FilterError) as caught:
-        compile_filter(text, protocol)
-    error = caught.value
-    assert 1 <= error.column <= len(text) + 1
-    assert error.column - 1 + error.length <= len(text) + 1
-    assert str(error).isprintable()
+    except FilterError as error:
+        errors.append(error)
+    for error in errors:
+        assert 1 <= error.column <= len(text) + 1
+        assert error.column - 1 + error.length <= len(text) + 1
+        assert str(error).isprintable()
 
 
 @pytest.mark.slow
@@ -523,18 +450,3 @@ def test_a_field_that_is_called_like_a_name_of_the_row_is_reached_by_its_long_na
     test = compile_filter("len == 1 and fields.len == 5 and FIELDS.LEN & 4", protocol)
 
     assert len(passing(test, records)) == len(hosts(records)) == 1
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "faults == (!'',)",
-        "faults == (''==0 in 0,)",
-        "faults == ('' contains 0 or 0,)",
-        "strength & 60000000000000000001",
-        "answers" + " & answers" * 40 + " & 0",
-    ],
-)
-def test_odd_filters_are_refused_in_a_sentence(protocol: Protocol, text: str) -> None:
-    with pytest.raises(FilterError, match="filter column"):
-        compile_filter(text, protocol)

@@ -77,60 +77,64 @@ def _joined(
     ]
 
 
-@st.composite
-def comparisons(draw: Callable[..., Any], field: Field) -> Condition:
+def comparisons(field: Field) -> st.SearchStrategy[Condition]:
     """One comparison of a field with a value that it may have."""
-    name, key = field.name, field.key
+    name = field.name
 
     def condition(text: str, holds: Callable[[Any], bool]) -> Condition:
-        return text, lambda row: row.get(key) is not None and holds(row[key])
+        return text, lambda row: row.get(field.key) is not None and holds(row[field.key])
+
+    def signed(value: Any, written: object) -> list[Condition]:
+        return [
+            condition(f"{name} {sign} {written}", partial(_turned(compare), value))
+            for sign, compare in _SIGNS.items()
+            if sign in field.signs
+        ]
+
+    def contains(part: Any, written: object) -> Condition:
+        return condition(f"{name} contains {written}", lambda whole: part in whole)
+
+    def numbers(ends: list[int]) -> list[Condition]:
+        first, last = sorted(ends)
+        found = [condition(f"{name} in {first}..{last}", lambda value: first <= value <= last)]
+        if field.kind is Kind.SECONDS:
+            return [*found, *signed(first / 1000, f"{first}ms")]
+        bit = high.bit_length() - 1
+        if low >= 0:
+            found.append(condition(f"{name} & {1 << bit}", lambda value: value >> bit & 1 == 1))
+        return [*found, *signed(first, first)]
+
+    def octets(part: bytes) -> list[Condition]:
+        byte, text = part[0] % 3, part.hex(" ")
+        return [
+            contains(part, text),
+            *signed(part, text),
+            *signed(b"", "''"),
+            condition(f"{name}[{byte}] >= 32", lambda d: len(d) > byte and d[byte] >= 32),
+        ]
+
+    def words(word: str) -> list[Condition]:
+        if field.kind is Kind.WORDS:
+            return [contains(word, repr(word))]
+        return signed(field.words[word], repr(word))
 
     if field.kind in (Kind.NUMBER, Kind.SECONDS):
         low = -1 if field.low is None else field.low
         high = 300 if field.high is None else field.high
-        first, last = sorted(
-            draw(st.integers(low + 1, max(low + 1, min(high - 1, low + 300)))) for _ in "12"
-        )
-        sign = draw(st.sampled_from([*_SIGNS]))
-        among = (f"{name} in {first}..{last}", lambda value: first <= value <= last)
-        others = [among]
-        if field.kind is Kind.SECONDS:
-            others.append((f"{name} {sign} {first}ms", lambda v: _SIGNS[sign](v, first / 1000)))
-        elif low >= 0:
-            others.append(
-                (
-                    f"{name} & {1 << high.bit_length() - 1}",
-                    lambda v: v >> high.bit_length() - 1 & 1 == 1,
-                )
-            )
-        comparison = (f"{name} {sign} {first}", lambda value: _SIGNS[sign](value, first))
-        return condition(*draw(st.sampled_from([comparison, *others])))
-    if field.kind is Kind.BYTES:
-        part = draw(st.sampled_from([b"\0", b"\x11", b"\x81\x09", b"\0\0\0"]))
-        byte = draw(st.integers(0, 2))
-        return condition(
-            *draw(
-                st.sampled_from(
-                    [
-                        (f"{name} contains {part.hex(' ')}", lambda data: part in data),
-                        (f"{name} != {part.hex(' ')}", lambda data: data != part),
-                        (f"{name} == ''", lambda data: data == b""),
-                        (
-                            f"{name}[{byte}] >= 32",
-                            lambda data: len(data) > byte and data[byte] >= 32,
-                        ),
-                    ]
-                )
-            )
-        )
-    if field.kind is Kind.TEXT:
-        part = draw(st.sampled_from(["LED", "ms", "header", "byte"]))
-        return condition(f"{name} contains {part}", lambda text: part in text)
-    word, value = draw(st.sampled_from([*field.words.items()]))
-    if field.kind is Kind.WORDS:
-        return condition(f"{name} contains {word!r}", lambda kinds: word in kinds)
-    sign = draw(st.sampled_from(["==", "!="]))
-    return condition(f"{name} {sign} {word!r}", lambda one: _SIGNS[sign](one, value))
+        inside = st.integers(low + 1, max(low + 1, min(high - 1, low + 300)))
+        found = st.lists(inside, min_size=2, max_size=2).map(numbers)
+    elif field.kind is Kind.BYTES:
+        found = st.sampled_from([b"\0", b"\x11", b"\x81\x09", b"\0\0\0"]).map(octets)
+    elif field.kind is Kind.TEXT:
+        texts = st.sampled_from(["LED", "ms", "header", "byte"])
+        found = texts.map(lambda part: [contains(part, part)])
+    else:
+        found = st.sampled_from([*field.words]).map(words)
+    return found.flatmap(st.sampled_from)
+
+
+def _turned(compare: Callable[[Any, Any], bool]) -> Callable[[Any, Any], bool]:
+    return lambda value, of_row: compare(of_row, value)
 
 
 def batches(protocol: Protocol, events: list[Event], **chosen: Any) -> list[Batch]:
