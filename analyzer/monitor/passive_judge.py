@@ -177,58 +177,58 @@ class PassiveJudge:
         return self._findings
 
     def _host(self, record: HostRecord) -> None:
-        value, judgement = record, record.judgement
-        self._decoded = max(self._decoded, value.end)
-        if judgement is None or value.sequence is None:
+        judgement, number = record.judgement, record.sequence
+        self._decoded = max(self._decoded, record.end)
+        if judgement is None or number is None:
             self._findings.not_judged[_GARBAGE] += len(record.data)
             self._stopped_by = None  # the device may have read these bytes as an instruction
             return
         self._findings.instructions += 1
-        if value.t < self._in_step_from:  # it was buffered: the host was not silent then
+        if record.t < self._in_step_from:  # it was buffered: the host was not silent then
             self._in_step_from = _NEVER
         self._coverage.frame(judgement, self._motion)
         self._motion = record.state.motion
         if not judgement.valid:
-            self._stopped_by, self._stood = value.sequence, False
-            self._refused = max((value.end, *(fault.t for fault in record.faults)))
+            self._stopped_by, self._stood = number, False
+            self._refused = max((record.end, *(fault.t for fault in record.faults)))
         elif self._motion != Motion.STOPPED:
             self._stopped_by = None
-        if value.end - value.t > self._pause and not judgement.truncated:
+        if record.end - record.t > self._pause and not judgement.truncated:
             self._out_of_step()  # the device may have given up on it (R-truncation-timeout)
-        lost = value.t <= self._flushes_until
-        self._newest = value.sequence
+        lost = record.t <= self._flushes_until
+        self._newest = number
         if lost or not (judgement.valid or _is_short(judgement)):
-            self._flushes_until = value.end + self._idle
+            self._flushes_until = record.end + self._idle
         if self._paired and not self._away:
-            self._pending[value.sequence] = lost
+            self._pending[number] = lost
         else:
             self._findings.not_judged[_DEAF] += 1
 
     def _device(self, record: DeviceRecord) -> None:
-        value, number = record, record.instruction
+        number = record.instruction
         if number is None:
             self._unpaired(record)
             return
         if number == self._stopped_by:
-            self._refused = max(self._refused, value.t)
+            self._refused = max(self._refused, record.t)
         if self._pending.pop(number, False):
             self._flushes_until = -1  # it does not flush
         if record.answered and _is_short(record.answered) and number == self._newest:
-            self._flushes_until = value.t + self._idle
-        self._agreed = self._agreed + (value.byte != self._answer) if value.agrees else 0
-        self._answer = value.byte
+            self._flushes_until = record.t + self._idle
+        self._agreed = self._agreed + (record.byte != self._answer) if record.agrees else 0
+        self._answer = record.byte
         if self._agreed >= _CHANGES:
             self._in_step_from = 0
-        if value.t < self._in_step_from and not value.agrees:
+        if record.t < self._in_step_from and not record.agrees:
             self._findings.not_judged[_UNSEEN] += 1
             return
         self._findings.judged += 1
-        self._coverage.answer(value.byte)
+        self._coverage.answer(record.byte)
         for fault in record.faults:
             if fault.severity is Severity.ERROR and record.answered:
                 self._violate(fault, record.answered.clause, record.answered.reading)
             elif fault.severity is Severity.WARNING and record.answered:
-                self._findings.readings[self._reading(fault, value.byte, record.answered)] += 1
+                self._findings.readings[self._reading(fault, record.byte, record.answered)] += 1
 
     def _unpaired(self, record: DeviceRecord) -> None:
         """Judge a device byte that answers no instruction, or none that was heard."""

@@ -76,25 +76,20 @@ def _frames(counts: Counts) -> str:
 
 def _rates(counts: Counts, rates: RateCounts, charts: Charts) -> Iterator[RenderableType]:
     """How much there was a second, from the first second to the last."""
-    rows = [
-        _rate("frames", rates.frames, rates.step, counts.duration, charts),
-        _rate("anomalies", rates.faults, rates.step, counts.duration, charts),
-        _rate("host bytes", rates.host_bytes, rates.step, counts.duration, charts),
-        _rate("device bytes", rates.device_bytes, rates.step, counts.duration, charts),
-    ]
+    series = {
+        "frames": rates.frames,
+        "anomalies": rates.faults,
+        "host bytes": rates.host_bytes,
+        "device bytes": rates.device_bytes,
+    }
+    rows = []
+    for name, amounts in series.items():
+        mean = sum(amounts) / counts.duration if counts.duration else 0
+        peak = _number(max(amounts) / rates.step)
+        if peak != "0":
+            rows.append((name, charts.spark(amounts, _SPARK), _number(mean), peak))
     yield Text()
-    yield table(
-        ("a second", "from begin to end", "mean", "peak"),
-        [row for row in rows if row[-1] != "0"],
-        right="mean peak",
-    )
-
-
-def _rate(
-    name: str, counts: Sequence[int], step: float, duration: float, charts: Charts
-) -> tuple[str, ...]:
-    mean = sum(counts) / duration if duration else 0
-    return name, charts.spark(counts, _SPARK), _number(mean), _number(max(counts) / step)
+    yield table(("a second", "from begin to end", "mean", "peak"), rows, right="mean peak")
 
 
 def _instructions(counts: Counts) -> Iterator[RenderableType]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +50,7 @@ class Totals:
     `kinds` counts host records (`instruction`, `truncated`, `garbage`), `host_bytes` and
     `device_bytes` their bytes. `first` and `last` are the times (ns) of the first and the last
     byte, None without any; in between the wheels turn for `moving` (ns), as is predicted.
+    `latencies` are those of the answers, by ID of the instruction.
     `agreeing` and `disagreeing` count answers that are the expected one or not; for others nothing
     is expected. `peak` is the largest number of frames that ended in one second of the recording's
     clock, `rates` has `SERIES` by time. Anomalies are counted without those of severity info.
@@ -62,7 +63,7 @@ class Totals:
         self._verdicts = np.zeros(len(OUTCOMES), np.int64)
         self._answers = np.zeros(256, np.int64)
         self._paired = np.zeros((len(protocol.ids), 256), np.int64)  # by ID and byte of the answer
-        self._latencies = Latencies(protocol.timing, len(protocol.ids))
+        self.latencies = Latencies(protocol.timing, len(protocol.ids))
         self._faults: Counter[tuple[str, int | None, str]] = Counter()  # direction, ID, kind
         self._moving = MovingTime(protocol.power_on.moving)
         self._moved_before: int | None = None  # ns that the wheels had turned at `first`
@@ -92,7 +93,7 @@ class Totals:
         self._verdicts += other._verdicts
         self._answers += other._answers
         self._paired += other._paired
-        self._latencies.merge(other._latencies)
+        self.latencies.merge(other.latencies)
         self._faults += other._faults
         self.kinds += other.kinds
         self.host_bytes += other.host_bytes
@@ -112,18 +113,17 @@ class Totals:
         return int(self._answers.sum())
 
     @property
-    def latencies(self) -> Latencies:
-        """The latencies of the answers."""
-        return self._latencies
-
-    @property
     def faults(self) -> Counter[str]:
         """Anomalies by kind."""
-        return self._fault_counts()
+        return self.faults_of()
 
-    def faults_of(self, direction: str) -> Counter[str]:
-        """Anomalies by kind of one direction (`host`, `device`), or of neither ("")."""
-        return self._fault_counts(direction=direction)
+    def faults_of(self, direction: str | None = None, identity: int | None = None) -> Counter[str]:
+        """Anomalies by kind of one direction (`host`, `device`, "" for neither), one ID, or all."""
+        counts: Counter[str] = Counter()
+        for (side, about, kind), count in self._faults.items():
+            if direction in (None, side) and identity in (None, about):
+                counts[kind] += count
+        return counts
 
     def instructions(self) -> dict[str, Instruction]:
         """The counts of each instruction of the grammar, and of each unused ID that occurs."""
@@ -160,18 +160,9 @@ class Totals:
         return Instruction(
             frames=int(self._headers[self._ids == identity].sum()),
             responses=self._by_response(self._paired[identity]),
-            faults=dict(self._fault_counts(identity=identity).most_common()),
-            latencies=self._latencies.spread(identity),
+            faults=dict(self.faults_of(identity=identity).most_common()),
+            latencies=self.latencies.spread(identity),
         )
-
-    def _fault_counts(
-        self, direction: str | None = None, identity: int | None = None
-    ) -> Counter[str]:
-        counts: Counter[str] = Counter()
-        for (side, about, kind), count in self._faults.items():
-            if direction in (None, side) and identity in (None, about):
-                counts[kind] += count
-        return counts
 
     def _add_hosts(self, hosts: HostRows, mask: Mask | None) -> list[int]:
         """Count rows of the host; returns the times (ns) of the first and the last byte."""
@@ -215,7 +206,7 @@ class Totals:
         answered = self._ids.take(header)
         pairs = np.bincount(answered << 8 | byte, minlength=self._paired.size)
         self._paired += pairs.reshape(self._paired.shape)
-        self._latencies.add(latency, answered)
+        self.latencies.add(latency, answered)
         return [int(t.min()), int(t.max())]
 
     def _add_others(self, others: OtherRows, mask: Mask | None) -> None:
@@ -257,18 +248,8 @@ class Totals:
 
     def _ended(self, end: NDArray[np.int64]) -> None:
         """Count frames that ended at these times, which increase."""
-        if not len(end):
-            return
-        if end[0] // SECOND == end[-1] // SECOND:
-            self._seconds([(int(end[0]) // SECOND, len(end))])
-            return
-        second = end // SECOND
-        begun = np.flatnonzero(np.diff(second, prepend=-1))
-        counts = np.diff(begun, append=len(end))
-        self._seconds(zip(second[begun].tolist(), counts.tolist(), strict=True))
-
-    def _seconds(self, counted: Iterable[tuple[int, int]]) -> None:
-        for second, count in counted:
+        seconds, counts = np.unique(end // SECOND, return_counts=True)
+        for second, count in zip(seconds.tolist(), counts.tolist(), strict=True):
             if second != self._second:
                 self._second, self._in_second = second, 0
             self._in_second += count
