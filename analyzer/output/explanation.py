@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bilprov.analyzer.output.console import can_show, facts, heading
+from bilprov.analyzer.output.protocol import reading_json
 from bilprov.spec.codec import spaced
 from bilprov.spec.explain import BitGroup, Explanation, FrameExplanation, ResponseExplanation
 
@@ -136,14 +137,7 @@ def _frame_json(frame: FrameExplanation) -> dict[str, Any]:
         "changes": dict(frame.changes),
         "keeps": list(frame.keeps),
         "readings": [
-            {
-                "id": reading.id,
-                "clause": reading.clause,
-                "point": reading.point,
-                "default": reading.default,
-                "others": [{"choice": c, "verdict": v} for c, v in reading.others],
-            }
-            for reading in frame.readings
+            reading_json(reading, "id", "clause", "point", "default") for reading in frame.readings
         ],
         "errata": [
             {"id": erratum.id, "clause": erratum.clause, "correction": erratum.correction}

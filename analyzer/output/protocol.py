@@ -154,12 +154,15 @@ def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[Renderabl
 
 def readings_json(readings: Sequence[Reading]) -> list[dict[str, Any]]:
     """The readings as JSON objects; `others` are pairs of choice and verdict."""
-    keys = ("id", "clause", "point", "quote", "default")
     return [
-        {key: getattr(r, key) for key in keys}
-        | {"others": [{"choice": c, "verdict": v} for c, v in r.others]}
-        for r in readings
+        reading_json(reading, "id", "clause", "point", "quote", "default") for reading in readings
     ]
+
+
+def reading_json(reading: Reading, *keys: str) -> dict[str, Any]:
+    """These parts of a reading, and its other choices with their verdicts."""
+    others = [{"choice": choice, "verdict": verdict} for choice, verdict in reading.others]
+    return {key: getattr(reading, key) for key in keys} | {"others": others}
 
 
 def drawn_errata(protocol: Protocol, findings: Sequence[Finding]) -> Iterator[RenderableType]:
