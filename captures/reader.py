@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from dataclasses import replace as with_changes
 from functools import partial
-from io import BufferedReader
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
@@ -39,6 +39,7 @@ TOPICS_SHOWN = 10
 _FLIPPED = 2  # bits of the magic that may differ: other kinds of files differ in more
 
 Item = TypeVar("Item")
+_READ_AHEAD = 1 << 16  # bytes: a chunk of short messages is smaller, and takes ten small reads
 _EVENTS = {topics.LINE, topics.CHECKPOINT}
 _SIGHTS = {*_EVENTS, topics.LOOKS}
 _RECORDED = {*_SIGHTS, topics.CASES, topics.ASKS}
@@ -295,7 +296,7 @@ Read: TypeAlias = "Callable[[BufferedReader, Contents], Iterator[Item]]"
 def _read_volume(volume: Volume, read: Read[Item]) -> Iterator[Item]:
     """Yield what `read` yields of a volume. Raises CaptureError as `Capture.events` does."""
     try:
-        with volume.path.open("rb") as file:
+        with _read_ahead(volume.path) as file:
             yield from read(file, volume.contents)
     except Damaged as error:
         raise CaptureError(
@@ -303,6 +304,11 @@ def _read_volume(volume: Volume, read: Read[Item]) -> Iterator[Item]:
         ) from error
     except OSError as error:
         raise _unreadable(volume.path, error) from error
+
+
+def _read_ahead(path: Path) -> BufferedReader:
+    """Open a file that is read from front to end."""
+    return BufferedReader(FileIO(path), _READ_AHEAD)
 
 
 def _check_size(descriptor: int, size: int) -> None:
@@ -469,7 +475,7 @@ def _surveyed(path: Path) -> Contents:
         if not stat.S_ISREG(status.st_mode):
             kind = "a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file"
             raise CaptureError(f"{printable(path)} is {kind}: name an MCAP file")
-        with path.open("rb") as file:
+        with _read_ahead(path) as file:
             size = os.fstat(file.fileno()).st_size
             damage = _magic_damage(path, file, size)
             return surveyed(file, size, damage)

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from bilprov.analyzer.decode.batch import Batch
     from bilprov.captures.events import Events
 
-TEXT_BATCH = 1 << 15
+TEXT_BATCH = 1 << 14
 """Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
 
-BATCH_BYTES = 1 << 19
-_BYTES_A_READ = 8  # as many reads as there would be of so many bytes come at once at most
+BATCH_BYTES = 1 << 18
+_BYTES_A_READ = 4  # as many reads as there would be of so many bytes come at once at most
 _FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
 
 WHOLE = Window()

@@ -492,11 +492,15 @@ def test_the_contents_count_topics_bytes_and_time(small: Path) -> None:
         assert sizes[f"/{direction}/raw"] == raw
 
 
-def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(small: Path) -> None:
-    capture = open_capture(small)
-    events = capture.messages()
+def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(tmp_path: Path) -> None:
+    path, much = tmp_path / "a.mcap", random.Random(1).randbytes(1 << 16)
+    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as writer:
+        for t in range(4):  # more than is read ahead
+            writer.chunk(Chunk(t, "host", much))
+            writer.flush()
+    events = open_capture(path).messages()
     next(events)
-    small.write_bytes(small.read_bytes()[:4000])
+    path.write_bytes(path.read_bytes()[: 2 * len(much)])
     with pytest.raises(CaptureError, match="changed while it was read"):
         list(events)
 
