@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import random
 from collections import Counter
-from collections.abc import Iterator
 
 import pytest
 from construct import ValidationError
@@ -32,30 +30,18 @@ from tests.vectors import (
     InstructionRow,
 )
 
-by_bytes = pytest.mark.parametrize("vector", FRAMES, ids=lambda v: v.frame.hex(" "))
 
-
-@by_bytes
+@pytest.mark.parametrize("vector", FRAMES, ids=lambda v: v.frame.hex(" "))
 def test_a_frame_is_judged_as_the_document_says(protocol: Protocol, vector: FrameVector) -> None:
     judgement = judge(protocol, vector.frame)
     name = judgement.instruction.name if judgement.instruction else None
+    identity, length = vector.frame[0] >> 4, vector.frame[0] & 0b1111
 
     assert judgement.response.code == vector.code, vector.clause
     assert (name, judgement.fields) == (vector.name, vector.fields)
-    assert judgement.valid == (vector.code == 0)
-
-
-@by_bytes
-def test_a_judgement_says_what_came_and_gives_a_reason_unless_it_is_valid(
-    protocol: Protocol, vector: FrameVector
-) -> None:
-    judgement = judge(protocol, vector.frame)
-    identity, length = vector.frame[0] >> 4, vector.frame[0] & 0b1111
-
-    assert judgement.frame == vector.frame
-    assert (judgement.id, judgement.length) == (identity, length)
+    assert (judgement.frame, judgement.id, judgement.length) == (vector.frame, identity, length)
+    assert judgement.valid == (vector.code == 0) == (not judgement.reason)
     assert judgement.truncated == (len(vector.frame) <= length)
-    assert bool(judgement.reason) == (vector.code != 0)
     assert judgement.clause.startswith("section ")
 
 
@@ -80,23 +66,6 @@ def _judged_by_hand(frame: bytes) -> tuple[int, str]:
     return 0, "valid"
 
 
-def _every_header_cut_everywhere() -> Iterator[bytes]:
-    """All 256 headers, with each number of data bytes up to the announced, in three fills."""
-    for header in range(256):
-        chance = random.Random(header)
-        for arrived in range((header & 0b1111) + 1):
-            for fill in (bytes(15), b"\xff" * 15, chance.randbytes(15)):
-                yield bytes([header]) + fill[:arrived]
-
-
-def test_every_header_with_every_number_of_data_is_judged_as_by_hand(protocol: Protocol) -> None:
-    frames = list(_every_header_cut_everywhere())
-    wrong = [f for f in frames if judge(protocol, f).response.code != _judged_by_hand(f)[0]]
-
-    assert len(frames) == 3 * (256 + 16 * 120)
-    assert wrong == []
-
-
 def test_every_single_frame_there_is_is_judged_as_by_hand(protocol: Protocol) -> None:
     counts: Counter[str] = Counter()
     for header in range(256):
@@ -111,37 +80,41 @@ def test_every_single_frame_there_is_is_judged_as_by_hand(protocol: Protocol) ->
     assert counts == FRAME_COUNTS
 
 
-def _frames_of_right_length() -> Iterator[bytes]:
-    for row in HEADERS:
-        header = bytes([row.id << 4 | row.length])
-        yield from (header + bytes([b]) for b in range(256)) if row.length else [header]
+@given(st.binary(min_size=1, max_size=16))
+def test_any_data_are_judged_as_by_hand(protocol: Protocol, data: bytes) -> None:
+    frame = data[: 1 + (data[0] & 0b1111)]
+    assert judge(protocol, frame).response.code == _judged_by_hand(frame)[0]
 
 
 def test_construct_itself_agrees_on_every_frame_of_right_length(protocol: Protocol) -> None:
-    frames = list(_frames_of_right_length())
-    assert len(frames) == 5 + 4 * 256
-
-    for frame in frames:
-        judgement = judge(protocol, frame)
-        try:
-            parsed = FRAME.parse(frame)
-        except ValidationError:
-            assert judgement.outcome is Outcome.BAD_DATA, spaced(frame)
-        else:
-            assert judgement.outcome is Outcome.VALID, spaced(frame)
-            assert (parsed.header.id, parsed.header.length) == (judgement.id, judgement.length)
-            data = {name: value for name, value in parsed.data.items() if name[0] != "_"}
-            assert data == dict(judgement.fields)
-
-
-def test_no_bytes_cannot_be_judged(protocol: Protocol) -> None:
-    with pytest.raises(ValueError, match="at least a header byte"):
-        judge(protocol, b"")
+    for row in HEADERS:
+        header = {"id": row.id, "length": row.length}
+        for data in [bytes([b]) for b in range(256)] if row.length else [b""]:
+            frame = bytes([row.id << 4 | row.length]) + data
+            judgement = judge(protocol, frame)
+            parts = {"header": header, "data": dict(judgement.fields)}
+            if judgement.valid:
+                parsed = FRAME.parse(frame)
+                assert parsed.header.items() >= header.items()
+                assert parsed.data.items() >= dict(judgement.fields).items()
+                assert FRAME.build(parts) == frame
+            else:
+                assert judgement.outcome is Outcome.BAD_DATA
+                for refuse, value in ((FRAME.parse, frame), (FRAME.build, parts)):
+                    with pytest.raises(ValidationError):
+                        refuse(value)
 
 
-def test_more_bytes_than_announced_are_not_one_frame(protocol: Protocol) -> None:
-    with pytest.raises(ValueError, match=r"^frame 20 ff has 1 data byte, its header says 0$"):
-        judge(protocol, b"\x20\xff")
+@pytest.mark.parametrize(
+    ("frame", "why"),
+    [
+        (b"", "at least a header byte"),
+        (b"\x20\xff", "^frame 20 ff has 1 data byte, its header says 0$"),
+    ],
+)
+def test_what_is_not_one_frame_cannot_be_judged(protocol: Protocol, frame: bytes, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        judge(protocol, frame)
 
 
 @pytest.mark.parametrize(
@@ -150,10 +123,8 @@ def test_more_bytes_than_announced_are_not_one_frame(protocol: Protocol) -> None
         ("81 09", "LED.rgb is 9, allowed are 0 to 7 (frame 81 09, byte 1)"),
         ("91 02", "no instruction has ID 9, used are 0, 1, 2, 3, 4, 5, 6, 7, 8"),
         ("12 ff ff", "Speed takes 1 data byte, the header says 2"),
-        ("40", "Right takes 1 data byte, the header says 0"),
         ("21 00", "Forward takes 0 data bytes, the header says 1"),
         ("41", "Right: 1 data byte announced, 0 came"),
-        ("43 01", "Right: 3 data bytes announced, 1 came"),
     ],
 )
 def test_a_reason_says_what_came_and_what_was_allowed(
@@ -167,17 +138,12 @@ def test_a_reason_says_what_came_and_what_was_allowed(
     [
         ("00", "Stop"),
         ("11 ff", "Speed speed=255"),
-        ("51 00", "Left strength=0"),
         ("81 05", "LED rgb=5 (R B)"),
-        ("81 02", "LED rgb=2 (G)"),
-        ("81 07", "LED rgb=7 (R G B)"),
         ("81 00", "LED rgb=0 (off)"),
         ("81 09", "LED rgb=9"),
         ("91 02", "unused 9, 1 data byte"),
-        ("92 00 00", "unused 9, 2 data bytes"),
         ("f0", "unused 15, 0 data bytes"),
         ("93 00", "unused 9, 1 of 3 data bytes"),
-        ("12 ff ff", "Speed, 2 data bytes"),
         ("40", "Right, 0 data bytes"),
         ("41", "Right, 0 of 1 data byte"),
         ("0d", "Stop, 0 of 13 data bytes"),
@@ -199,23 +165,14 @@ def test_what_is_built_is_judged_valid_and_gives_its_fields_back(
     protocol: Protocol, row: InstructionRow
 ) -> None:
     spec = protocol.by_id[row.id]
-    for data in all_data(spec):
+    good, bad = list(all_data(spec)), list(bad_data(spec))
+    assert sorted(good + bad) == ([bytes([value]) for value in range(256)] if row.length else [b""])
+    assert len(bad) == (248 if row.name == "LED" else 0)
+    for data in good:
         judgement = judge(protocol, raw_frame(protocol, spec.id, spec.length, data))
 
         assert judgement.valid
         assert build(protocol, spec.name, dict(judgement.fields)) == judgement.frame
-
-
-def test_all_data_are_every_valid_value_and_bad_data_every_other(protocol: Protocol) -> None:
-    every = [bytes([value]) for value in range(256)]
-    for row in HEADERS:
-        spec = protocol.by_id[row.id]
-        good, bad = list(all_data(spec)), list(bad_data(spec))
-        if not row.length:
-            assert (good, bad) == ([b""], [])
-            continue
-        allowed = 8 if row.name == "LED" else 256
-        assert (good, bad) == (every[:allowed], every[allowed:])
 
 
 @pytest.mark.parametrize(
@@ -229,10 +186,7 @@ def test_all_data_are_every_valid_value_and_bad_data_every_other(protocol: Proto
         ),
         ("Speed", {}, "Speed needs speed=0..255, for example Speed speed=255"),
         ("LED", {"rgb": 8}, "LED.rgb is 8, allowed are 0 to 7"),
-        ("LED", {"rgb": -1}, "LED.rgb is -1, allowed are 0 to 7"),
-        ("Right", {"strength": 256}, "Right.strength is 256, allowed are 0 to 255"),
         ("Speed", {"speed": 1.5}, "Speed.speed is 1.5, allowed are whole numbers from 0 to 255"),
-        ("LED", {"rgb": "5"}, "LED.rgb is '5', allowed are whole numbers from 0 to 7"),
         ("Left", {"force": 1, "strength": 2}, "Left has no field force; it takes strength"),
         ("Stop", {"now": 1, "soon": 0}, "Stop has no field now, soon; it takes no fields"),
     ],
@@ -268,10 +222,8 @@ def test_a_header_carries_no_more_than_its_bits(
     [
         ("40", "ff", "41 ff"),  # E3
         ("91 02", "", "81 02"),  # E5
-        ("90", "", "81 00"),
         ("a0", "", "20"),
         ("40", "", "41 00"),
-        ("11", "", "11 00"),
         ("12 ff 00", "", "11 ff"),
         ("21 07", "", "20"),
         ("81 0a", "", "81 02"),

@@ -67,22 +67,7 @@ def test_it_compiles_without_a_warning(protocol: Protocol, tmp_path: Path, langu
     use = tmp_path / "use.c"
     use.write_text('#include "protocol.h"\n#include "protocol.h"\nint led = ROBOT_CAR_LED;\n')
 
-    done = subprocess.run(
-        [
-            "avr-gcc",
-            "-pedantic",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            language,
-            "-c",
-            use,
-            "-o",
-            "/dev/null",
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    flags = f"-pedantic -Wall -Wextra -Werror {language} -c -o /dev/null".split()
+    done = subprocess.run(["avr-gcc", *flags, use], capture_output=True, text=True, check=False)
 
     assert (done.returncode, done.stderr) == (0, "")

@@ -260,19 +260,6 @@ def test_what_is_odd_has_an_expert_info(protocol: Protocol, tmp_path: Path) -> N
     ]
 
 
-def test_an_answer_passes_over_a_frame_cut_short_only_if_it_fits_the_next(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    said: list[Chunk] = []
-    for t, answer in ((0, b"\1"), (5_000 * MS, b"\2")):
-        said += [Chunk(t, "host", b"\x11"), Chunk(t + 60 * MS, "host", b"\x90")]
-        said.append(Chunk(t + 61 * MS, "device", answer))
-
-    rows = Tshark(tmp_path, protocol).rows(reads(said), "robot_car.response_to")
-
-    assert [row["robot_car.response_to"] for row in rows] == ["", "", "2", "", "", "4"]
-
-
 def test_the_preferences_change_the_time_out_or_leave_the_packets_alone(
     protocol: Protocol, tmp_path: Path
 ) -> None:

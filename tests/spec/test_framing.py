@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.spec.framing import Framed, Framer, Kind
-from tests.vectors import FRAMES, STREAMS, FrameVector, StreamVector
+from tests.vectors import STREAMS, StreamVector
 
 # Section 2: the last four bits of the header say how many data bytes follow.
 LENGTHS = bytes(header & 0b1111 for header in range(256))
@@ -44,41 +44,22 @@ def _one_by_one(chunks: list[tuple[bytes, int]], timeout: int | None) -> list[by
 
 
 @given(chunks=chunks, timeout=st.sampled_from([None, 1, TIMEOUT]))
-def test_every_byte_comes_out_once_and_in_order(
-    chunks: list[tuple[bytes, int]], timeout: int | None
-) -> None:
-    records, _ = _all(chunks, timeout)
-
-    assert b"".join(r.data for r in records) == b"".join(data for data, _ in chunks)
-
-
-@given(chunks=chunks, timeout=st.sampled_from([None, 1, TIMEOUT]))
-def test_the_frames_are_those_found_byte_by_byte(
-    chunks: list[tuple[bytes, int]], timeout: int | None
-) -> None:
-    records, _ = _all(chunks, timeout)
-
-    assert [r.data for r in records] == _one_by_one(chunks, timeout)
-
-
-@given(chunks=chunks, timeout=st.sampled_from([None, 1, TIMEOUT]))
-def test_a_record_has_the_size_and_the_times_of_its_kind(
+def test_the_frames_are_those_found_byte_by_byte_with_the_times_of_their_kind(
     chunks: list[tuple[bytes, int]], timeout: int | None
 ) -> None:
     records, last = _all(chunks, timeout)
 
+    assert [r.data for r in records] == _one_by_one(chunks, timeout)
+    assert [r.start for r in records] == sorted(r.start for r in records)
     for index, record in enumerate(records):
-        announced = 1 + LENGTHS[record.data[0]]
+        whole = len(record.data) == 1 + LENGTHS[record.data[0]]
+        assert record.kind == ("instruction" if whole else "truncated")
         assert record.start <= record.end <= record.known
-        if record.kind == "instruction":
-            assert len(record.data) == announced
+        if whole:
             assert record.known == record.end
         else:
-            assert record.kind == "truncated"
-            assert len(record.data) < announced
             at_the_end = index == len(records) - 1 and record.known == last
             assert at_the_end or (timeout is not None and record.known == record.end + timeout)
-    assert [r.start for r in records] == sorted(r.start for r in records)
 
 
 @given(data=st.binary(max_size=60), now=st.integers(0, 10**18))
@@ -101,18 +82,6 @@ def test_the_documents_examples_fall_into_their_frames(stream: StreamVector) -> 
     assert tuple(r.data for r in records) == stream.frames
     assert {r.kind for r in records} == {"instruction"}
     assert framer.held == stream.rest
-
-
-@pytest.mark.parametrize("vector", FRAMES, ids=lambda v: v.frame.hex(" "))
-def test_a_frame_is_whole_with_its_last_announced_byte(vector: FrameVector) -> None:
-    frame = vector.frame
-    framer = Framer(LENGTHS, TIMEOUT)
-    announced = LENGTHS[frame[0]]
-    records = [list(framer.feed(bytes([byte]), 0)) for byte in frame]
-
-    whole = len(frame) == 1 + announced
-    assert [bool(found) for found in records] == [False] * (len(frame) - 1) + [whole]
-    assert framer.missing == 1 + announced - len(frame)
 
 
 FOREVER = 10**18

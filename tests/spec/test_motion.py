@@ -8,7 +8,7 @@ import pytest
 
 from bilprov.spec.motion import Effect, Motion, State, wheels
 from bilprov.spec.protocol import Protocol
-from tests.vectors import POWER_ON, SEQUENCES, WHEELS, Sequence, WheelVector
+from tests.vectors import SEQUENCES, WHEELS, Sequence, WheelVector
 
 if TYPE_CHECKING:
     from tests.conftest import Drive
@@ -23,28 +23,15 @@ def test_the_robot_does_what_the_document_says(
     assert done == [(step.code, step.state) for step in sequence.steps]
 
 
-def test_at_power_on_it_stands_still(protocol: Protocol) -> None:
-    state = protocol.power_on
+@pytest.mark.parametrize("motion", Motion)
+@pytest.mark.parametrize("speed", [0, 1])
+def test_only_a_direction_with_a_speed_moves_and_is_seen(motion: Motion, speed: int) -> None:
+    state = State(motion, speed)
+    moves = speed > 0 and motion is not Motion.STOPPED
 
-    assert (state.motion, state.speed, state.steering, state.led, state.moving) == POWER_ON
-
-
-@pytest.mark.parametrize("motion", [m for m in Motion if m is not Motion.STOPPED])
-def test_a_direction_with_speed_0_is_remembered_and_seen_as_stopped(motion: Motion) -> None:
-    standing, driving = State(motion, speed=0), State(motion, speed=1)
-
-    assert not standing.moving
-    assert standing.visible_motion is Motion.STOPPED
-    assert driving.moving
-    assert driving.visible_motion is motion
-
-
-def test_a_speed_without_a_direction_does_not_move() -> None:
-    state = State(Motion.STOPPED, speed=255)
-
-    assert not state.moving
-    assert state.visible_motion is Motion.STOPPED
-    assert wheels(state, 255) == (0, 0)
+    assert state.moving == moves
+    assert state.visible_motion is (motion if moves else Motion.STOPPED)
+    assert (wheels(state, 255) != (0, 0)) == moves
 
 
 def _sign(value: int) -> int:
@@ -79,14 +66,15 @@ def test_a_robot_that_cannot_steer_drives_straight_on() -> None:
     assert wheels(State(Motion.FORWARD, 9), 0) == (9, 9)
 
 
-def test_an_effect_changes_only_what_it_names() -> None:
+@pytest.mark.parametrize(
+    ("effect", "after"),
+    [
+        (Effect(), (10, 20)),
+        (Effect((("speed", 7),)), (7, 20)),
+        (Effect((("steering", ("strength", -1)),)), (10, -30)),
+    ],
+)
+def test_an_effect_changes_only_what_it_names(effect: Effect, after: tuple[int, int]) -> None:
     before = State(Motion.FORWARD, 10, 20, 3)
 
-    assert Effect().apply(before) == before
-    assert Effect((("speed", 7),)).apply(before) == State(Motion.FORWARD, 7, 20, 3)
-
-
-def test_an_effect_multiplies_a_field_by_its_factor() -> None:
-    effect = Effect((("steering", ("strength", -1)),))
-
-    assert effect.apply(State(), {"strength": 30}).steering == -30
+    assert effect.apply(before, {"strength": 30}) == State(Motion.FORWARD, *after, 3)

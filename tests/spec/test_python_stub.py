@@ -22,18 +22,6 @@ def test_the_committed_stub_is_what_the_grammar_gives(protocol: Protocol) -> Non
     assert written == python_stub(protocol), f"the grammar has changed: run `{RENEW}`"
 
 
-def test_the_command_that_the_stub_names_writes_it(
-    protocol: Protocol, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    from bilprov.analyzer.client import write_stub as robot_stub
-
-    monkeypatch.setattr(robot_stub, "STUB", tmp_path / "robot.pyi")
-    robot_stub.main()
-
-    assert f"python -m {robot_stub.__name__}" == RENEW
-    assert (tmp_path / "robot.pyi").read_text(encoding="utf-8") == python_stub(protocol)
-
-
 def signatures(stub: str) -> dict[str, list[str]]:
     """Each method of the stub with its parameters, as Python reads them."""
     return {
@@ -41,10 +29,6 @@ def signatures(stub: str) -> dict[str, list[str]]:
         for node in ast.walk(ast.parse(stub))
         if isinstance(node, ast.FunctionDef)
     }
-
-
-def test_the_stub_of_another_grammar_has_its_instructions(horn: Protocol) -> None:
-    assert signatures(python_stub(horn))["horn"] == ["sound"]
 
 
 HOSTILE = 'A "quoted" \\\\ end, """ and more ' + "word " * 40 + "\\\\"
@@ -75,11 +59,8 @@ def test_whatever_a_grammar_says_the_stub_is_python_that_ruff_leaves_alone(
     ("name", "word"),
     [
         ("RotateLeft", "rotate_left"),
-        ("LED", "led"),
         ("LEDOn", "led_on"),
-        ("Speed2", "speed2"),
         ("Speed2Fast", "speed2_fast"),
-        ("go round", "go_round"),
         ("Go-Round", "go_round"),
         ("BackaÅt", "backa_åt"),
         ("Ａ", "a"),
@@ -131,13 +112,8 @@ def test_a_type_checker_sees_the_methods_and_refuses_what_is_wrong(tmp_path: Pat
         "[mypy]\nstrict = true\n[mypy-construct.*]\nignore_missing_imports = true\n"
     )
     options = ("--config-file", settings, "--cache-dir", tmp_path / "cache")
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", *options, code],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    mypy = [sys.executable, "-m", "mypy", *options, code]
+    done = subprocess.run(mypy, cwd=ROOT, capture_output=True, text=True, check=False)
 
     found = [
         (int(line.split(":")[1]), line.rsplit("[", 1)[1].rstrip("]"))
