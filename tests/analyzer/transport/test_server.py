@@ -169,6 +169,26 @@ def test_answers_go_to_the_side_that_spoke_last(served: Start) -> None:
             assert other.read() == b""
 
 
+class Alarm(Echo):
+    """A device that speaks of its own accord after each look at it."""
+
+    def probe(self, now: int) -> bytes:
+        self.due.append((now, b"!"))
+        return super().probe(now)
+
+
+def test_after_a_host_has_left_the_device_is_heard_by_who_is_still_there(served: Start) -> None:
+    room = served(Alarm(), pty=True, listen=ANY, probe=ANY)
+    with open_port(room.lines[0]) as pty, room.connected() as probe:
+        with room.connected(1) as client:
+            client.sendall(b"\x10")
+            assert client.recv(1) == b"\x10"
+        assert "error" in ask(probe, b"x\n")  # in this turn the host is seen to have gone
+        ask(probe)
+        assert wait_readable([pty], PATIENCE)[0] == [pty]
+        assert pty.read() == b"!"
+
+
 def test_answers_wait_for_their_deadline(served: Start) -> None:
     device = Echo(DELAY)
     with open_port(served(device, pty=True).lines[0]) as port:
@@ -301,18 +321,6 @@ def test_who_does_not_read_its_answers_is_closed_and_delays_nobody(served: Start
 # Addresses
 
 
-@pytest.mark.parametrize(
-    ("text", "address"),
-    [
-        ("127.0.0.1:0", ("127.0.0.1", 0)),
-        ("localhost:65535", ("localhost", 65535)),
-        ("[::1]:80", ("::1", 80)),
-    ],
-)
-def test_addresses(text: str, address: tuple[str, int]) -> None:
-    assert parse_address(text) == address
-
-
 def refused(**options: object) -> tuple[type[Exception], str]:
     """The error with which serving ends before anything was announced."""
     lines: list[str] = []
@@ -332,23 +340,15 @@ def test_what_is_no_address_is_said(text: str) -> None:
 
 
 def test_what_cannot_be_served_is_said() -> None:
-    kind, sentence = refused(pty=False, probe_listen=ANY)
-    assert kind is ValueError
-    assert sentence.startswith("nothing to serve")
     with Listener(ANY) as taken:
-        kind, sentence = refused(listen=taken.address)
-        assert kind is LinkError
-        assert sentence.startswith(f"{taken.address} is in use by another program; close it")
-
-
-def listening(address: str) -> Listener:
-    """A listener, unless this machine has no addresses of IPv6."""
-    try:
-        return Listener(address)
-    except LinkError:
-        if "[" not in address:
-            raise
-        pytest.skip("this machine has no IPv6")
+        in_use = f"{taken.address} is in use by another program; close it"
+        for options, kind, sentence in (
+            ({"pty": False, "probe_listen": ANY}, ValueError, "nothing to serve"),
+            ({"listen": taken.address}, LinkError, in_use),
+        ):
+            raised, said = refused(**options)
+            assert raised is kind
+            assert said.startswith(sentence)
 
 
 @pytest.mark.parametrize(
@@ -359,7 +359,12 @@ def listening(address: str) -> Listener:
     ],
 )
 def test_who_can_connect_to_an_open_address_is_said(host: str, warning: str) -> None:
-    with listening(f"{host}:0") as listener:
+    if host.startswith("["):
+        try:
+            Listener(f"{host}:0").close()
+        except LinkError:
+            pytest.skip("this machine has no IPv6")
+    with Listener(f"{host}:0") as listener:
         assert listener.warning("read it") == warning.format(listener.address)
         assert parse_address(listener.address)[1] > 0
 
