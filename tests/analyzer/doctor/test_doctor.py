@@ -119,6 +119,13 @@ def test_what_is_worth_a_word_is_found_alone_with_the_command_that_mends_it(
     assert (found.check, found.grade, found.command) == (check, Grade.ADVICE, mends)
 
 
+def test_a_lock_file_of_a_program_that_runs_is_no_trouble(machine: FakeMachine) -> None:
+    port = machine.adapter()
+    machine.write("/run/lock/LCK..ttyUSB0", "42\n")
+    machine.run(42, "minicom")
+    assert "lock file" not in findings(machine, port)
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to another group")
 def test_who_has_joined_the_group_has_to_log_in_again(machine: FakeMachine) -> None:
     port = machine.adapter()

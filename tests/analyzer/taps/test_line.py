@@ -7,7 +7,7 @@ import select
 import signal
 import socket
 import termios
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 import pytest
@@ -20,7 +20,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
-from tests.support.commands import Done, process
+from tests.support.commands import process
 from tests.support.robots import simulate, unwell
 from tests.support.wires import PATIENCE, Running, running
 
@@ -49,10 +49,7 @@ def test_the_same_seed_and_bytes_give_the_same_faults_in_whatever_pieces_they_co
     noise: Noise, seed: int, pieces: list[bytes]
 ) -> None:
     faults = LineFaults(noise, delay=5 * MS, jitter=3 * MS)
-    whole, split = (
-        ImpairedDirection(faults, seed, "A to B"),
-        ImpairedDirection(faults, seed, "A to B"),
-    )
+    whole, split = (ImpairedDirection(faults, seed, "A to B") for _ in range(2))
 
     assert passed(whole, [b"".join(pieces)]) == passed(split, pieces)
     assert whole.account() == split.account()
@@ -76,20 +73,16 @@ def test_the_account_holds(noise: Noise, seed: int, data: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("noise", "arrived"),
-    [(Noise(), b"abc"), (Noise(dropped=1.0), b""), (Noise(doubled=1.0), b"aabbcc")],
-    ids=["none", "dropped", "doubled"],
+    [
+        (Noise(), b"abc"),
+        (Noise(dropped=1.0), b""),
+        (Noise(doubled=1.0), b"aabbcc"),
+    ],
 )
 def test_a_dropped_byte_is_missing_and_a_doubled_one_comes_twice(
     noise: Noise, arrived: bytes
 ) -> None:
     assert passed(ImpairedDirection(LineFaults(noise), 1, "A to B"), [b"abc"]) == arrived
-
-
-def test_a_flip_changes_any_one_bit() -> None:
-    arrived = passed(ImpairedDirection(LineFaults(Noise(flipped=1.0)), 1, "A to B"), [ALL])
-
-    changes = {before ^ after for before, after in zip(ALL, arrived, strict=True)}
-    assert changes == {1 << bit for bit in range(8)}
 
 
 def test_both_directions_and_every_seed_have_chances_of_their_own() -> None:
@@ -101,13 +94,16 @@ def test_both_directions_and_every_seed_have_chances_of_their_own() -> None:
     assert len({passed(direction, [ALL]) for direction in directions}) == 4
 
 
-def test_faults_come_as_often_as_told() -> None:
+def test_faults_come_as_often_as_told_and_a_flip_changes_any_one_bit() -> None:
     direction = ImpairedDirection(LineFaults(Noise(0.02, 0.05, 0.1), delay=1), 1, "A to B")
     passed(direction, [ALL * 80])
 
     told = {"flipped": 0.02, "dropped": 0.05, "doubled": 0.1, "delayed": 0.95}
     for harm, rate in told.items():
         assert getattr(direction, harm) / direction.came == pytest.approx(rate, rel=0.15), harm
+    flipped = passed(ImpairedDirection(LineFaults(Noise(flipped=1.0)), 1, "A to B"), [ALL])
+    changes = {before ^ after for before, after in zip(ALL, flipped, strict=True)}
+    assert changes == {1 << bit for bit in range(8)}
 
 
 # when it arrives
@@ -151,20 +147,16 @@ def test_order_is_kept_and_nothing_waits_longer_than_its_delay(
 
 
 @pytest.mark.parametrize(
-    ("times", "part"),
+    ("faults", "part"),
     [
-        ({"delay": -1}, "delay and jitter are"),
-        ({"delay": LONGEST, "jitter": 1}, "together at most 60 s"),
+        (lambda: LineFaults(Noise(), delay=-1), "delay and jitter are"),
+        (lambda: LineFaults(Noise(), LONGEST, 1), "together at most 60 s"),
+        (lambda: Noise(dropped=float("nan")), "each is 0 to 1"),
     ],
 )
-def test_what_is_no_fault_of_a_line_is_refused(times: dict[str, float], part: str) -> None:
+def test_what_is_no_fault_of_a_line_is_refused(faults: Callable[[], object], part: str) -> None:
     with pytest.raises(ValueError, match=part):
-        LineFaults(Noise(), **times)  # type: ignore[arg-type]
-
-
-def test_a_chance_that_is_no_number_is_refused() -> None:
-    with pytest.raises(ValueError, match="each is 0 to 1"):
-        Noise(dropped=float("nan"))
+        faults()
 
 
 # the command
@@ -204,16 +196,6 @@ def both_ways(a: Wire, b: Wire) -> None:
     assert a.hear(256) == ALL[::-1]
 
 
-@contextmanager
-def opened_as_it_is(path: str) -> Iterator[int]:
-    """The pty as a program finds it that sets nothing: a cooked one would eat 0x03 and 0x11."""
-    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    try:
-        yield descriptor
-    finally:
-        os.close(descriptor)
-
-
 CLEAN = "256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
 
 
@@ -222,9 +204,12 @@ CLEAN = "256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
 def test_every_byte_passes_between_two_ptys(how: signal.Signals, delay: Sequence[str]) -> None:
     with running("lab", "line", *delay, "pty", "pty") as line:
         near, far = served_by(line)
-        with opened_as_it_is(near) as port, opened_as_it_is(far) as peer:
-            both_ways(Wire(port), Wire(peer))
-            code, out, err = line.end(how)
+        # As a program opens them that sets nothing: a cooked pty would eat 0x03 and 0x11.
+        ends = [os.open(path, os.O_RDWR | os.O_NOCTTY) for path in (near, far)]
+        both_ways(*map(Wire, ends))
+        code, out, err = line.end(how)
+        for end in ends:
+            os.close(end)
     told = CLEAN.replace("0 delayed", "256 delayed") if delay else CLEAN
     assert (code, out) == (0, b"")
     assert err.decode() == f"A to B: {told}; B to A: {told}\n"
@@ -321,10 +306,7 @@ def test_an_unplugged_device_is_two() -> None:
 
 
 def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None:
-    directions = (
-        ImpairedDirection(LineFaults(), 1, "A to B"),
-        ImpairedDirection(LineFaults(), 1, "B to A"),
-    )
+    there, back = (ImpairedDirection(LineFaults(), 1, way) for way in ("A to B", "B to A"))
     with (
         Stopper() as stopper,
         Deaf(*os.openpty()) as deaf,
@@ -333,7 +315,7 @@ def test_an_end_that_fails_when_written_to_is_lost_once_it_is_read_out() -> None
     ):
         client.write(b"asked")
         with pytest.raises(LinkError, match="it takes nothing any more"):
-            join((deaf, end), directions, stop=stopper, note=pytest.fail)
+            join((deaf, end), (there, back), stop=stopper, note=pytest.fail)
         assert Wire(client.fileno() or -1).hear(10) == b"last words"
 
 
@@ -354,25 +336,31 @@ class Deaf(PtyPair):
 # the suite over the line
 
 
-def conform_over(robot: Sequence[str], faults: Sequence[str], *only: str) -> tuple[Done, str]:
-    """Run the suite over a line with these faults; gives its end, and the account."""
+@pytest.mark.parametrize(
+    ("robot", "faults", "globs", "ends"),
+    [
+        ([], ["--delay", "5ms"], ["valid/*", "bad-data/*"], [0]),
+        *(
+            (
+                ["--fault", fault],
+                ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1ms"],
+                ["bad-data/LED/8"],
+                [1, 3],
+            )
+            for fault in ("no-stop-on-bad-data", "ok-to-bad-data")
+        ),
+    ],
+    ids=["the reference", "no-stop-on-bad-data", "ok-to-bad-data"],
+)
+def test_the_reference_conforms_over_a_slow_line_and_no_faulty_robot_over_a_bad_one(
+    robot: list[str], faults: list[str], globs: list[str], ends: list[int]
+) -> None:
     with simulate(*robot) as served, running("lab", "line", *faults, served.port, "pty") as line:
         (path,) = served_by(line, 1)
-        globs = [word for glob in only for word in ("--only", glob)]
+        only = [word for glob in globs for word in ("--only", glob)]
         probe = ["--probe", served.probe, "--yes", "--level", "smoke", "--json", "-"]
-        result = process("conform", path, *probe, *globs)
-        _, _, account = line.end()
-    return result, account.decode()
-
-
-def test_the_reference_conforms_over_a_slow_line() -> None:
-    result, _ = conform_over([], ["--delay", "5ms"], "valid/*", "bad-data/*")
-    assert set(unwell(result).values()) == {"skipped"}  # it has no power switch
-
-
-@pytest.mark.sample(1)
-@pytest.mark.parametrize("fault", ["no-stop-on-bad-data", "ok-to-bad-data"])
-def test_a_bad_line_never_lets_a_faulty_robot_pass(fault: str) -> None:
-    faults = ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1ms"]
-    result, _ = conform_over(["--fault", fault], faults, "bad-data/LED/8")
-    assert result.returncode in (1, 3), result.stderr
+        result = process("conform", path, *probe, *only)
+        line.end()
+    assert result.returncode in ends, result.stderr
+    if not robot:
+        assert set(unwell(result).values()) == {"skipped"}  # it has no power switch

@@ -12,26 +12,20 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.taps import sources
 from bilprov.analyzer.taps.sources import (
     LATE,
-    TAPS,
     Bridge,
-    Tap,
     Taps,
     counted,
-    opened_tap,
     require_two_lines,
 )
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
-from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.spec.protocol import Protocol
 
 pytestmark = pytest.mark.waits
 
@@ -94,7 +88,7 @@ def visible(port: Port) -> None:
 # Taps
 
 
-def test_taps_hear_every_byte_of_both_sides(
+def test_taps_hear_every_byte_of_both_sides_and_never_write(
     taps: Taps, host_line: PtyPair, device_line: PtyPair
 ) -> None:
     host_line.write_some(ALL)
@@ -102,12 +96,6 @@ def test_taps_hear_every_byte_of_both_sides(
     events = poll_until(taps, 256, 256)
     assert heard(events, "host") == heard(events, "device") == ALL
     assert not lines(events)
-
-
-def test_taps_never_write(taps: Taps, host_line: PtyPair, device_line: PtyPair) -> None:
-    host_line.write_some(ALL)
-    device_line.write_some(ALL)
-    poll_until(taps, 256, 256)
     taps.close()
     assert host_line.read() == device_line.read() == b""
 
@@ -163,12 +151,6 @@ def test_a_poll_with_nothing_to_hear_ends(taps: Taps) -> None:
         stopper.stop()
         assert taps.poll(None, [stopper.fileno()]) == []
     assert not taps.ended
-
-
-def test_one_tap_alone_hears_the_host(host_line: PtyPair) -> None:
-    with Taps(open_port(host_line.name), None) as taps:
-        host_line.write_some(ALL)
-        assert heard(poll_until(taps, 256), "host") == ALL
 
 
 def test_an_unplugged_tap_is_said_once_and_the_other_is_heard_on(
@@ -373,25 +355,7 @@ def test_closing_a_source_closes_its_ports(bridge: Bridge, device_line: PtyPair)
         open_port(bridge.served)
 
 
-# the table of taps
-
-
-def test_a_new_kind_of_tap_is_one_row(
-    protocol: Protocol, monkeypatch: pytest.MonkeyPatch, device_line: PtyPair
-) -> None:
-    row = Tap("mirror", "PORT", "Hears itself.", lambda names, line: Bridge(open_port(*names)))
-    monkeypatch.setattr(sources, "TAPS", (*TAPS, row))
-    line = line_settings(protocol)
-    nothing = dict.fromkeys(("", "bridge", "mirror"), (None,))
-
-    with opened_tap(nothing | {"mirror": (device_line.name,)}, line) as source:
-        assert source.names == {"bridge": device_line.name, "pty": source.served}
-    with pytest.raises(
-        ValueError, match=r"give HOST \[DEVICE\] or --bridge PORT or --mirror PORT$"
-    ):
-        opened_tap(nothing, line)
-    with pytest.raises(ValueError, match=r"or --mirror PORT, not both$"):
-        opened_tap(nothing | {"": ("a", None), "bridge": ("b",)}, line)
+# what each says of itself
 
 
 def test_taps_hear_traffic_that_went_on_before(
@@ -400,8 +364,13 @@ def test_taps_hear_traffic_that_went_on_before(
     assert taps.heard == {"host", "device"}
     assert (taps.attached, taps.one_clock, taps.served) == (True, False, "")
     assert taps.names == {"host": host_line.name, "device": device_line.name}
-    with open_pty() as other, Taps(open_port(other.name), None) as alone:
+
+
+def test_one_tap_alone_hears_the_host(host_line: PtyPair) -> None:
+    with Taps(open_port(host_line.name), None) as alone:
         assert alone.heard == {"host"}
+        host_line.write_some(ALL)
+        assert heard(poll_until(alone, 256), "host") == ALL
 
 
 def test_a_bridge_hears_both_sides_from_the_first_byte_on_with_one_clock(bridge: Bridge) -> None:
