@@ -46,6 +46,9 @@ def test_a_board_with_a_bug_does_not_conform() -> None:
     [
         (lambda elf: elf[:200], "is cut off or damaged"),
         (lambda elf: elf[:60], "is cut off or damaged"),
+        (lambda elf: b"", "is not an ELF file: give the one that the linker wrote"),
+        (lambda elf: b":100000000C9434000C943E00\n", "is not an ELF file"),
+        (lambda elf: elf[:18] + b"\x28" + elf[19:], "is not for an AVR, which is all that simavr"),
         (lambda elf: elf[:44] + bytes(2) + elf[46:], "puts nothing into the flash"),
         (lambda elf: elf[:64] + b"\x00\x7f\0\0" + elf[68:], "bytes of flash"),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from random import Random
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -18,6 +19,7 @@ from bilprov.conformance.dut.boards.libsimavr import Avr
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge
 from bilprov.spec.motion import State, wheels
 from bilprov.spec.protocol import Protocol
@@ -67,13 +69,17 @@ def bench() -> Iterator[Bench]:
     bench.board.close()
 
 
-def test_it_is_at_rest_after_power_on_and_answers_the_first_instruction(bench: Bench) -> None:
-    bench.board.power_cycle(0)
-    fresh = Bench()
-
-    assert fresh.look().motion == "stopped"
-    assert fresh.look().led == 0
-    assert fresh.send(b"\x11\x7f") == b"\x00"
+def test_it_is_at_rest_after_power_on_and_knows_nothing_of_before() -> None:
+    bench = Bench()
+    for _ in range(2):
+        assert (bench.look().motion, bench.look().led) == ("stopped", 0)
+        assert bench.send(b"\x20") == b"\x00"
+        assert bench.look().moving is False  # it has no speed
+        for frame in (b"\x11\xff", b"\x81\x05"):
+            assert bench.send(frame) == b"\x00"
+        assert (bench.look().moving, bench.look().led) == (True, 5)
+        bench.board.power_cycle(bench.board.deadline())
+    bench.board.close()
 
 
 @pytest.mark.parametrize("vector", FRAMES, ids=lambda vector: vector.frame.hex())
@@ -81,21 +87,6 @@ def test_it_answers_the_frames_of_the_document(bench: Bench, vector: object) -> 
     bench.home()
 
     assert bench.send(vector.frame, wait=PAUSE) == bytes([vector.code])  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize("fill", [0x00, 0x07, 0xFF])
-def test_every_header_with_all_its_data_is_answered_as_the_grammar_judges(
-    bench: Bench, protocol: Protocol, fill: int
-) -> None:
-    bench.home()
-    wrong = []
-    for header in range(256):
-        frame = bytes([header]) + bytes([fill]) * protocol.lengths[header]
-        answers = bench.send(frame, answers=None)
-        if answers != bytes([judge(protocol, frame).response.code]):
-            wrong.append((frame.hex(), answers.hex()))
-
-    assert wrong == []
 
 
 def agrees(look: Look, state: State, full: int) -> bool:
@@ -211,20 +202,6 @@ def test_answers_to_what_came_before_a_damaged_byte_are_not_lost(bench: Bench) -
     assert bench.send(b"", wait=PAUSE, answers=None) == b"\x01\x04\x00"
 
 
-def test_another_power_on_knows_nothing_of_before(bench: Bench) -> None:
-    bench.home()
-    for frame in (b"\x11\xff", b"\x81\x07", b"\x20"):
-        bench.send(frame)
-    again = Bench()
-    again.send(b"\x11\xff")
-    again.send(b"\x81\x05")
-    again.board.power_cycle(again.board.deadline())
-
-    assert again.look().led == 0
-    assert again.send(b"\x20") == b"\x00"
-    assert again.look().moving is False
-
-
 def test_the_emulator_stops_where_it_is_told_also_while_the_chip_sleeps() -> None:
     avr, draw = Avr(flash(built(), uno.FLASH), uno.CHIP, uno.FREQUENCY, print), Random(1)
     late = set()
@@ -259,41 +236,31 @@ def test_a_loop_that_hangs_is_ended_by_the_watchdog_and_the_robot_stands_still()
 # -- the suite ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_the_suite_passes_the_clean_build(pytestconfig: pytest.Config) -> None:
-    board = SimavrBoard(built())
-    level = "standard" if pytestconfig.getoption("--whole") else "smoke"
-    report = conform(board, options=Options(level=level), name="uno")
+def run(switches: str = "", **options: Any) -> Report:
+    """What the suite says of the firmware, built with these switches."""
+    board = SimavrBoard(built(switches))
+    report = conform(board, options=Options(**options), name="uno")
     board.close()
+    return report
+
+
+@pytest.mark.slow
+def test_the_suite_passes_the_clean_build_the_same_to_the_last_nanosecond(
+    pytestconfig: pytest.Config,
+) -> None:
+    level = "standard" if pytestconfig.getoption("--whole") else "smoke"
+    report, again = run(level=level), run(level=level)
 
     assert report.exit == 0
     assert {result.verdict for result in report.results} == {Verdict.PASS}
+    for one, other in zip(report.results, again.results, strict=True):
+        assert (one.id, one.received) == (other.id, other.received)
 
 
 @pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("bug", BUGS)
 def test_the_suite_finds_every_planted_bug(bug: str) -> None:
-    board = SimavrBoard(built(f"-D{bug}"))
-    report = conform(board, options=Options(level="standard", fail_fast=True), name=bug)
-    board.close()
+    report = run(f"-D{bug}", level="standard", fail_fast=True)
 
     assert report.exit == 1, report.counts
-
-
-def test_there_are_enough_bugs_and_each_makes_another_firmware() -> None:
-    images = {built(f"-D{bug}").with_suffix(".hex").read_bytes() for bug in BUGS}
-
-    assert len(images) == len(BUGS) >= 25
-    assert built().with_suffix(".hex").read_bytes() not in images
-
-
-@pytest.mark.slow
-def test_the_same_run_twice_is_the_same_to_the_last_nanosecond() -> None:
-    def run() -> object:
-        board = SimavrBoard(built())
-        report = conform(board, options=Options(level="smoke"), name="uno")
-        board.close()
-        return [(result.id, result.received) for result in report.results]
-
-    assert run() == run()
