@@ -372,7 +372,6 @@ def test_the_wire_has_the_baud_of_the_grammar(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "option '--firmware' requires an argument"),
         (["{elf}", "--fault", "always-0"], "--fault and --variant do not apply"),
         (["{elf}", "{elf}"], "got unexpected extra argument"),
         (["{elf}", "--listen", "nowhere"], "the address is 'nowhere', allowed is HOST:PORT"),

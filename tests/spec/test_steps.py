@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from random import Random
 
 import pytest
@@ -25,16 +26,9 @@ def after(step: Step, state: State = BEFORE) -> dict[str, object]:
 def judged(protocol: Protocol, frame: bytes, state: State = BEFORE) -> dict[str, object]:
     """The same by the grammar's own effects."""
     judgement = judge(protocol, frame)
-    effect = protocol.on_fault
-    if judgement.valid and judgement.instruction:
-        effect = judgement.instruction.effect
-    then = effect.apply(state, dict(judgement.fields))
-    return {
-        "motion": then.motion.value,
-        "speed": then.speed,
-        "steering": then.steering,
-        "led": then.led,
-    }
+    effect = judgement.instruction.effect if judgement.valid and judgement.instruction else None
+    then = (effect or protocol.on_fault).apply(state, dict(judgement.fields))
+    return asdict(then) | {"motion": then.motion.value}
 
 
 def test_every_header_at_every_truncation_is_judged_as_by_the_grammar(
