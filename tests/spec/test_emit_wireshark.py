@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.schemas import MS, Chunk, Direction
 from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import snake_case
@@ -246,6 +246,29 @@ def test_what_is_odd_has_an_expert_info(protocol: Protocol, tmp_path: Path) -> N
         "It responds to no instruction",
         "Speed: 1 data byte announced, 0 came",
     ]
+
+
+@pytest.mark.parametrize(
+    ("said", "responses_to"),
+    [
+        # The time-out counts from the last byte, not from the first.
+        (
+            [(0, "host", b"\x12"), (40, "host", b"\1"), (80, "host", b"\2"), (81, "device", b"\3")],
+            "3",
+        ),
+        # The device's time-out may be the shorter one.
+        ([(0, "host", b"\x11"), (30, "device", b"\4"), (200, "host", b"\x20")], "1"),
+    ],
+    ids=["a slow frame", "an early answer"],
+)
+def test_a_response_is_to_the_frame_that_its_time_says(
+    protocol: Protocol, tmp_path: Path, said: list[tuple[int, Direction, bytes]], responses_to: str
+) -> None:
+    data = reads([Chunk(t * MS, side, data) for t, side, data in said])
+
+    rows = Tshark(tmp_path, protocol).rows(data, "robot_car.response_to")
+
+    assert "".join(row["robot_car.response_to"] for row in rows) == responses_to
 
 
 def test_the_preferences_change_the_time_out_or_leave_the_packets_alone(
