@@ -53,6 +53,9 @@ def pytest_configure(config: pytest.Config) -> None:
     short, and no command could import it again.
     """
     settings.load_profile("whole" if config.getoption("--whole") else "sample")
+    if config.getoption("--quick"):  # a refusal in a thread skips the test, and is no error
+        ignored = "ignore::pytest.PytestUnhandledThreadExceptionWarning"
+        config.addinivalue_line("filterwarnings", ignored)
     if not hasattr(config, "workerinput"):  # once, and not in each process of a run
         for room in ("src", "spec", "captures", "analyzer", "conformance"):
             compileall.compile_dir(ROOT / room, quiet=2)

@@ -77,6 +77,7 @@ def moved(protocol: Protocol, state: State, frame: bytes) -> State:
     return judged.instruction.effect.apply(state, dict(judged.fields))
 
 
+@pytest.mark.slow
 @pytest.mark.sample(4)
 @pytest.mark.parametrize("seeds", CHUNKS, ids=str)
 def test_the_simulator_of_each_drawn_grammar_conforms(seeds: range) -> None:
@@ -120,6 +121,7 @@ def _doubled(variable: str, name: str, value: object) -> tuple[str, object]:
     return name, 2 * value if name == variable and isinstance(value, int) else value
 
 
+@pytest.mark.slow
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seeds", CHUNKS, ids=str)
 def test_a_fault_in_the_device_of_a_drawn_grammar_fails(seeds: range) -> None:
