@@ -82,23 +82,24 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
     for record in records:  # in one loop: a call for each record would take a third more time
         if isinstance(record, HostRecord):
             text, name, fields, judgement, reason, faults = _frame_values(record)
-            line = JsonLine(
-                record.t / 1e9,
-                "host",
-                record.kind,
-                text,
-                name,
-                fields,
-                judgement,
-                reason,
-                None,
-                record.state,
-                record.sequence,
-                None,
-                None,
-                faults,
+            add(
+                JsonLine(
+                    record.t / 1e9,
+                    "host",
+                    record.kind,
+                    text,
+                    name,
+                    fields,
+                    judgement,
+                    reason,
+                    None,
+                    record.state,
+                    record.sequence,
+                    None,
+                    None,
+                    faults,
+                )
             )
-            lines.append(line)
         elif isinstance(record, DeviceRecord):
             answer, answered, latency = record.answer, record.answered, record.latency
             add(

@@ -38,9 +38,6 @@ _AWAY = (0.05, 1.0)  # s
 _LATE = (0.0, 0.0, 0.05, 0.3)  # s after its bytes at which the port is unplugged
 _GONE = 1.0  # s that a command which waits for ever does so before it is interrupted
 
-BACK = "is there again"
-"""What is said of a port that came back."""
-
 
 class Driver(NamedTuple):
     """A command that drives: its words for a port, a probe and a folder; how much it sends (bytes).
