@@ -24,7 +24,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
 from tests.support.robots import PATIENCE, served_here, simulate
-from tests.support.wires import running
+from tests.support.wires import json_lines, running
 
 pytestmark = pytest.mark.waits
 
@@ -169,7 +169,10 @@ def test_a_port_that_comes_back_is_homed_and_the_rest_follows(
         unplugged.enter_context(plugged(link, first))
         words = ("send", str(link), *items, "--yes", "--wait", "--format", "jsonl")
         sending = stack.enter_context(running(*words))
-        until(lambda: first.state.moving)
+        # The answer to Forward is the last line: from then on the pause is under way.
+        lines = [sending.stdout.readline()]
+        while (line := json.loads(lines[-1]))["kind"] != "response" or not line["state"]["moving"]:
+            lines.append(sending.stdout.readline())
         unplugged.close()
         assert b"; waiting" in sending.stderr.readline()
         # As after a short break of the cable: it drives on.
@@ -184,7 +187,7 @@ def test_a_port_that_comes_back_is_homed_and_the_rest_follows(
         second = Simulator(protocol, Fault("driving", "test", "", power_on=first.state, react=note))
         with plugged(link, second):
             code, out, err = sending.result()
-            shown, told = [json.loads(line) for line in out.splitlines()], err.decode()
+            shown, told = json_lines(b"".join(lines) + out), err.decode()
 
     assert code == 1
     assert BACK in told
