@@ -18,7 +18,6 @@ from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.options import fault_option, named_device, variant_option
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -75,11 +74,11 @@ def simulate(options: SimulateOptions) -> int:
     Exit code: 0 after Ctrl-C or SIGTERM.
     """
     protocol, firmware = protocol_in_use(), options.firmware
-    if options.list_faults:
-        click.echo(listed_faults(protocol))
-        return 0
-    if options.list_variants:
-        click.echo(listed_variants(protocol))
+    if options.list_faults or options.list_variants:
+        from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
+
+        listed = listed_faults if options.list_faults else listed_variants
+        click.echo(listed(protocol))
         return 0
     if firmware is not None and (options.fault or options.variant):
         raise click.UsageError(

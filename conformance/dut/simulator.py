@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from functools import cache, lru_cache
-from typing import cast
 
 import msgspec
 
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.dut.fault import CONFORMING, Event, Fault, Reaction
-from bilprov.conformance.dut.fault_reads import COUNTED, FaultReads, RecordingProxy
 from bilprov.spec.codec import Judgement, judge
 from bilprov.spec.motion import State, wheels
 from bilprov.spec.protocol import Protocol
@@ -44,7 +42,7 @@ class Simulator:
     """The reference device, with at most one fault. Times are integers in nanoseconds.
 
     `latency` (ns) is the time to each answer. `memory` is where a fault keeps what it remembers
-    between frames; `reads`, where it is given, records what the fault reads.
+    between frames.
     """
 
     lossless = True
@@ -53,7 +51,6 @@ class Simulator:
         self.protocol = protocol
         self.fault = fault or CONFORMING
         self.latency = latency
-        self.reads: FaultReads | None = None
         self.byte_time = line_settings(protocol).byte_time
         self.step = conforming_step(protocol)
         self._full_steering = max(abs(end) for end in protocol.limits.get("steering", (0, 0)))
@@ -169,14 +166,14 @@ class Simulator:
         other._unasked = deque(self._unasked)
         return other
 
-    def state_key(self, now: int, longest: int, reads: FaultReads) -> Hashable:
+    def state_key(self, now: int, longest: int) -> Hashable:
         """The state that decides its future from `now` on; pauses over `longest` ns are equal.
 
-        `reads` holds the inputs its fault has read. A value in `memory` whose name ends in `at` is
-        a time. Two devices with the same fault and equal keys behave alike.
+        A value in `memory` whose name ends in `at` is a time. Two devices with the same fault and
+        equal keys behave alike.
         """
         since = None if self.over_at is None else min(now - self.over_at, longest)
-        timed = self.fault.hear or not reads.names.isdisjoint(("gap", "pipelined"))
+        history = self.fault.history
         queues = (self._answers, self._states, self._unasked)
         return (
             self.state,
@@ -187,10 +184,9 @@ class Simulator:
             bytes(self._held),
             None if self._cut is None else self._cut - now,
             tuple(tuple((at - now, what) for at, what in queue) for queue in queues),
-            tuple(reads.seen(name, getattr(self, name)) for name in COUNTED),
-            reads.of_previous(self.previous),
-            self._previous_kind if "previous_kind" in reads.names else "",
-            since if timed else None,
+            tuple(seen(getattr(self, name)) for name, seen in history.counts),
+            tuple(seen(self.previous, self._previous_kind) for seen in history.previous),
+            since if self.fault.hear or history.timed else None,
             (min(now - self._byte_at, longest), self._pause, self._gap) if self._held else None,
         )
 
@@ -276,8 +272,7 @@ class Simulator:
                 self._pause,
                 gap is not None and gap <= self.byte_time,
             )
-            shown = event if self.reads is None else cast(Event, RecordingProxy(event, self.reads))
-            reaction = self.fault.react(self, shown, Reaction(((0, code),), after))
+            reaction = self.fault.react(self, event, Reaction(((0, code),), after))
             self.state = reaction.state
             if reaction.later or self._states:
                 self._states = deque((known + d, state) for d, state in reaction.later)

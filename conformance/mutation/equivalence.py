@@ -16,10 +16,9 @@ import msgspec
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.fault_reads import FaultReads
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.draw import Draw
-from bilprov.conformance.mutation.search_inputs import Symbol, alphabet
+from bilprov.conformance.mutation.search_inputs import Symbol, alphabet, hints
 from bilprov.spec.protocol import Protocol
 
 MOST = 250_000  # inputs tried by default
@@ -78,12 +77,9 @@ class _Pair(NamedTuple):
     def clone(self) -> _Pair:
         return _Pair(self.reference.clone(), self.faulty.clone(), self.now, self.words)
 
-    def key(self, reads: FaultReads) -> Hashable:
+    def key(self) -> Hashable:
         """Return the joint state key: pairs with equal keys behave alike from here on."""
-        return (
-            self.reference.state_key(self.now, _ALIKE, FaultReads()),
-            self.faulty.state_key(self.now, _ALIKE, reads),
-        )
+        return tuple(one.state_key(self.now, _ALIKE) for one in (self.reference, self.faulty))
 
 
 def search(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
@@ -91,19 +87,13 @@ def search(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
 
     The random sequences have `most` inputs in all, and not more than `WALK`.
     """
-    inputs = alphabet(protocol, fault.hints)
-    reads = FaultReads()
-    while True:
-        known = len(reads)
-        found = _search(protocol, fault, inputs, reads, most)
-        if not found.shown and not found.closed:  # too many states
-            steps, stride = min(WALK, most), min(_STRIDE, most)
-            walk = random_search(protocol, fault, inputs, steps, stride)
-            words, different = try_sequence(protocol, fault, walk)
-            return msgspec.structs.replace(found, shown=words, difference=different)
-        # The fault has read a new part of its history: merged states may differ, so search again.
-        if found.shown or len(reads) == known:
-            return found
+    inputs = alphabet(protocol, hints(protocol, fault))
+    found = _search(protocol, fault, inputs, most)
+    if found.shown or found.closed:
+        return found
+    walk = random_search(protocol, fault, inputs, min(WALK, most), min(_STRIDE, most))
+    words, different = try_sequence(protocol, fault, walk)
+    return msgspec.structs.replace(found, shown=words, difference=different)
 
 
 def difference(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
@@ -112,7 +102,7 @@ def difference(protocol: Protocol, fault: Fault, most: int = MOST) -> Search:
     For drawn faults: most of them show at random in a moment, and those with a long rhythm show in
     a long sequence alone. Each of these parts has at most `most` inputs.
     """
-    inputs = alphabet(protocol, fault.hints)
+    inputs = alphabet(protocol, hints(protocol, fault))
     for steps, stride in ((_QUICK, _QUICK // 4), (_LONG, _LONG // 5)):
         shown = random_search(protocol, fault, inputs, min(steps, most), min(stride, most))
         if shown:
@@ -187,13 +177,9 @@ def try_sequence(
     return (), ""
 
 
-def _search(
-    protocol: Protocol, fault: Fault, inputs: tuple[Symbol, ...], reads: FaultReads, most: int
-) -> Search:
-    faulty = Simulator(protocol, fault)
-    faulty.reads = reads
-    start, different = _started(protocol, faulty)
-    seen = {start.key(reads)}
+def _search(protocol: Protocol, fault: Fault, inputs: tuple[Symbol, ...], most: int) -> Search:
+    start, different = _started(protocol, Simulator(protocol, fault))
+    seen = {start.key()}
     queue = deque([start])
     tried = depth = 0
     while queue and not different:
@@ -204,7 +190,7 @@ def _search(
                 return Search((), "", False, len(seen), len(inputs), depth)
             after, different = _send(pair.clone(), symbol)
             if not different:
-                key = after.key(reads)
+                key = after.key()
                 if key in seen:
                     continue
                 seen.add(key)

@@ -11,9 +11,8 @@ from dataclasses import replace
 from functools import cache
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Fault, MutatedDevice
+from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.variant_behaviour import Chooses
 from bilprov.conformance.mutation.variants import MIXTURE, Variant, variants
 from bilprov.spec.codec import bad_data
 from bilprov.spec.motion import Motion, State
@@ -39,21 +38,25 @@ def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
     if not variant.mixes:
         return
     ids, motions = _where_it_shows(protocol, variant)
-    rows: list[tuple[str, str, Chooses]] = [
-        ("by-frame", "every second time", _every_second),
-        (f"after-{_TIMES}", f"after it has chosen otherwise {_TIMES} times", _after_times),
+    rows = [
+        ("by-frame", "every second time", "times !& 1"),
+        (
+            f"after-{_TIMES}",
+            f"after it has chosen otherwise {_TIMES} times",
+            f"times >= {_TIMES}",
+        ),
     ]
     if len(ids) > 1:
-        some = ids[::2]
-        words = f"for ID {', '.join(map(str, some))} and not for {', '.join(map(str, ids[1::2]))}"
-        rows.append(("by-id", words, lambda device, identity: identity in some))
+        some, others = (", ".join(map(str, part)) for part in (ids[::2], ids[1::2]))
+        words = f"for ID {some} and not for {others}"
+        rows.append(("by-id", words, f"id {some.replace(',', '')}"))
     if len(motions) > 1:
         moves = motions[1::2]
-        words = f"while its motion is {' or '.join(motion.value for motion in moves)}"
-        rows.append(("by-motion", words, lambda device, identity: device.state.motion in moves))
-    for name, words, chooses in rows:
+        words = f"while its motion is {' or '.join(moves)}"
+        rows.append(("by-motion", words, f"motion {' '.join(moves)}"))
+    for name, words, when in rows:
         fault = variant.taking(
-            chooses, f"{MIXTURE}{variant.name}:{name}", f"{variant.doc}, but only {words}"
+            when, f"{MIXTURE}{variant.name}:{name}", f"{variant.doc}, but only {words}"
         )
         yield replace(
             fault,
@@ -62,16 +65,6 @@ def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
             caught_by=("reading/*",),
             clauses=("header", "instructions", "responses", "safety"),
         )
-
-
-def _every_second(device: MutatedDevice, identity: int) -> bool:
-    device.memory["turn"] = turn = 1 - device.memory.get("turn", 0)
-    return turn == 1
-
-
-def _after_times(device: MutatedDevice, identity: int) -> bool:
-    times = device.memory["times"] = min(device.memory.get("times", 0) + 1, _TIMES + 1)
-    return times > _TIMES
 
 
 def _where_it_shows(protocol: Protocol, variant: Variant) -> tuple[list[int], list[Motion]]:

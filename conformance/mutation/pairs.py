@@ -8,14 +8,24 @@ from itertools import combinations
 from typing import Any
 
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.mutation import variant_behaviour as take
-from bilprov.conformance.mutation.faults.vocabulary import then
+from bilprov.conformance.mutation.effects import behind, then
 from bilprov.conformance.mutation.variants import FAMILY, Variant, variants
 from bilprov.spec.protocol import Protocol
 
 # What tells of a fault; every other field is a hook or a setting, which a device has once. Only
 # reactions can follow one another.
-_TOLD = ("name", "family", "doc", "caught_by", "exit", "clauses", "needs", "hints")
+_TOLD = (
+    "name",
+    "family",
+    "doc",
+    "caught_by",
+    "exit",
+    "clauses",
+    "needs",
+    "what",
+    "trigger",
+    "history",
+)
 _ONCE = tuple(f.name for f in fields(Fault) if f.name not in (*_TOLD, "react"))
 # What loses an instruction comes first; what delays its answer, then its stop, comes last. Choices
 # of words at open points come before other answers and states ("").
@@ -50,7 +60,7 @@ def _both(one: Variant, other: Variant) -> Fault:
     """Return the device that is both: each reacts to what the one before has made of a frame."""
     first, second = sorted((one, other), key=_place)
     reacts = [variant.fault.react for variant in (first, second) if variant.fault.react]
-    joined = take.behind if first.reading == _ORDER[0] else then
+    joined = behind if first.reading == _ORDER[0] else then
     return replace(
         _USUAL,
         name=f"{one.name} and {other.name}",

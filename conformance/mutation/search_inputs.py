@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import NamedTuple
 
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, Fault
+from bilprov.conformance.mutation.triggers import Trigger
 from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 _QUIET = 170 * MS
 _SPLIT = 3 * MS
 _RUNS = (16, 250)  # how many stops, or faults, are sent in a row
+_VALUES = ("value", "speed", "steering", "led")
+_EXAMPLES = 3  # frames of a trigger that are inputs of their own
+_HEADERS_AND_BYTES = ("id", "length", "size", "excess", "first-byte", "second-byte", "last-byte")
 _BURST = 70  # bytes without a pause: more than a small buffer holds
 
 
@@ -29,13 +35,13 @@ class Symbol(NamedTuple):
     valid: bool = False
 
 
-def alphabet(protocol: Protocol, hints: Sequence[int | bytes] = ()) -> tuple[Symbol, ...]:
-    """Return every input that a search tries; `hints` are further data values, and frames.
+def alphabet(protocol: Protocol, given: Sequence[int | bytes] = ()) -> tuple[Symbol, ...]:
+    """Return every input that a search tries; `given` are further data values, and frames.
 
     A frame with fewer data bytes than its header announces is cut short.
     """
-    values = [hint for hint in hints if isinstance(hint, int)]
-    frames = [hint for hint in hints if isinstance(hint, bytes)]
+    values = [hint for hint in given if isinstance(hint, int)]
+    frames = [hint for hint in given if isinstance(hint, bytes)]
     whole = [frame for frame in frames if len(frame) > protocol.lengths[frame[0]]]
     byte = line_settings(protocol).byte_time
     waited, idle = 3 * byte, _QUIET
@@ -125,3 +131,39 @@ def _faulty(protocol: Protocol, hints: Sequence[int], *, every: bool) -> Iterato
             chosen = [data for data in bad if data[0] in wanted or data in ends]
             for data in chosen if every else ends[-1:]:
                 yield raw_frame(protocol, identity, known.length, data)
+
+
+def hints(protocol: Protocol, fault: Fault) -> tuple[int | bytes, ...]:
+    """Return data values and frames at which a fault shows, from its trigger and its effect."""
+    wheels = fault.what.split() if fault.show else []
+    values = {int(word) for word in wheels if word.isdigit()}
+    acting = fault.trigger
+    if not isinstance(acting, Trigger):
+        return tuple(values)
+    for part in (acting, acting.since, acting.until):
+        for term in part.terms if part else ():
+            values |= set(term.values) if term.subject in _VALUES else set()
+    around = (end for value in sorted(values) for end in (value, value - 1))
+    return (*(value for value in around if 0 <= value <= 0xFF), *_examples(protocol, acting))
+
+
+def _examples(protocol: Protocol, acting: Trigger) -> list[bytes]:
+    """Return some frames of a trigger that is about headers or data bytes, cut ones too."""
+    frame_terms = acting.about_frame
+    if all(term.subject not in _HEADERS_AND_BYTES for term in frame_terms):
+        return []
+    bytes_ = [t.values[0] for t in frame_terms if t.subject.endswith("-byte")]
+    sizes = [t.values[0] for t in frame_terms if t.subject == "size"]
+    found = []
+    for header, length in enumerate(protocol.lengths):
+        for fill, place in product([protocol.pad_byte, *bytes_], (0, 1, length - 1)):
+            data = bytearray([protocol.pad_byte] * length)
+            if 0 <= place < length:
+                data[place] = fill
+            for size in sizes or [length + 1]:
+                frame = bytes([header, *data])[:size]
+                kind = "instruction" if size > length else "truncated"
+                event = Event(judge(protocol, frame), protocol.power_on, 0, 0, kind, 0)
+                if all(term.holds(term.of(event)) for term in frame_terms):
+                    found.append(frame)
+    return list(dict.fromkeys(found))[:_EXAMPLES]

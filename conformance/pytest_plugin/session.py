@@ -23,7 +23,6 @@ from bilprov.conformance.cases.levels import LEVELS, STANDARD
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.target import SIM
-from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
@@ -228,6 +227,8 @@ def _fault(protocol: Protocol, target: str, name: str | None) -> Fault | None:
         return None
     if target != SIM:
         raise ValueError("--robot-fault is for --robot-port sim")
+    from bilprov.conformance.mutation.faults import fault_bank
+
     bank = fault_bank(protocol)
     if name not in bank:
         raise ValueError(f"there is no fault {name!r}; bilprov simulate --list-faults lists them")

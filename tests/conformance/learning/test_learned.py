@@ -23,9 +23,9 @@ from bilprov.conformance.learning.learned import Learned, learn_target
 from bilprov.conformance.learning.output import Output, output_of
 from bilprov.conformance.learning.rehearsal import estimated_seconds
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.faults.vocabulary import Condition, silent, twice
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
+from tests.support.faults import Condition, silent, twice
 from tests.support.firmware import AVR, built
 from tests.support.robots import BYTE_TIME, Timers
 

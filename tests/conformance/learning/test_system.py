@@ -18,14 +18,13 @@ from bilprov.conformance.learning.machine import Word
 from bilprov.conformance.learning.output import Output
 from bilprov.conformance.learning.reference import reference_machine
 from bilprov.conformance.learning.system import NotLearned, System
-from bilprov.conformance.mutation.faults.vocabulary import is_outcome, then, when
-from bilprov.conformance.mutation.variant_behaviour import stops_late
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
+from tests.support.faults import is_outcome, stops_late, then, when
 from tests.support.robots import BYTE_TIME, Timers
 
 WRONG = 0x55

@@ -34,7 +34,18 @@ def test_two_choices_at_one_point_are_no_pair() -> None:
 
 
 def test_a_pair_has_every_behaviour_of_both_parts(protocol: Protocol) -> None:
-    told = {"name", "family", "doc", "caught_by", "exit", "clauses", "needs", "hints"}
+    told = {
+        "name",
+        "family",
+        "doc",
+        "caught_by",
+        "exit",
+        "clauses",
+        "needs",
+        "what",
+        "trigger",
+        "history",
+    }
     behaviour = {field.name for field in fields(Fault)} - told
     legal = variants(protocol)
     plateau = next(fault for name, fault in pairs(protocol).items() if "plateau" in name)

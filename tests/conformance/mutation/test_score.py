@@ -63,8 +63,8 @@ def test_a_group_is_a_class_or_the_first_two_parts(ident: str, group: str) -> No
 
 @pytest.mark.slow
 def test_a_survivor_that_can_show_fails_the_suite_and_is_shown(protocol: Protocol) -> None:
-    # That ID with that length is no frame of smoke.
-    name = "accepts-id-10-with-1"
+    # That value in that motion is no frame of smoke.
+    name = "accepts-led-132-while-rotate-right"
     found = score(protocol, chosen_faults(protocol, 0, [name]), at=["smoke"], most=50_000)
 
     assert found.survivors("smoke") == [name]
@@ -134,14 +134,14 @@ def test_what_is_proven_equivalent_does_not_count() -> None:
 @pytest.mark.slow
 def test_random_faults_count_where_they_can_be_told_apart(protocol: Protocol) -> None:
     # Failed; passed although a search shows it; cannot show, since a fault has stopped the robot.
-    few = ["random:1.12", "random:1.52", "random:1.21"]
+    few = ["random:1.6", "random:1.52", "random:1.12"]
     found = score(protocol, chosen_faults(protocol, 60, few, fault_seed=1), at=["smoke"], most=4000)
 
     verdicts = {name: one.verdict for name, one in found.at("smoke").items()}
-    assert verdicts == {"random:1.12": "pass", "random:1.21": "pass", "random:1.52": "fail"}
+    assert verdicts == {"random:1.6": "pass", "random:1.12": "pass", "random:1.52": "fail"}
     assert (found.failed, found.told_apart, found.passed, found.inconclusive) == (1, 2, 1, 0)
-    assert found.searches["random:1.12"].shown
-    assert not found.searches["random:1.21"].shown
+    assert found.searches["random:1.6"].shown
+    assert not found.searches["random:1.12"].shown
 
 
 def test_each_level_has_its_floor_and_the_reference_must_pass() -> None:
@@ -160,7 +160,7 @@ def test_each_level_has_its_floor_and_the_reference_must_pass() -> None:
 
 @pytest.mark.slow
 def test_the_choice_of_faults(protocol: Protocol) -> None:
-    assert len(chosen_faults(protocol, 0)) > 400
+    assert len(chosen_faults(protocol, 0)) > 300
     assert list(chosen_faults(protocol, 3, ["random:*"])) == ["random:1", "random:2", "random:3"]
     assert chosen_faults(protocol, 3, ["nothing"]) == {}
     assert list(chosen_faults(protocol, 2, fault_seed=7)) == ["random:7.1", "random:7.2"]

@@ -7,7 +7,7 @@ that choose otherwise in one point.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Any
@@ -21,11 +21,22 @@ from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction, answers
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation import variant_behaviour as take
-from bilprov.conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.mutation.effects import speed_at_next_motion
+from bilprov.conformance.mutation.hooks import stops_at_header
+from bilprov.conformance.mutation.triggers import trigger
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state, lost
+from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
+from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.motion import Motion, State
+from bilprov.spec.protocol import Protocol
+from tests.support.faults import (
     answers_with,
+    condition,
     drives_on,
     faulty,
     is_truncated,
@@ -38,14 +49,6 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     twice,
     when,
 )
-from bilprov.conformance.oracle.choices import Choices
-from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state, lost
-from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
-from bilprov.conformance.oracle.timers import Timers
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
-from bilprov.conformance.report.run_report import Report
-from bilprov.spec.motion import Motion, State
-from bilprov.spec.protocol import Protocol
 from tests.vectors import READING_IDS
 
 MS = 1_000_000
@@ -557,6 +560,13 @@ def choice(
     )
 
 
+def stops_at_the_header(device: MutatedDevice, header: int) -> Sequence[int]:
+    begins: Callable[[MutatedDevice, int], Sequence[int]]
+    begins = stops_at_header(device.protocol, trigger(""))["begins"]
+    return begins(device, header)
+
+
+STEERS_ROTATING = condition("sets steering, rotates")
 OPENING = ("power-on", "link", "timing", "reading", "line")
 UNUSED_WITH_DATA = "unused-id/1?/[1-9]"
 CHOICES = [
@@ -570,7 +580,7 @@ CHOICES = [
     choice("BAD_HEADER for a known ID with a wrong length", "wrong-length/Speed/*", FAIL, "answer",
            react=when(lambda e: whole_fault(e) and not unused(e), answers_with(1))),
     choice("LED upper bits ignored: 0 and no stop", "bad-data/LED/*8", FAIL, "answer",
-           react=when(take.out_of_bits, then(answers_with(0), drives_on))),
+           react=when(condition("outcome bad-data, has-bits"), then(answers_with(0), drives_on))),
     choice("LED upper bits: 0 with stop", "bad-data/LED/*8", FAIL, "answer",
            react=when(whole_fault, answers_with(0))),
     choice("LED upper bits: 2 without stop", "bad-data/LED/*8", FAIL, "stop", "R-stop-latency",
@@ -596,7 +606,7 @@ CHOICES = [
     choice("an unused code", "wrong-length/Speed/*", FAIL, "answer", "",
            "never sends an unused code", react=when(whole_fault, answers_with(5))),
     choice("stops at a header that is wrong already", "wrong-length/Speed/*", PASS, "stop",
-           begins=take.stops_at_the_header),
+           begins=stops_at_the_header),
     choice("stops 50 ms after the answer", "wrong-length/Speed/*", NON_STRICT, "stop",
            "R-stop-latency", react=when(faulty, stops_after(50))),
     choice("stops 150 ms after the answer", "wrong-length/Speed/*", FAIL, "stop", "R-stop-latency",
@@ -627,12 +637,12 @@ CHOICES = [
            "R-rotate-steering", react=when(named("RotateRight", "RotateLeft"), sets(steering=0)),
            every=False),
     choice("Speed waits for the next motion", "valid/Speed/[12]", NON_STRICT, "state",
-           "R-speed-moving", react=take.speed_at_next_motion(take.always)),
+           "R-speed-moving", react=speed_at_next_motion(trigger(""))),
     choice("steering makes a curve of a rotation", "valid/*t/*", INFORMATIONAL, "state",
-           "R-steer-rotating", react=when(take.steers_while_rotating, sets(motion=Motion.FORWARD)),
+           "R-steer-rotating", react=when(STEERS_ROTATING, sets(motion=Motion.FORWARD)),
            every=False),
     choice("steering ends a rotation", "valid/Right/1?", FAIL, "state",
-           react=when(take.steers_while_rotating, sets(motion=Motion.STOPPED)), every=False),
+           react=when(STEERS_ROTATING, sets(motion=Motion.STOPPED)), every=False),
     choice("another speed at power-on", "valid/Stop", INFORMATIONAL, "state", "R-power-on",
            power_on=State(speed=77), every=False),
     choice("moves at power-on", "valid/Stop", FAIL, "state", "R-power-on",

@@ -14,12 +14,12 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_variant
-from bilprov.conformance.mutation.faults.vocabulary import faulty, sets, stands_still, when
 from bilprov.conformance.mutation.mixtures import mixtures_of
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
+from tests.support.faults import faulty, sets, stands_still, when
 from tests.support.robots import CountingLink, cases_of, run_over
 
 FAIL, INFORMATIONAL = Verdict.FAIL, Verdict.INFORMATIONAL

@@ -16,8 +16,6 @@ from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_mixture
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.faults.vocabulary import answers_with, late, sets
-from bilprov.conformance.mutation.variant_behaviour import always, flushing
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.choices import Choices, parse_allowed, verdict_of
 from bilprov.conformance.oracle.profile import Profile
@@ -30,6 +28,7 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
+from tests.support.faults import answers_with, late, made, sets
 from tests.support.robots import ALL_SEEING, MS, CountingLink, run_over
 from tests.vectors import READING_IDS
 
@@ -492,8 +491,7 @@ def test_a_probe_that_showed_another_thing_once_is_inconclusive(
 def test_a_device_that_discards_is_left_alone_for_as_long_as_it_needs(
     protocol: Protocol, idle: int, timeout: int
 ) -> None:
-    react, hear = flushing(idle, lambda event: True, always)
-    device = Fault("", "", "", react=react, hear=hear, timeout=timeout * MS)
+    device = replace(made(protocol, f"flushes {idle}", "faulty"), timeout=timeout * MS)
 
     run = probed(protocol, device)
 

@@ -9,7 +9,10 @@ import pytest
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.recheck import recheck
+from bilprov.spec.protocol import Protocol
+from tests.support.faults import (
     Condition,
     answers_with,
     at_count,
@@ -21,9 +24,6 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     twice,
     when,
 )
-from bilprov.conformance.oracle.verdicts import Verdict
-from bilprov.conformance.recheck import recheck
-from bilprov.spec.protocol import Protocol
 from tests.support.recordings import recorded
 from tests.support.robots import Hidden
 

@@ -12,7 +12,13 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults.vocabulary import (
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.rhythm import LONGEST, Rhythm, fit
+from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.tally import FAULT, FRAME, VALID, Place, Sent, Tally
+from bilprov.spec.protocol import Protocol
+from tests.support.faults import (
     Condition,
     answers_with,
     every,
@@ -23,12 +29,6 @@ from bilprov.conformance.mutation.faults.vocabulary import (
     twice,
     when,
 )
-from bilprov.conformance.oracle.verdicts import Verdict
-from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.runner.rhythm import LONGEST, Rhythm, fit
-from bilprov.conformance.runner.run import Run, RunConfig
-from bilprov.conformance.runner.tally import FAULT, FRAME, VALID, Place, Sent, Tally
-from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, MS, CountingLink, Hidden, Timers
 
 wrong = answers_with(2)

@@ -9,12 +9,12 @@ import pytest
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.fault import Event, Fault, React
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults.vocabulary import accepts, becomes, every, valid, when
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.settings import IDENT, settings
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
+from tests.support.faults import accepts, becomes, every, valid, when
 from tests.support.robots import Hidden
 
 

@@ -9,7 +9,6 @@ import pytest
 from bilprov.analyzer.client.link import drive
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults.vocabulary import watchdog
 from bilprov.conformance.mutation.pairs import pairs
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.timers import Timers
@@ -17,6 +16,7 @@ from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
+from tests.support.faults import watchdog
 from tests.support.robots import ALL_SEEING, MS, CountingLink
 
 WATCHDOG = Fault("", "", "", react=watchdog(1000))

@@ -1,0 +1,153 @@
+"""The bank of faulty devices that the suite is tested with; each misbehaves in one named way.
+
+The faults are data, `faults.toml`: what a device does, when, and the cases that catch it. To add
+one, add a table there. `device` makes the hooks of a simulated device from such data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from bilprov.conformance.dut.fault import Fault, History, React
+from bilprov.conformance.mutation.effects import EFFECTS, HISTORIES, WATCHING, at, then
+from bilprov.conformance.mutation.hooks import HOOKS
+from bilprov.conformance.mutation.names import names
+from bilprov.conformance.mutation.triggers import number_or_word, sum_of, trigger
+from bilprov.spec.protocol import Protocol
+
+Rows = TypeVar("Rows")
+AnyRow = TypeVar("AnyRow", bound="Row")
+
+_SEVERAL = {
+    "watched-unknown-id": "unused-id/* recovery/unused-id/*",
+    "watched-bad-data": "bad-data/* recovery/bad-data/*",
+    "watched-too-many": "wrong-length/* recovery/too-many/*",
+    "watched-too-few": "wrong-length/* recovery/too-few/*",
+    "followed": "unused-id/* bad-data/* wrong-length/* truncated/*",
+    "watched": "followed recovery/*",
+    "unknown-id": "watched-unknown-id link/unused-id",
+    "bad-data": "watched-bad-data",
+    "too-many": "watched-too-many",
+    "too-few": "watched-too-few link/too-few",
+    "timed": "timing/truncation-timeout",
+    "truncated": "truncated/* recovery/truncated/* timed",
+    "whole-faults": "unknown-id bad-data too-many too-few",
+    "faulty": "whole-faults truncated",
+}
+"""Words of `caught_by` for several globs of case ids.
+
+In `watched` cases the stop and the state are observed, and valid instructions follow in `followed`
+ones. A word of an outcome, or of truncated frames, has the cases in which their answer shows.
+"""
+
+
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A fault as data, its texts templates over the protocol's names (`names.py`).
+
+    Where `caught_by` or `clauses` is None it is that of the family.
+    """
+
+    doc: str
+    what: str = ""
+    when: str = ""
+    since: str = ""
+    until: str = ""
+    each: str = ""
+    caught_by: str | None = None
+    clauses: str | None = None
+    exit: int = 1
+    needs: str = ""
+
+
+class Family(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Faults that have much in common; `family` is its name where it is not that of its table."""
+
+    clauses: str
+    caught_by: str
+    faults: dict[str, Row]
+    family: str = ""
+
+
+@cache
+def fault_bank(protocol: Protocol) -> dict[str, Fault]:
+    """Return every named fault of this protocol by name."""
+    return {fault.name: fault for fault in all_faults(protocol)}
+
+
+def all_faults(protocol: Protocol) -> Iterator[Fault]:
+    """Yield every named fault of this protocol, family by family."""
+    for key, family in table("faults.toml", dict[str, Family]).items():
+        for name, row in filled(protocol, family.faults):
+            yield Fault(
+                name.lower().replace("_", "-"),
+                family.family or key,
+                row.doc,
+                globs(family.caught_by if row.caught_by is None else row.caught_by),
+                exit=row.exit,
+                clauses=tuple((row.clauses or family.clauses).split()),
+                needs=row.needs,
+                **hooks(protocol, row),
+            )
+
+
+def table(name: str, kind: type[Rows]) -> Rows:
+    """Return a file of this room as such values."""
+    return msgspec.toml.decode(Path(__file__).with_name(name).read_bytes(), type=kind)
+
+
+def filled(protocol: Protocol, templates: dict[str, AnyRow]) -> Iterator[tuple[str, AnyRow]]:
+    """Yield the name and the row of each template, filled in; not those this protocol cannot fill.
+
+    `each` of a row is a list of `names`: the row is filled in once for each of its values.
+    """
+    known = names(protocol)
+    for name, row in templates.items():
+        for value in known[row.each] if row.each else [""]:
+            texts = {
+                field: text
+                for field in row.__struct_fields__
+                if isinstance(text := getattr(row, field), str)
+            }
+            try:
+                full = {f: text.format(**known, each=value) for f, text in texts.items()}
+                yield name.format(**known, each=value), msgspec.structs.replace(row, **full)
+            except (AttributeError, LookupError):
+                continue
+
+
+def globs(caught_by: str) -> tuple[str, ...]:
+    """Return the globs of case ids that the words stand for."""
+    found: dict[str, None] = {}
+    for word in caught_by.split():
+        found |= dict.fromkeys(globs(_SEVERAL[word]) if word in _SEVERAL else [word])
+    return tuple(found)
+
+
+def hooks(protocol: Protocol, row: Row) -> dict[str, Any]:
+    """Return the hooks of a simulated device that does `what` at the trigger of the row."""
+    acting = trigger(row.when, row.since, row.until)
+    made: dict[str, Any] = {"trigger": acting, "what": row.what}
+    gated: list[React] = []
+    others: list[React] = []
+    histories = [acting.history]
+    for part in row.what.split(";"):
+        word, *arguments = part.split()
+        given = [number_or_word(argument) for argument in arguments]
+        if word in EFFECTS:
+            gated.append(EFFECTS[word](*given))
+        elif word in WATCHING:
+            others.append(WATCHING[word](acting, *given))
+        else:
+            found = HOOKS[word](protocol, acting, *given)
+            others += [found.pop("react")] if "react" in found else []
+            made |= found
+        histories.append(HISTORIES.get(word, History()))
+    reacts = ([at(acting, then(*gated))] if gated else []) + others
+    if reacts:
+        made["react"] = then(*reacts) if len(reacts) > 1 else reacts[0]
+    return made | {"history": sum_of(*histories)}

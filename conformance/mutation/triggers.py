@@ -1,0 +1,276 @@
+"""Triggers: the frames at which a device misbehaves, as text in a few words.
+
+A trigger is terms separated by commas, all of which must hold: `faulty, moves backward, row >= 2`.
+A term is a subject alone (it must not be 0 or empty), a subject and values (it must have one of
+them), or a subject, an operator and a value. The subjects are the keys of `FRAME`, `STATE`,
+`HISTORY`, `COUNTERS`, and `times`: how often the terms before it held before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from contextlib import suppress
+from functools import cache
+from typing import Any, NamedTuple
+
+from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.fault import Event, History
+from bilprov.spec.codec import Judgement
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import Moment, Motion, moment_of, rotates
+from bilprov.spec.open_points import open_point, points_after
+
+Subject = Callable[[Event], Any]
+
+OUTCOMES = {outcome.name.lower().replace("_", "-"): outcome for outcome in Outcome}
+"""Outcomes by the word that names them in triggers, effects and names of faults: `too-few`."""
+OUTCOME_WORDS = {outcome: word for word, outcome in OUTCOMES.items()}
+TRUNCATED = "truncated"
+
+
+def _byte(index: int) -> Subject:
+    return lambda e: e.judgement.frame[index] if len(e.judgement.frame) > abs(index) else None
+
+
+def _value(event: Event) -> int | None:
+    """The value of the first field, None where no data were decoded."""
+    fields = event.judgement.fields
+    return fields[0][1] if fields else None
+
+
+def _meaningless(event: Event) -> int | None:
+    """The bits of the first field that mean nothing."""
+    known, value = event.judgement.instruction, _value(event)
+    return None if known is None or value is None else value & ~known.fields[0].high
+
+
+def _has_bits(event: Event) -> bool:
+    """Whether the instruction has data whose bits have names."""
+    known = event.judgement.instruction
+    return known is not None and any(part.bits for part in known.fields)
+
+
+def _excess(event: Event) -> int:
+    """How many data bytes a known ID has too many by its header."""
+    known = event.judgement.instruction
+    return event.judgement.length - known.length if known else 0
+
+
+def _set_motion(event: Event) -> str:
+    """The motion that a valid frame sets, "" for none."""
+    known = event.judgement.instruction
+    return (known.effect.motion or "") if known and event.judgement.valid else ""
+
+
+def moment(event: Event) -> Moment:
+    """The kind of a frame: faulty, or what its instruction does to the motion."""
+    known = event.judgement.instruction
+    return moment_of(known.effect if event.judgement.valid and known else None)
+
+
+def _sets(event: Event) -> tuple[str, ...]:
+    """The variables that a valid frame sets which leaves the motion alone."""
+    known = event.judgement.instruction
+    if known is None or moment(event) is not Moment.SETTING:
+        return ()
+    return tuple(name for name, _ in known.effect.assignments)
+
+
+def _open(event: Event) -> tuple[str, ...]:
+    """The open points that a frame touches; a colon stands for the blank in an id."""
+    after = (point.id for point in points_after(moment(event)).values())
+    return tuple(point.replace(" ", ":") for point in (open_point(event.judgement), *after))
+
+
+FRAME: dict[str, Subject] = {
+    "valid": lambda e: e.judgement.valid,
+    "faulty": lambda e: not e.judgement.valid,
+    "whole": lambda e: e.kind == "instruction",
+    TRUNCATED: lambda e: e.kind == "truncated",
+    "outcome": lambda e: TRUNCATED if e.kind == TRUNCATED else OUTCOME_WORDS[e.judgement.outcome],
+    "fault": lambda e: "" if e.judgement.valid else OUTCOME_WORDS[e.judgement.outcome],
+    "instruction": lambda e: e.judgement.name if e.judgement.valid else "",
+    "name": lambda e: e.judgement.name,
+    "has-bits": _has_bits,
+    "known": lambda e: e.judgement.instruction is not None,
+    "id": lambda e: e.judgement.id,
+    "length": lambda e: e.judgement.length,
+    "excess": _excess,
+    "size": lambda e: len(e.judgement.frame),
+    "first-byte": _byte(1),
+    "second-byte": _byte(2),
+    "last-byte": _byte(-1),
+    "value": _value,
+    "meaningless-bits": _meaningless,
+    "sets": _sets,
+    "sets-motion": _set_motion,
+    "turns": lambda e: _set_motion(e) not in ("", Motion.STOPPED, e.before.motion),
+    "open": _open,
+}
+STATE: dict[str, Subject] = {
+    "moves": lambda e: e.before.visible_motion,
+    "motion": lambda e: e.before.motion,
+    "rotates": lambda e: rotates(e.before.motion),
+    "speed": lambda e: e.before.speed,
+    "steering": lambda e: e.before.steering,
+    "led": lambda e: e.before.led,
+    "pipelined": lambda e: e.pipelined,
+    "pause": lambda e: e.pause / MS,
+    "gap": lambda e: None if e.gap is None else e.gap / MS,
+}
+COUNTERS = ("frames", "faults", "truncated-frames", "row")
+_TIMED = ("pipelined", "gap")
+
+
+def _previous(judgement: Judgement | None, kind: str) -> str:
+    """The instruction of the frame before, or its outcome where it was faulty."""
+    if judgement is None:
+        return ""
+    return judgement.name if judgement.valid else OUTCOME_WORDS[judgement.outcome]
+
+
+HISTORY: dict[str, Callable[[Judgement | None, str], Any]] = {
+    "previous": _previous,
+    "after-truncated": lambda judgement, kind: kind == TRUNCATED,
+}
+
+OPERATORS: dict[str, Callable[[Any, tuple[Any, ...]], bool]] = {
+    "": lambda subject, _: bool(subject),
+    "==": lambda subject, values: any(one in values for one in _each(subject)),
+    "!=": lambda subject, values: subject not in values,
+    "<": lambda subject, values: subject < values[0],
+    ">": lambda subject, values: subject > values[0],
+    ">=": lambda subject, values: subject >= values[0],
+    "&": lambda subject, values: subject & values[0] != 0,
+    "!&": lambda subject, values: subject & values[0] == 0,
+    "every": lambda subject, values: subject % values[0] == values[0] - 1,
+}
+
+
+def _each(subject: Any) -> tuple[Any, ...]:
+    return subject if isinstance(subject, tuple) else (subject,)
+
+
+class Term(NamedTuple):
+    """One term: what is compared, how, and with which values."""
+
+    subject: str
+    operator: str
+    values: tuple[Any, ...]
+
+    def holds(self, subject: Any) -> bool:
+        """Whether the term holds for this value of its subject."""
+        return subject is not None and OPERATORS[self.operator](subject, self.values)
+
+    def seen(self, count: int) -> int:
+        """The part of a counter's value that can ever matter to the term."""
+        if self.operator == "every":
+            return int(count % self.values[0])
+        if self.operator in ("&", "!&"):
+            return int(count % (2 * self.values[0]))
+        return min(count, max(self.values, default=0) + 1)
+
+    def of(self, event: Event) -> Any:
+        """The value of the subject."""
+        name = self.subject
+        if name in HISTORY:
+            return HISTORY[name](event.previous, event.previous_kind)
+        if name in COUNTERS:
+            return event.truncated if name == "truncated-frames" else getattr(event, name)
+        return (FRAME.get(name) or STATE[name])(event)
+
+
+class Trigger(NamedTuple):
+    """A condition on frames: `terms`, from a frame of `since` until one of `until`, both included.
+
+    `memory` of the methods is what a device remembers; `key` sets apart what two triggers do.
+    """
+
+    terms: tuple[Term, ...]
+    since: Trigger | None = None
+    until: Trigger | None = None
+    key: str = ""
+
+    def holds(self, event: Event, memory: dict[str, int]) -> bool:
+        """Whether the device misbehaves at this frame."""
+        if self.since is None:
+            return self._terms_hold(event, memory)
+        if self.since.holds(event, memory):
+            memory["since"] = 1
+        active = "since" in memory and self._terms_hold(event, memory)
+        if self.until is not None and self.until.holds(event, memory):
+            memory.pop("since", None)
+        return active
+
+    def _terms_hold(self, event: Event, memory: dict[str, int]) -> bool:
+        for term in self.terms:
+            if term.subject == "times":
+                count = memory.get(self.key + "times", 0)
+                memory[self.key + "times"] = term.seen(count + 1)
+                if not term.holds(count):
+                    return False
+            elif not term.holds(term.of(event)):
+                return False
+        return True
+
+    @property
+    def about_frame(self) -> tuple[Term, ...]:
+        """The terms about the frame itself."""
+        return tuple(term for term in self.terms if term.subject in FRAME)
+
+    @property
+    def history(self) -> History:
+        """What the trigger reads of the frames before."""
+        inner = [one.history for one in (self.since, self.until) if one]
+        counters = [
+            ("truncated" if t.subject == "truncated-frames" else t.subject, t.seen)
+            for t in self.terms
+            if t.subject in COUNTERS
+        ]
+        timed = any(term.subject in _TIMED for term in self.terms)
+        previous = [_seen_before(term) for term in self.terms if term.subject in HISTORY]
+        own = History(tuple(counters), tuple(previous), timed=timed)
+        return sum_of(own, *inner)
+
+
+def _seen_before(term: Term) -> Callable[[Judgement | None, str], Hashable]:
+    return lambda judgement, kind: term.holds(HISTORY[term.subject](judgement, kind))
+
+
+def sum_of(*parts: History) -> History:
+    """What all of these read of the frames before."""
+    return History(
+        tuple(count for part in parts for count in part.counts),
+        tuple(seen for part in parts for seen in part.previous),
+        timed=any(part.timed for part in parts),
+    )
+
+
+@cache
+def trigger(when: str, since: str = "", until: str = "", key: str = "") -> Trigger:
+    """Return the trigger of this text. Raises ValueError, in one sentence, for an unknown word."""
+    terms = tuple(_term(part.split()) for part in when.split(",") if part.strip())
+    return Trigger(
+        terms,
+        trigger(since, key="since ") if since else None,
+        trigger(until, key="until ") if until else None,
+        key,
+    )
+
+
+def _term(words: list[str]) -> Term:
+    subject, *rest = words
+    if subject != "times" and not any(subject in t for t in (FRAME, STATE, HISTORY, COUNTERS)):
+        raise ValueError(f"a trigger has no subject {subject!r}")
+    operator = "==" if rest else ""
+    if rest and rest[0] in OPERATORS:
+        operator = rest.pop(0)
+    return Term(subject, operator, tuple(number_or_word(word) for word in rest))
+
+
+def number_or_word(word: str) -> Any:
+    """Return a number as such, any other word as it is."""
+    if word[-1:].isdigit():
+        with suppress(ValueError):
+            return int(word) if "." not in word else float(word)
+    return word

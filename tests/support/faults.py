@@ -1,0 +1,109 @@
+"""Building blocks of hand-made faults: conditions and effects of the bank's words, combined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.mutation import effects
+from bilprov.conformance.mutation.effects import (
+    answers_with,
+    drives_on,
+    keeps,
+    late,
+    resumes_after,
+    silent,
+    stands_still,
+    stops_after,
+    then,
+    watchdog,
+)
+from bilprov.conformance.mutation.faults import Row, hooks
+from bilprov.conformance.mutation.triggers import OUTCOME_WORDS, trigger
+from bilprov.spec.fields import Outcome
+from bilprov.spec.motion import State
+from bilprov.spec.protocol import Protocol
+
+__all__ = [
+    "answers_with",
+    "drives_on",
+    "keeps",
+    "late",
+    "resumes_after",
+    "silent",
+    "stands_still",
+    "stops_after",
+    "then",
+    "watchdog",
+]
+
+Condition = Callable[[Event], bool]
+
+
+def condition(text: str) -> Condition:
+    """A trigger without memory as a function of the frame."""
+    found = trigger(text)
+    return lambda event: found.holds(event, {})
+
+
+faulty = condition("faulty")
+valid = condition("valid")
+is_truncated = condition("truncated")
+twice = effects.twice()
+accepts = effects.accepts()
+
+
+def is_outcome(outcome: Outcome) -> Condition:
+    """Complete frames with that outcome."""
+    return condition(f"outcome {OUTCOME_WORDS[outcome]}")
+
+
+def at_count(counter: str, number: int) -> Condition:
+    """So many came before."""
+    return condition(f"{counter} {number}")
+
+
+def every_nth(counter: str, number: int) -> Condition:
+    """Each time that so many have come."""
+    return condition(f"{counter} every {number}")
+
+
+def steered_to(sign: int) -> Condition:
+    """It was steered to the right (1) or to the left (-1)."""
+    return condition("steering > 0" if sign > 0 else "steering < 0")
+
+
+def every(*conditions: Condition) -> Condition:
+    """All of the conditions hold."""
+    return lambda event: all(one(event) for one in conditions)
+
+
+def when(matches: Condition, change: React) -> React:
+    """The change, at the frames that match."""
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        return change(device, event, reaction) if matches(event) else reaction
+
+    return react
+
+
+def sets(**variables: object) -> React:
+    """The state afterwards has these values."""
+    return then(*(effects.sets(name, value) for name, value in variables.items()))
+
+
+def becomes(change: Callable[[Event, State], State]) -> React:
+    """The state is made from the event and the correct state."""
+    return lambda device, event, reaction: replace(reaction, state=change(event, reaction.state))
+
+
+def stops_late(milliseconds: int) -> React:
+    """A moving robot stops that much after the answer to a fault."""
+    moving = condition("faulty, moves != stopped")
+    return when(moving, effects.stops_after_the_answer(milliseconds))
+
+
+def made(protocol: Protocol, what: str, when: str = "") -> Fault:
+    """The fault of these words."""
+    return Fault("x", "test", "", **hooks(protocol, Row("", what, when)))
