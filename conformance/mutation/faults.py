@@ -14,7 +14,15 @@ from typing import Any, TypeVar
 import msgspec
 
 from bilprov.conformance.dut.fault import Fault, History, React
-from bilprov.conformance.mutation.effects import EFFECTS, HISTORIES, WATCHING, at, then
+from bilprov.conformance.mutation.effects import (
+    EFFECTS,
+    HISTORIES,
+    WATCHING,
+    at_frames,
+    does_effect,
+    does_watching,
+    then,
+)
 from bilprov.conformance.mutation.hooks import HOOKS
 from bilprov.conformance.mutation.names import names
 from bilprov.conformance.mutation.triggers import number_or_word, sum_of, trigger
@@ -139,15 +147,15 @@ def hooks(protocol: Protocol, row: Row) -> dict[str, Any]:
         word, *arguments = part.split()
         given = [number_or_word(argument) for argument in arguments]
         if word in EFFECTS:
-            gated.append(EFFECTS[word](*given))
+            gated.append(does_effect(word, *given))
         elif word in WATCHING:
-            others.append(WATCHING[word](acting, *given))
+            others.append(does_watching(word, acting, *given))
         else:
             found = HOOKS[word](protocol, acting, *given)
             others += [found.pop("react")] if "react" in found else []
             made |= found
         histories.append(HISTORIES.get(word, History()))
-    reacts = ([at(acting, then(*gated))] if gated else []) + others
+    reacts = ([at_frames(acting, then(*gated))] if gated else []) + others
     if reacts:
         made["react"] = then(*reacts) if len(reacts) > 1 else reacts[0]
     return made | {"history": sum_of(*histories)}

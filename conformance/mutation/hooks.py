@@ -8,28 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.dut.fault import Event, MutatedDevice, Reaction
-from bilprov.conformance.mutation.effects import at
+from bilprov.conformance.mutation.effects import at_frames, entered
 from bilprov.conformance.mutation.triggers import Trigger
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion, State, wheels
 from bilprov.spec.protocol import Protocol
 
 Hooks = dict[str, Any]
-Maker = TypeVar("Maker", bound=Callable[..., Hooks])
 
 HOOKS: dict[str, Callable[..., Hooks]] = {}
-
-
-def hook(make: Maker) -> Maker:
-    """Enter the function of a word: its name, with hyphens."""
-    HOOKS[make.__name__.replace("_", "-")] = make
-    return make
+hook = entered(HOOKS)
 
 
 # -- the line: bytes on their way to the device --------------------------------------------------
@@ -65,7 +59,7 @@ def loses_next_byte(protocol: Protocol, acting: Trigger) -> Hooks:
     def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
         return b"" if device.memory.pop("deaf", 0) else data
 
-    return {"react": at(acting, marks), "hear": hear}
+    return {"react": at_frames(acting, marks), "hear": hear}
 
 
 def _burst(device: MutatedDevice, now: int) -> int:
@@ -137,7 +131,7 @@ def flushes(protocol: Protocol, acting: Trigger, milliseconds: int = 0) -> Hooks
         device.memory.pop("idle at", None)
         return data
 
-    return {"react": at(acting, marks), "hear": hear}
+    return {"react": at_frames(acting, marks), "hear": hear}
 
 
 @hook
@@ -243,19 +237,14 @@ def answers_at_header(protocol: Protocol, acting: Trigger) -> Hooks:
     return {"begins": lambda device, byte: (ok,) if protocol.headers[byte] in carrying else ()}
 
 
-def _wrong_at_header(protocol: Protocol, identity: int, length: int) -> bool:
-    known = protocol.by_id.get(identity)
-    return known is None or length != known.length
-
-
 @hook
 def stops_at_header(protocol: Protocol, acting: Trigger, which: str = "") -> Hooks:
     """Stop at a wrong header (only of `unused` IDs); the answer comes after the data, as usual."""
 
     def begins(device: MutatedDevice, header: int) -> tuple[int, ...]:
         identity, length = protocol.headers[header]
-        meant = not which or identity not in protocol.by_id
-        if meant and _wrong_at_header(protocol, identity, length):
+        known = protocol.by_id.get(identity)
+        if known is None or (not which and length != known.length):
             device.state = replace(device.state, motion=Motion.STOPPED)
         return ()
 
@@ -264,7 +253,7 @@ def stops_at_header(protocol: Protocol, acting: Trigger, which: str = "") -> Hoo
 
 @hook
 def refuses_at_header(protocol: Protocol, acting: Trigger) -> Hooks:
-    """Answer a wrong header at once and drop the data of that frame.
+    """Answer a frame of the trigger at its header and drop its data.
 
     The data end when all have come, or after a pause that truncates a frame.
     """
@@ -278,9 +267,9 @@ def refuses_at_header(protocol: Protocol, acting: Trigger) -> Hooks:
                 return b""
         for name in ("skips", "skips of", "skips at"):
             memory.pop(name, None)
-        identity, length = protocol.headers[data[0]]
-        if device.held or not length or not _wrong_at_header(protocol, identity, length):
+        if device.held:
             return data
+        length = protocol.lengths[data[0]]
         frame = data + bytes(length)
         judgement, _ = device.step(frame, device.state)
         if not acting.holds(Event(judgement, device.state, 0, 0, "instruction", now), memory):

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
-from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.fault import Event, Fault
 from bilprov.conformance.mutation.variants import MIXTURE, Variant, variants
-from bilprov.spec.codec import bad_data
+from bilprov.spec.codec import judge
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
@@ -37,7 +36,7 @@ def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
     """Yield the mixtures of one variant: by frame, by count, by ID and by motion, if both show."""
     if not variant.mixes:
         return
-    ids, motions = _where_it_shows(protocol, variant)
+    ids, motions = _where_it_arises(protocol, variant)
     rows = [
         ("by-frame", "every second time", "times !& 1"),
         (
@@ -67,60 +66,26 @@ def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
         )
 
 
-def _where_it_shows(protocol: Protocol, variant: Variant) -> tuple[list[int], list[Motion]]:
-    """Return the IDs and the motions at which the variant differs from the reference."""
-    ids: dict[int, None] = {}
+def _where_it_arises(protocol: Protocol, variant: Variant) -> tuple[list[int], list[Motion]]:
+    """Return the IDs and the motions at which the device can take the choice."""
+    acting = variant.fault.trigger
+    assert acting is not None
+    top = {name: high for name, (_, high) in protocol.limits.items()}
+    ids: set[int] = set()
     motions: dict[Motion, None] = {}
-    reference, other = Simulator(protocol), Simulator(protocol, variant.fault)
-    frames = list(_frames(protocol))
-    behind = other.fault.hear is not None
-    for motion in Motion:
-        state = _begin(protocol, motion)
-        for frame in frames:
-            told = [_told(one, state, frame, behind=behind) for one in (reference, other)]
-            if told[0] != told[1]:
-                ids[protocol.headers[frame[0]][0]] = None
-                motions[motion] = None
+    for motion, frame in product(Motion, _frames(protocol)):
+        judgement = judge(protocol, frame)
+        before = State(motion, top.get("speed", 0), top.get("steering", 0), top.get("led", 0))
+        kind = "truncated" if judgement.truncated else "instruction"
+        if acting.holds(Event(judgement, before, 0, 0, kind, 0), {}):
+            ids.add(judgement.id)
+            motions[motion] = None
     return sorted(ids), list(motions)
 
 
-def _begin(protocol: Protocol, motion: Motion) -> State:
-    top = {name: high for name, (_, high) in protocol.limits.items()}
-    return State(motion, top.get("speed", 0), top.get("steering", 0) // 2, top.get("led", 0))
-
-
 def _frames(protocol: Protocol) -> Iterator[bytes]:
-    """Yield, for each ID, frames of the right length, longer, with bad data, and truncated."""
-    for identity in protocol.ids:
-        known = protocol.by_id.get(identity)
-        own = known.length if known else 0
-        for length in (own, own + 1, own + 2):
-            header = protocol.header_bytes.get((identity, length))
-            if header is None:
-                continue
-            for byte in (protocol.pad_byte, 0xFF):
-                yield bytes([header]) + bytes([byte]) * length
-            if length:
-                yield bytes([header])
-        if known:
-            header = protocol.header_bytes[identity, own]
-            yield from (bytes([header]) + data for data in list(bad_data(known))[:1])
-
-
-def _told(device: Simulator, state: State, frame: bytes, *, behind: bool) -> object:
-    """Return what a device in that state does during the frame and on the idle line after it.
-
-    `behind` sends one pad byte right after a complete frame, for variants that may lose it.
-    """
-    device.power_cycle(0)
-    device.advance(0)
-    device.state = state
-    now, told = 10 * MS, []
-    whole = len(frame) > device.protocol.lengths[frame[0]]
-    for byte in (*frame, *([device.protocol.pad_byte] if whole and behind else [])):
-        now += device.byte_time
-        device.receive(bytes([byte]), now)
-        told.append((device.advance(now), device.look(now)))
-    now += 2 * int(device.protocol.timing.truncation_timeout * MS)
-    told.append((device.advance(now), device.look(now)))
-    return told
+    """Yield, for each header, low and high data, and the header alone."""
+    for header, length in enumerate(protocol.lengths):
+        for fill in (protocol.pad_byte, 0xFF):
+            yield bytes([header]) + bytes([fill]) * length
+        yield bytes([header])

@@ -6,173 +6,102 @@ names what a protocol does not have is left out for that protocol.
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 from bilprov.conformance.mutation.triggers import OUTCOMES
 from bilprov.spec.by_effect import movers, moving_motions, setters, variable_of
 from bilprov.spec.codec import bad_data
 from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
-class Instruction(str):
-    """An instruction's name, with numbers of its first field."""
-
-    spec: InstructionSpec
-    protocol: Protocol
-
-    @property
-    def _field(self) -> FieldSpec:
-        return self.spec.fields[0]
-
-    @property
-    def id(self) -> int:
-        """Its ID."""
-        return self.spec.id
-
-    @property
-    def header(self) -> int:
-        """Its header byte."""
-        return self.protocol.header_bytes[self.spec.id, self.spec.length]
-
-    @property
-    def motion(self) -> str:
-        """The motion that it sets."""
-        return str(self.spec.effect.motion)
-
-    @property
-    def variable(self) -> str:
-        """The variable that it sets."""
-        return variable_of(self.spec)
-
-    @property
-    def low(self) -> int:
-        """The lowest value."""
-        return self._field.low
-
-    @property
-    def high(self) -> int:
-        """The highest value."""
-        return self._field.high
-
-    @property
-    def middle(self) -> int:
-        """The value in the middle."""
-        return (self._field.low + self._field.high + 1) // 2
-
-    @property
-    def width(self) -> int:
-        """The number of named bits."""
-        return len(self._field.bits)
-
-    @property
-    def lowest_bit(self) -> str:
-        """The name of the lowest bit."""
-        return self._field.bits[-1]
-
-    @property
-    def top(self) -> int:
-        """The number of the highest bit of its byte."""
-        return 8 * self._field.size - 1
-
-    @property
-    def top_mask(self) -> int:
-        """The highest bit of its byte."""
-        return 1 << self.top
-
-    @property
-    def one_bit_more(self) -> int:
-        """The first value that has two bits more than those that are named."""
-        return 2 << self.width
-
-    @cached_property
-    def _bad(self) -> list[int]:
-        return [self.spec.decode(data)[self._field.name] for data in bad_data(self.spec)]
-
-    @property
-    def bad_half(self) -> int:
-        """A bad value half way through them."""
-        return self._bad[len(self._bad) // 2]
-
-    @property
-    def bad_upper(self) -> int:
-        """A bad value two thirds through them."""
-        return self._bad[len(self._bad) * 4 // 6]
+class Name(str):
+    """A name with attributes: numbers of an instruction, or an outcome in words."""
 
 
-class Words(str):
-    """An outcome as triggers write it, with its words."""
-
-    words: str
-
-
-def _instruction(protocol: Protocol, spec: InstructionSpec) -> Instruction:
-    named = Instruction(spec.name)
-    named.spec, named.protocol = spec, protocol
-    return named
+def _name(text: str, **attributes: object) -> Name:
+    name = Name(text)
+    vars(name).update(attributes)
+    return name
 
 
-def _outcome(word: str, outcome: Outcome) -> Words:
-    named = Words(word)
-    named.words = outcome.value
-    return named
+def _instruction(protocol: Protocol, spec: InstructionSpec) -> Name:
+    """Return an instruction's name, with what it sets and numbers of its first field.
+
+    `one_bit_more` is the first value that has two bits more than those that are named, `bad_half`
+    and `bad_upper` are values half way and two thirds through the bad ones.
+    """
+    attributes: dict[str, object] = {"id": spec.id, "motion": spec.effect.motion}
+    if spec.effect.assignments:
+        attributes["variable"] = variable_of(spec)
+    for part in spec.fields[:1]:
+        attributes |= {
+            "header": protocol.header_bytes[spec.id, spec.length],
+            "low": part.low,
+            "middle": (part.low + part.high + 1) // 2,
+            "high": part.high,
+            "width": len(part.bits),
+            "lowest_bit": part.bits[-1:],
+            "one_bit_more": 2 << len(part.bits),
+            "top": 8 * part.size - 1,
+            "top_mask": 1 << 8 * part.size - 1,
+        }
+        bad = [spec.decode(data)[part.name] for data in bad_data(spec)]
+        if bad:
+            half, upper = bad[len(bad) // 2], bad[len(bad) * 2 // 3]
+            attributes |= {"bad_half": half, "bad_upper": upper}
+    return _name(spec.name, **attributes)
 
 
 @cache
 def names(protocol: Protocol) -> dict[str, Any]:
     """Return what placeholders stand for; the lists are what `each` of a row may go over."""
 
-    def named(specs: Any) -> list[Instruction]:
+    def named(specs: Iterable[InstructionSpec]) -> list[Name]:
         return [_instruction(protocol, spec) for spec in specs]
 
     timing, motions = protocol.timing, list(moving_motions(protocol))
+    tops = {variable: high for variable, (_, high) in protocol.limits.items()}
+    settings = [(variable_of(spec), _instruction(protocol, spec)) for spec in setters(protocol)]
+    lit = named(s for s in protocol.instructions if any(part.bits for part in s.fields))
     found: dict[str, Any] = {
         "answer": {word: protocol.answers[outcome].name for word, outcome in OUTCOMES.items()},
         "code": {word: protocol.answers[outcome].code for word, outcome in OUTCOMES.items()},
         "unused_code": next(code for code in range(256) if code not in protocol.codes),
-        "after_codes": max(protocol.codes) + 1,
-        "outcomes": [_outcome(w, o) for w, o in OUTCOMES.items() if o is not Outcome.VALID],
         "responses": protocol.responses,
+        "outcomes": [
+            _name(word, words=outcome.value)
+            for word, outcome in OUTCOMES.items()
+            if outcome is not Outcome.VALID
+        ],
         "motions": motions,
         "measured_motion": min(motions, default=""),
         "other_motions": [motion for motion in motions if motion is not min(motions)],
         "movers": named(movers(protocol)),
         "moving": named(s for s in protocol.instructions if s.effect.motion in motions),
-        "setters": named(setters(protocol)),
-        "setting": {variable_of(s): _instruction(protocol, s) for s in setters(protocol)[::-1]},
-        "steering": named(s for s in setters(protocol) if variable_of(s) == "steering"),
-        "instructions": named(protocol.instructions),
+        "setters": [name for _, name in settings],
+        "setting": dict(settings[::-1]),
+        "steering": [name for variable, name in settings if variable == "steering"],
         "stop": _instruction(protocol, protocol.stop),
+        "lit": lit,
+        "bits": [name for name in lit if hasattr(name, "bad_half")],
         "unused": protocol.unused_ids,
         "longest": protocol.data_lengths[-1],
-        "top": {variable: high for variable, (_, high) in protocol.limits.items()},
-        "half_speed": protocol.limits.get("speed", (0, 0))[1] // 2,
-        "some": _some(protocol),
+        "top": tops,
+        "half_speed": tops.get("speed", 0) // 2,
+        "some": {name: tops.get(name, 0) // part for name, part in _SOME.items()},
         "timeout": int(timing.truncation_timeout),
         "late_answer": 1.2 * timing.answer_longest,
         "late_stop": 3 * timing.stop_longest,
     }
-    lit = [s for s in protocol.instructions if any(part.bits for part in s.fields)]
-    if lit:
-        found["lit"] = _instruction(protocol, lit[0])
-    if motions:
-        found["last_motion"] = motions[-1]
-    if protocol.unused_ids:
-        found["last_unused"] = protocol.unused_ids[-1]
-    for spec in lit:
-        if list(bad_data(spec)):
-            found["bits"] = _instruction(protocol, spec)
+    ends = {"last_motion": motions, "last_unused": protocol.unused_ids}
+    found |= {name: values[-1] for name, values in ends.items() if values}
     if protocol.instructions[-1].effect.assignments:
         found["last"] = _instruction(protocol, protocol.instructions[-1])
     return found
 
 
-def _some(protocol: Protocol) -> dict[str, int]:
-    """Return a value for each variable that it does not have at power-on, where it has others."""
-    low, high = protocol.limits.get("speed", (0, 0))
-    return {
-        "speed": (low + high) // 3,
-        "led": protocol.limits.get("led", (0, 0))[1],
-        "steering": protocol.limits.get("steering", (0, 0))[1] // 12,
-    }
+_SOME = {"speed": 3, "led": 1, "steering": 12}
+"""Variables and the part of the highest value that some device has at power-on."""

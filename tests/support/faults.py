@@ -4,41 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
-from bilprov.conformance.mutation import effects
-from bilprov.conformance.mutation.effects import (
-    answers_with,
-    drives_on,
-    keeps,
-    late,
-    resumes_after,
-    silent,
-    stands_still,
-    stops_after,
-    then,
-    watchdog,
-)
+from bilprov.conformance.mutation.effects import does_effect, does_watching, then
 from bilprov.conformance.mutation.faults import Row, hooks
 from bilprov.conformance.mutation.triggers import OUTCOME_WORDS, trigger
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
 
-__all__ = [
-    "answers_with",
-    "drives_on",
-    "keeps",
-    "late",
-    "resumes_after",
-    "silent",
-    "stands_still",
-    "stops_after",
-    "then",
-    "watchdog",
-]
-
 Condition = Callable[[Event], bool]
+
+accepts = does_effect("accepts")
+drives_on = does_effect("drives-on")
+silent = does_effect("silent")
+stands_still = does_effect("stands-still")
+twice = does_effect("twice")
+answers_with = partial(does_effect, "answers-with")
+keeps = partial(does_effect, "keeps")
+late = partial(does_effect, "late")
+resumes_after = partial(does_effect, "resumes-after")
+stops_after = partial(does_effect, "stops-after")
+watchdog = partial(does_effect, "watchdog")
+speed_at_next_motion = does_watching("speed-at-next-motion", trigger("motion != stopped"))
 
 
 def condition(text: str) -> Condition:
@@ -50,8 +39,6 @@ def condition(text: str) -> Condition:
 faulty = condition("faulty")
 valid = condition("valid")
 is_truncated = condition("truncated")
-twice = effects.twice()
-accepts = effects.accepts()
 
 
 def is_outcome(outcome: Outcome) -> Condition:
@@ -90,7 +77,7 @@ def when(matches: Condition, change: React) -> React:
 
 def sets(**variables: object) -> React:
     """The state afterwards has these values."""
-    return then(*(effects.sets(name, value) for name, value in variables.items()))
+    return then(*(does_effect("sets", name, value) for name, value in variables.items()))
 
 
 def becomes(change: Callable[[Event, State], State]) -> React:
@@ -101,7 +88,7 @@ def becomes(change: Callable[[Event, State], State]) -> React:
 def stops_late(milliseconds: int) -> React:
     """A moving robot stops that much after the answer to a fault."""
     moving = condition("faulty, moves != stopped")
-    return when(moving, effects.stops_after_the_answer(milliseconds))
+    return when(moving, does_effect("stops-after-the-answer", milliseconds))
 
 
 def made(protocol: Protocol, what: str, when: str = "") -> Fault:

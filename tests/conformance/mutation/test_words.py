@@ -250,7 +250,7 @@ def test_words_of_cases_stand_for_globs() -> None:
 def test_data_behind_an_answer_at_the_header_are_dropped_until_all_have_come(
     protocol: Protocol, header: int
 ) -> None:
-    robot = Simulator(protocol, made(protocol, "refuses-at-header"))
+    robot = Simulator(protocol, made(protocol, "refuses-at-header", "faulty, length > 0"))
     length = protocol.lengths[header]
     robot.receive(bytes([header]), 0)
     assert robot.advance(0) == bytes([1 if header == 0x91 else 3])
@@ -261,14 +261,12 @@ def test_data_behind_an_answer_at_the_header_are_dropped_until_all_have_come(
     assert robot.advance(2 * MS) == b"\0"
 
 
-@pytest.mark.parametrize(("timeout", "pause", "codes"), [(50, 60, "0300"), (None, 10_000, "03")])
+@pytest.mark.parametrize(("timeout", "pause", "codes"), [("50", 60, "0300"), ("", 10_000, "03")])
 def test_a_pause_that_truncates_a_frame_ends_its_data(
-    protocol: Protocol, timeout: int | None, pause: int, codes: str
+    protocol: Protocol, timeout: str, pause: int, codes: str
 ) -> None:
-    fault = replace(
-        made(protocol, "refuses-at-header"), timeout=timeout if timeout is None else timeout * MS
-    )
-    robot = Simulator(protocol, fault)
+    what = f"refuses-at-header; time-out {timeout}"
+    robot = Simulator(protocol, made(protocol, what, "faulty, length > 0"))
 
     robot.receive(b"\x02", 0)
     robot.receive(b"\x20", pause * MS)

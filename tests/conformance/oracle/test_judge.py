@@ -23,7 +23,6 @@ from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction, answers
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.effects import speed_at_next_motion
 from bilprov.conformance.mutation.hooks import stops_at_header
 from bilprov.conformance.mutation.triggers import trigger
 from bilprov.conformance.oracle.choices import Choices
@@ -44,6 +43,7 @@ from tests.support.faults import (
     late,
     resumes_after,
     sets,
+    speed_at_next_motion,
     stops_after,
     then,
     twice,
@@ -637,7 +637,7 @@ CHOICES = [
            "R-rotate-steering", react=when(named("RotateRight", "RotateLeft"), sets(steering=0)),
            every=False),
     choice("Speed waits for the next motion", "valid/Speed/[12]", NON_STRICT, "state",
-           "R-speed-moving", react=speed_at_next_motion(trigger(""))),
+           "R-speed-moving", react=speed_at_next_motion),
     choice("steering makes a curve of a rotation", "valid/*t/*", INFORMATIONAL, "state",
            "R-steer-rotating", react=when(STEERS_ROTATING, sets(motion=Motion.FORWARD)),
            every=False),
