@@ -197,6 +197,56 @@ def test_an_effect_does_what_its_word_says(
     assert f"{state.motion} {state.speed} {state.steering} {state.led}" == seen
 
 
+# What devices answer to bytes without a pause: the frames in which they take them.
+BYTES_SEEN = [
+    ("buffer 3", "00000000", "000000"),
+    ("torn-between-chunks 2", "001120", "0000"),
+    ("takes-what-is-needed", "106320", "0400"),
+    ("swaps-length-and-id", "2000", ""),
+    ("swaps-length-and-id", "200000", "00"),
+    ("runs-data too-long", "0120", "0400"),
+    ("refuses-at-header", "0220209120", "0301"),
+    ("restarts 1; answers-with 7", "1163209081041163", "0707010707"),
+    ("answers-as-first", "90810990", "010101"),
+    ("queue 2", "000000", "0000"),
+    ("deaf-after-fault", "909090", "01"),
+]
+
+
+@pytest.mark.parametrize(("what", "sent", "codes"), BYTES_SEEN)
+def test_a_device_takes_bytes_as_its_word_says(
+    protocol: Protocol, what: str, sent: str, codes: str
+) -> None:
+    when = {"refuses-at-header": "faulty, length > 0", "answers-as-first": "faulty"}
+    robot = Simulator(protocol, made(protocol, what, when.get(what, "valid")))
+
+    for byte in bytes.fromhex(sent):
+        robot.receive(bytes([byte]), 0)
+
+    assert robot.advance(0).hex() == codes
+
+
+@pytest.mark.parametrize(
+    ("what", "wheels"),
+    [
+        ("wheels-astray reversed speed 99", (-99, -60)),
+        ("wheels-astray half speed 99", (49, 29)),
+        ("wheels-astray reversed steering 100", (60, 99)),
+        ("wheels-astray half speed 100", (99, 60)),
+        ("wheels-level-off 33", (33, 20)),
+    ],
+)
+def test_wheels_turn_as_the_word_says(
+    protocol: Protocol, what: str, wheels: tuple[int, int]
+) -> None:
+    robot = Simulator(protocol, made(protocol, what))
+    robot.receive(bytes.fromhex("1163416420"), 0)  # Speed 99, Right 100, Forward
+
+    look = robot.look(0)
+
+    assert (look.left, look.right) == wheels
+
+
 def test_every_word_of_the_tables_is_known_and_every_known_word_is_used(
     protocol: Protocol,
 ) -> None:
