@@ -6,7 +6,6 @@ from dataclasses import fields
 
 import pytest
 
-from bilprov.analyzer.client.operations import Listen, Received, Send
 from bilprov.conformance.api import Options, conform, suite_ids
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import Fault
