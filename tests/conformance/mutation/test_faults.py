@@ -53,7 +53,7 @@ AT_POWER_ON = {
 }
 
 # What a case's id begins with where single frames, or the first bytes of a run, are the case.
-SINGLE = (*FrameClass, "link", "power-on", "timing", "leave")
+SINGLE = (*FrameClass, "link", "line", "power-on", "timing", "leave")
 
 
 def by_single_frames(fault: Fault) -> bool:
