@@ -34,7 +34,6 @@ from bilprov.conformance.cases.selection import (
     LONGEST_GLOB,
     matching,
     reaches,
-    share,
 )
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
@@ -64,9 +63,8 @@ class Options:
     answer, `truncation_timeout` the pause that ends a frame (measured if None). `level` names the
     suite's level, `soak` how many faults more are sent at its end. `allow` are the choices
     (NAME=VALUE) that would fail otherwise. `budget` (s) keeps the cases that add most a second,
-    `profile` is the text of a device's profile, "" for none. `shard` (I, N) runs the I-th of N
-    shares of the cases. `extra` is how many states more than the Protocol's machine a device may
-    have that the level `complete` still finds.
+    `profile` is the text of a device's profile, "" for none. `extra` is how many states more than
+    the Protocol's machine a device may have that the level `complete` still finds.
     """
 
     only: tuple[str, ...] = ()
@@ -81,7 +79,6 @@ class Options:
     allow: tuple[str, ...] = ()
     budget: float | None = None
     profile: str = ""
-    shard: tuple[int, int] | None = None
     extra: int = 0
 
 
@@ -90,9 +87,9 @@ def select_cases(
 ) -> tuple[AnyCase, ...]:
     """The cases of a run, besides those that open every run.
 
-    `line` are the line's settings, which decide what a budget and a shard hold; the grammar's own
+    `line` are the line's settings, which decide what a budget holds; the grammar's own
     if None. Raises ValueError when `only` matches none of these cases and none of the opening ones,
-    for a glob with characters that no id has, and for a shard that there is not.
+    and for a glob with characters that no id has.
     """
     for glob in options.only:
         if not glob.isprintable() or len(glob) > LONGEST_GLOB:
@@ -142,7 +139,7 @@ def select_cases(
                     break
                 chosen += (case,)
         cases = chosen
-    return cases if options.shard is None else share(cases, options.shard, cost)
+    return cases
 
 
 def opening_and_reading_cases(grammar: Grammar) -> tuple[Case, ...]:
@@ -164,7 +161,7 @@ def suite_ids(
     grammar: Grammar, options: Options, line: LineSettings | None = None
 ) -> tuple[str, ...]:
     """The ids of every case that a run has with these options if nothing is left out."""
-    whole = replace(options, only=(), shard=None)
+    whole = replace(options, only=())
     cases = (*opening_and_reading_cases(grammar), *select_cases(grammar, whole, line))
     return (*(case.id for case in cases), *CONDITIONAL_CASES)
 
@@ -337,16 +334,15 @@ def _dropped(
     """How many cases of each group the budget has left out."""
     if options.budget is None:
         return {}
-    return dropped(select_cases(grammar, replace(options, budget=None, shard=None), line), cases)
+    return dropped(select_cases(grammar, replace(options, budget=None), line), cases)
 
 
 def _left_out(grammar: Grammar, options: Options, line: LineSettings) -> tuple[str, ...]:
-    """The groups of which the budget has left no case, to any shard."""
+    """The groups of which the budget has left no case."""
     if options.budget is None:
         return ()
-    every = replace(options, shard=None)
-    whole = select_cases(grammar, replace(every, budget=None), line)
-    return emptied(whole, select_cases(grammar, every, line))
+    whole = select_cases(grammar, replace(options, budget=None), line)
+    return emptied(whole, select_cases(grammar, options, line))
 
 
 def estimated_seconds(

@@ -138,17 +138,13 @@ FEW = "--only unused-id/9/*"
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recorded runs `good.mcap` and `faulty.mcap`, their reports `.json` and shards `-1.json`."""
+    """Recorded runs `good.mcap` and `faulty.mcap`, and their reports `.json`."""
     folder = tmp_path_factory.mktemp("runs")
     for robot, fault in FAULTS.items():
-        for part, more in {
-            "": f"--record {folder}/{robot}.mcap",
-            "-1": "--shard 1/2",
-            "-2": "--shard 2/2",
-        }.items():
-            words = f"conform sim {fault} {FEW} {more} --json {folder}/{robot}{part}.json"
-            made = command(*words.split())
-            assert made.returncode in (0, 1), made.stderr
+        run = f"{folder}/{robot}"
+        words = f"conform sim {fault} {FEW} --record {run}.mcap --json {run}.json"
+        made = command(*words.split())
+        assert made.returncode in (0, 1), made.stderr
     return folder
 
 
@@ -172,8 +168,6 @@ JUDGING = {
     "conform, shown": Judging(f"conform sim {{fault}} {FEW} --markdown - --html {{new}}/a.html"),
     "recheck": Judging("recheck {runs}/{robot}.mcap --json -", faulty=0),
     "recheck, file": Judging("recheck {runs}/{robot}.mcap --json {new}/a.json", faulty=0),
-    "merge": Judging("merge {runs}/{robot}-1.json {runs}/{robot}-2.json --json -"),
-    "merge, file": Judging("merge {runs}/{robot}-1.json {runs}/{robot}-2.json --json {new}/a.json"),
     "report": Judging("report {runs}/{robot}.json --html - --markdown {new}/a.md", faulty=0),
     "report, shown": Judging("report {runs}/{robot}.json", faulty=0),
     "replay": Judging("replay {runs}/{robot}.mcap --rate 0 --judge"),

@@ -23,7 +23,6 @@ MESSAGE_TURNS = {
     r"in \w+ looks|\d looks|looks? (?:that|of|at)": "looks that agree",
     r"go(?:es)? on looking": "go on looking",
     r"nothing shows": "nothing shows all rows",
-    r"[Pp]ut \w+(?: of \w+)? together": "Put shards together",
     r"for want of": "for want of a port",
     r"cannot tell": "cannot tell",
     r"(?:is|are) wanted": "a value is wanted",

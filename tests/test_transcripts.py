@@ -65,7 +65,6 @@ CHANGING = [
     (r"Python [\d.]+\S*, platform [^,\n]+, pyserial [\d.]+, construct [\d.]+", "VERSIONS"),
     *((rf"{TODAY + timedelta(n):%Y-%m-%d}[T ][\d:.]+(?=[+Z ])", "NOW") for n in (0, 1)),
     (r"ports here: [^;]+(; did you mean [^;]+)?;", "ports here: PORTS;"),
-    (r"(?<=shard, profile)(, begun|, took_s)+", ""),  # of shards, which are shown if they differ
     (r"(?<=took\" value=\")\d+\.\d s", "T s"),
     (r"\btook (`?)\d+\.\d s", r"took \1T s"),
 ]

@@ -27,8 +27,7 @@ REPORTS = {
     "conform --markdown": f"conform sim {FEW} --markdown",
     "conform --profile": f"conform sim {FEW} --profile",
     "recheck --json": "recheck {runs}/run.mcap --json",
-    "merge --json": "merge {runs}/1.json {runs}/2.json --json",
-    "report --html": "report {runs}/1.json --html",
+    "report --html": "report {runs}/run.json --html",
     "score --json": "lab score --only always-1 --level smoke --jobs 1 --json",
     "compare --json": "capture diff {runs}/run.mcap {runs}/run.mcap --json",
     "stats --json": "stats {runs}/run.mcap --json",
@@ -53,14 +52,12 @@ NOW_AND_THEN = pytest.mark.sample(6)
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a recorded run, and the reports of two shards."""
+    """A folder with a recorded run, and its report."""
     folder = tmp_path_factory.mktemp("runs")
-    for more in (
-        f"--record {folder}/run.mcap",
-        f"--shard 1/2 --json {folder}/1.json",
-        f"--shard 2/2 --json {folder}/2.json",
-    ):
-        assert command(*f"conform sim {FEW} {more}".split()).returncode == 0
+    made = command(
+        *f"conform sim {FEW} --record {folder}/run.mcap --json {folder}/run.json".split()
+    )
+    assert made.returncode == 0
     return folder
 
 

@@ -40,7 +40,7 @@ from bilprov.conformance.cases import budget
 from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cases.run_movement import run_movement
-from bilprov.conformance.cases.selection import matching, shard_named
+from bilprov.conformance.cases.selection import matching
 from bilprov.conformance.cli.options import (
     expect_failures_option,
     expected_file,
@@ -84,9 +84,6 @@ class CaseOptions:
     )
     listing: bool = flag("List the cases and send nothing.", "--list")
     fail_fast: bool = flag("End after the first failure.")
-    share: str | None = option(
-        "--shard", metavar="I/N", help="Run the I-th of N equal shares; see bilprov merge."
-    )
     seed: int = seed_option(help="Seed for the choice of data and motions.")
     extra: int = option(
         metavar="N",
@@ -175,11 +172,10 @@ class ConformOptions:
     known: KnownOptions = group(KnownOptions, "Known failures")
 
     def suite(self, profile: str) -> Options:
-        """The options of the run itself. Raises ValueError for a shard that is none."""
-        share = self.cases.share
+        """The options of the run itself."""
         given = asdict(self.cases) | asdict(self.times) | asdict(self.known)
         run = {field.name: given[field.name] for field in fields(Options) if field.name in given}
-        return Options(**run, profile=profile, shard=None if share is None else shard_named(share))
+        return Options(**run, profile=profile)
 
 
 @command(ConformOptions)

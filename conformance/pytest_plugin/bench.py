@@ -124,7 +124,7 @@ class SuiteThread(RunListener):
         if self._thread is None:
             options = self.options
             if self.order.keys() - set(ids):
-                options = replace(options, only=tuple(ids), shard=None)
+                options = replace(options, only=tuple(ids))
             self._thread = threading.Thread(target=self._run, args=(options,), name="conformance")
             self._over = False
             self._thread.start()

@@ -34,8 +34,6 @@ def conclusion(report: Report) -> Text:
     if report.unusable:
         return Text(f"not judged: {report.unusable}", STYLES[Verdict.ERROR])
     words = _counts(report)
-    shard = report.options.get("shard")
-    words += f" (shard {shard[0]} of {shard[1]})" if shard else ""
     comparison = report.comparison
     if comparison and comparison.expected and report.exit == 0:
         text = Text(f"{report.device} fails only as expected: {words}", STYLES[Verdict.PASS])

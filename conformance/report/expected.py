@@ -137,7 +137,7 @@ def compare(
     """Compare a run's results with the entries.
 
     `suite` are the ids of all cases that a run of this kind has, also of those that this one left
-    out (--only, --shard). `whole` says that the run went to its end: only then does the absence of
+    out (--only). `whole` says that the run went to its end: only then does the absence of
     a conditional case (such as an unsolicited answer) show that it does not fail.
     """
     used, expected, unexpected = _used(entries, results)

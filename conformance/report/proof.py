@@ -83,8 +83,6 @@ def _missing(
     profile: Mapping[str, Any],
 ) -> str:
     """Why a proof does not hold, "" if it does."""
-    if profile.get("readings", {}) is None or profile.get("facets", ()) is None:
-        return "the shards do not agree on what the device chooses, or on what the probe reports"
     unseen = [facet for facet in proof.facets if facet not in profile.get("facets", ())]
     if unseen:
         return f"no probe reported the robot's {' and '.join(unseen)}"

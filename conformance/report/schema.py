@@ -1,4 +1,4 @@
-"""The JSON of a report as structs, from which it is written, read back and merged.
+"""The JSON of a report as structs, from which it is written and read back.
 
 The fields of a struct are the keys of its object, in this order. A file may be hostile: hex,
 verdicts and numbers are checked here. Keys that no struct has (a later kit wrote them) are ignored.
@@ -110,9 +110,8 @@ class Head(msgspec.Struct, kw_only=True):
     (it took three times what was announced) or null.
     `timing` says where the time went, `dropped` what a budget has left out, `profile` what was
     measured (ms) and what the device chose where the document is silent. `proof` is what the level
-    `complete` has proven, null at other levels. `options.shard` is [I, N]
-    for a shard, else null. `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took
-    (real time, s), `host` the machine's name, each null where it is not known; `versions` are those
+    `complete` has proven, null at other levels. `begun` is when the run began (ISO 8601, UTC),
+    `took_s` how long it took (real time, s), `host` the machine's name, each null where it is not known; `versions` are those
     of Python, its platform and the libraries that reports depend on. `unseen` has a sentence for
     what the probe did not show, and from which look on, `notices` one for each thing to know of
     device, line and probe.
@@ -160,11 +159,6 @@ class _Options(msgspec.Struct):
     soak: _Bounded = 0
     allow: list[str] = []
     budget: Seconds | None = None
-    shard: tuple[_Bounded, _Bounded] | None = None
-
-    def __post_init__(self) -> None:
-        if self.shard and not 1 <= self.shard[0] <= self.shard[1]:
-            raise ValueError(f"shard {list(self.shard)} is none, it can be [I, N], I from 1 to N")
 
 
 Setting = Annotated[int, msgspec.Meta(ge=-1_000_000_000, le=1_000_000_000)]
@@ -190,7 +184,7 @@ class _Profile(msgspec.Struct):
     truncation_timeout_ms: Annotated[float, msgspec.Meta(ge=0, le=1e6)] | None = None
     latency_median_ms: Milliseconds | None = None
     latency_max_ms: Milliseconds | None = None
-    facets: list[str] | None = []  # these and the readings are null where merged shards differ
+    facets: list[str] | None = []  # these and the readings may be null in an older report
     wheels: Annotated[list[WheelCurve], msgspec.Meta(max_length=64)] = []
     readings: dict[str, Any] | None = {}
 

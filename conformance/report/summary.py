@@ -97,7 +97,7 @@ def _facts(report: Report) -> Iterator[str]:
     if latency is not None and report.link["kind"] == "port":
         slowest = profile.get("latency_max_ms")
         yield f"answers after {latency} ms (median), {slowest} ms (longest)"
-    readings = profile.get("readings") or {}  # null where merged shards differ
+    readings = profile.get("readings") or {}  # null in some older reports
     chosen = {p: w for p, w in readings.items() if w != default_of(p)}
     if chosen:
         yield "other readings of the document: " + ", ".join(f"{p} {w}" for p, w in chosen.items())

@@ -82,7 +82,6 @@ COMMANDS = {
         "conformance.report",
         "Show and compare runs, from what conform --json wrote.",
     ),
-    "merge": Row("Test", "conformance.merge", "Merge the reports of shards into one."),
     "simulate": Row("Test", "conformance.simulate", "Serve a simulated device, or firmware."),
     "lab": Row(
         "Test",

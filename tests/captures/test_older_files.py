@@ -61,8 +61,8 @@ def test_an_old_profile_is_taken(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
 
 
-def test_old_shards_merge() -> None:
-    result = command("merge", *(str(OLD / f"shard-{n}.json") for n in (1, 2)))
+def test_an_old_report_is_shown() -> None:
+    result = command("report", str(OLD / "report.json"))
 
     assert (result.returncode, result.stderr) == (0, b"")
 

@@ -33,7 +33,7 @@ from tests.support.robots import (
 pytestmark = pytest.mark.waits
 
 Verdicts = dict[str, str]
-SHARDS = 8  # of level standard, each a run of some 10 s
+PARTS = 8  # of level standard, each a run of some 10 s
 
 
 def judged(output: bytes) -> tuple[int, Verdicts]:
@@ -59,16 +59,18 @@ def judged_in_virtual_time(protocol: Protocol, fault: str, only: list[str]) -> t
 
 @pytest.mark.timeout(600)
 @pytest.mark.sample(1)
-@pytest.mark.parametrize("part", range(1, SHARDS + 1))
+@pytest.mark.parametrize("part", range(PARTS))
 def test_the_reference_conforms_in_real_time_with_nothing_inconclusive(
     protocol: Protocol, part: int
 ) -> None:
-    """The whole of level standard, in shards."""
-    options = Options(shard=(part, SHARDS))
+    """The whole of level standard, in parts."""
+    ids = [case.id for case in select_cases(protocol, Options())][part::PARTS]
+    options = Options(only=tuple(ids))
     cases = select_cases(protocol, options)
     with simulate() as robot:
         words = ("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-")
-        result = process(*words, "--shard", f"{part}/{SHARDS}", timeout=500)
+        only = (word for ident in ids for word in ("--only", ident))
+        result = process(*words, *only, timeout=500)
         state = robot.state()
 
     _, verdicts = judged(result.stdout)

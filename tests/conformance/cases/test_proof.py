@@ -247,8 +247,6 @@ def test_silences_between_frames_are_kept_where_no_probe_sees_the_robot(
     ("profile", "why"),
     [
         ({"truncation_timeout_ms": 500}, "the time-out is 500 ms, and the silences between frames"),
-        ({"readings": None}, "the shards do not agree"),
-        ({"facets": None}, "the shards do not agree"),
         (
             {"truncation_timeout_ms": 50, "all_but_two_answers_ms": 25},
             "answers take up to 25 ms and the time-out is 50 ms",

@@ -134,7 +134,7 @@ def test_only_a_failure_is_ever_expected(verdict: Verdict) -> None:
 STALE = [
     ([passed("a/1"), passed("a/2")], 1),
     ([result("a/1", answer=(Verdict.NON_STRICT, "")), passed("a/2")], 1),
-    ([passed("a/1")], 0),  # the other was left out (--only, --shard)
+    ([passed("a/1")], 0),  # the other was left out (--only)
     ([], 0),
     ([passed("a/1"), result("a/2", answer=(Verdict.INCONCLUSIVE, "not run"))], 0),
     ([passed("a/1"), result("a/2", answer=(Verdict.SKIPPED, "not run"))], 0),

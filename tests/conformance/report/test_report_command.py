@@ -177,20 +177,18 @@ def test_what_is_no_result_is_refused_with_2(tmp_path: Path, content: bytes) -> 
     assert not page.exists()
 
 
-@pytest.mark.parametrize("name", ["report", "merge"])
 def test_a_result_is_read_from_a_pipe_but_not_from_a_folder(
-    protocol: Protocol, tmp_path: Path, name: str
+    protocol: Protocol, tmp_path: Path
 ) -> None:
     report = a_run(protocol, "valid/LED/1")
-    report = replace(report, options=report.options | {"shard": [1, 1]})
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     writer = threading.Thread(target=pipe.write_bytes, args=(as_json(report),))
     writer.start()
 
-    piped = command(name, str(pipe))
+    piped = command("report", str(pipe))
     writer.join(PATIENCE)
-    folder = command(name, str(tmp_path))
+    folder = command("report", str(tmp_path))
 
     assert piped.returncode == 0, piped.stderr
     assert folder.returncode == 2
