@@ -111,10 +111,10 @@ class Head(msgspec.Struct, kw_only=True):
     `timing` says where the time went, `dropped` what a budget has left out, `profile` what was
     measured (ms) and what the device chose where the document is silent. `proof` is what the level
     `complete` has proven, null at other levels. `begun` is when the run began (ISO 8601, UTC),
-    `took_s` how long it took (real time, s), `host` the machine's name, each null where it is not known; `versions` are those
-    of Python, its platform and the libraries that reports depend on. `unseen` has a sentence for
-    what the probe did not show, and from which look on, `notices` one for each thing to know of
-    device, line and probe.
+    `took_s` how long it took (real time, s), `host` the machine's name, each null where it is not
+    known; `versions` are those of Python, its platform and the libraries that reports depend on.
+    `unseen` has a sentence for what the probe did not show, and from which look on, `notices` one
+    for each thing to know of device, line and probe.
     """
 
     kit: str
