@@ -89,7 +89,7 @@ class Target(Closing, LinkListener):
         A stop ends the waiting, and so does one of the descriptors `also`; those of them that are
         readable are returned. A device that has driven too long is stopped. Raises LinkError.
         """
-        now = self._now()
+        now = self.now()
         limited = self._max_drive > 0 and self.state.motion != Motion.STOPPED
         until = self._instructed + self._max_drive
         if limited:
@@ -113,7 +113,7 @@ class Target(Closing, LinkListener):
     def settle(self) -> None:
         """Read until each instruction is answered or counts as unanswered. Raises LinkError."""
         while (due := self._session.deadline) is not None and not self.ended:
-            self.pump(min(0.1, (due - self._now()) / 1e9))
+            self.pump(min(0.1, (due - self.now()) / 1e9))
 
     def finish(self) -> None:
         """End the run after the last byte: wait for the answers and record what is left.
@@ -137,7 +137,7 @@ class Target(Closing, LinkListener):
         saved = self._session.saved()
         if saved is not None:  # frame boundaries are known: all that was sent came from here
             self._session.resume(
-                msgspec.structs.replace(saved, time=self._now(), state=self.state, waiting=())
+                msgspec.structs.replace(saved, time=self.now(), state=self.state, waiting=())
             )
 
     def resume(self, port: Port, gap: str) -> None:
@@ -147,8 +147,12 @@ class Target(Closing, LinkListener):
         answered, `require_answer` tells.
         """
         self._port.renew(port)
-        self._show(self._session.feed(Line(self._now(), "reconnected", "device", gap)))
+        self._show(self._session.feed(Line(self.now(), "reconnected", "device", gap)))
         self.home(patient=True)
+
+    def now(self) -> int:
+        """The time in ns since `begin`."""
+        return self._link.now() - self._start
 
     @property
     def ended(self) -> bool:
@@ -202,9 +206,6 @@ class Target(Closing, LinkListener):
         for record in records:
             self.state = record.state
             self._heard(record)
-
-    def _now(self) -> int:
-        return self._link.now() - self._start
 
 
 def scaled_timeout(timeout: int, rate: float) -> int:

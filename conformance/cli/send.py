@@ -45,8 +45,9 @@ class SendOptions:
         "--format", type=click.Choice(["lines", "jsonl"]), default="lines", show_default=True
     )
     probe: str | None = option(
-        help=f"Without ITEMs, what sees the robot: {', '.join(kind.form for kind in PROBES)} (the "
-        "default for a port) or sim (the target sim's own)."
+        help=f"What sees the robot: {', '.join(kind.form for kind in PROBES)} (the default for a "
+        "port) or sim (the target sim's own). What it sees is shown after each ITEM; with "
+        "--together, once."
     )
     yes: bool = yes_option()
     max_drive: float = max_drive_option()
@@ -85,11 +86,9 @@ def send(options: SendOptions) -> int:
     protocol, target, items = protocol_in_use(), options.target, options.items
     settings = options.line.settings(protocol)
     timeout = timeout_in_ns(protocol, options.truncation_timeout)
-    others = ("probe",) if items else ("together", "expectations", "wait")
-    for name in filter(asked_here, others):
+    for name in filter(asked_here, () if items else ("together", "expectations", "wait")):
         spelling = "expect" if name == "expectations" else name
-        use = "only for driving by hand: leave out the ITEMs" if items else "only for ITEMs"
-        raise click.UsageError(f"--{spelling} is {use}")
+        raise click.UsageError(f"--{spelling} is only for ITEMs")
     if target.startswith(BOARD):
         raise click.UsageError(
             f"{target} is for conform: start `bilprov simulate --firmware FILE.elf` and "
@@ -98,12 +97,15 @@ def send(options: SendOptions) -> int:
     with ExitStack() as stack:
         port, probe, yes = target, options.probe, options.yes
         if target == SIM:
-            if probe not in (None, SIM) and asked_here("probe"):
+            typed = probe if asked_here("probe") else None
+            if typed not in (None, SIM):
                 raise click.UsageError(f"sim brings its own probe; --probe {probe} is for ports")
-            port, probe = stack.enter_context(_simulator(protocol))
+            port, own = stack.enter_context(_simulator(protocol))
+            # Items are shown with looks only where these are asked for, as at a port.
+            probe = own if typed or not items else None
             yes = True  # it moves nothing
         if items:
-            from bilprov.analyzer.cli.send import send_items
+            from bilprov.conformance.cli.shell.items import send_items
 
             return send_items(
                 protocol,
@@ -111,6 +113,7 @@ def send(options: SendOptions) -> int:
                 items,
                 settings,
                 timeout,
+                probe=probe,
                 together=options.together,
                 expectations=options.expectations,
                 style=options.style,

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Literal
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, fields_in_words
-from bilprov.analyzer.client.probes import Probe, ProbeError
+from bilprov.analyzer.client.probes import Probe
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
-from bilprov.analyzer.output.outputs import StreamOutput, write_out
+from bilprov.analyzer.output.outputs import stream_output, write_out
 from bilprov.analyzer.output.text_lines import state_words
 from bilprov.analyzer.replay.answers import FLOOD, FLOOD_WORDS, AnswerCheck
 from bilprov.analyzer.replay.target import Target
@@ -19,12 +20,10 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Look
+from bilprov.conformance.cli.shell.looks import STEP, asked, look_text, look_words, seen_words
 from bilprov.spec.protocol import Protocol
 
 COMMENT = "#"
-
-_STEP = 0.5  # s of waiting at most: a signal that came just before it began is noticed then
-_FACETS = ("motion", "speed", "steering", "led", "left", "right")
 
 
 class Driving(Closing):
@@ -44,7 +43,7 @@ class Driving(Closing):
         port: Port,
         timeout: int,
         stopper: Stopper,
-        output: StreamOutput,
+        style: Literal["lines", "jsonl"],
         probe: Probe | None,
         max_drive: float,
     ) -> None:
@@ -62,7 +61,8 @@ class Driving(Closing):
         }
         self._protocol = protocol
         self._stopper = stopper
-        self._output = output
+        self._style = style
+        self._output = stream_output(style)
         self._probe = probe
         self._unasked = 0  # bytes that answer no instruction, since the line began
         self._abandoned = False  # the rest of the line
@@ -120,9 +120,7 @@ class Driving(Closing):
     @property
     def seen(self) -> str:
         """What the probe saw since the last instruction, in words; "" if nothing."""
-        if self.look is None:
-            return ""
-        return {True: "seen moving", False: "seen stopped", None: "not seen"}[self.look.moving]
+        return seen_words(self.look)
 
     @property
     def _broken_off(self) -> bool:
@@ -156,7 +154,7 @@ class Driving(Closing):
     def _pause(self, seconds: float) -> None:
         until = time.monotonic() + seconds
         while not self._broken_off and (left := until - time.monotonic()) > 0:
-            self.attend(min(left, _STEP))
+            self.attend(min(left, STEP))
 
     def _tell_stopped(self, words: str) -> None:
         self._abandoned, self.look = True, None
@@ -179,12 +177,10 @@ class Driving(Closing):
             write_out("nothing sees the robot: begin with --probe\n")
             return
         self._look(self._probe)
-        facets = [
-            f"{name} {value}"
-            for name in _FACETS
-            if (value := getattr(self.look, name, None)) is not None
-        ]
-        write_out(f"{self.seen or 'not observed'}{': ' if facets else ''}{' '.join(facets)}\n")
+        if self._style == "jsonl" and self.look is not None:
+            write_out(look_text(self.look, self._style))
+        else:
+            write_out(f"{look_words(self.look)}\n")
 
     def _look_if_cheap(self) -> None:
         if self._probe is not None and not self._probe.costly:
@@ -193,19 +189,7 @@ class Driving(Closing):
     def _look(self, probe: Probe) -> None:
         """Ask the probe, reading the port meanwhile. Raises ProbeError and LinkError."""
         self.look = None
-        until = time.monotonic() + probe.patience
-        probe.ask()
-        while self.look is None:
-            waits = probe.fileno()
-            left = until - time.monotonic()
-            if waits is not None and waits not in self.attend(min(left, _STEP), [waits]):
-                if self._stopper.stopped and probe.costly:  # a command, or a person: do not wait
-                    probe.close()
-                    return
-                if left <= 0:
-                    raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
-                continue
-            self.look = probe.take(time.monotonic_ns())
+        self.look = asked(probe, self.attend, self._stopper, self.target.now)
 
     def _help(self) -> None:
         specs = self._protocol.instructions

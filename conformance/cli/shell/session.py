@@ -9,7 +9,6 @@ from typing import Literal
 
 from bilprov.analyzer.cli.options import confirm_motion, note, note_hindrances, note_suspension
 from bilprov.analyzer.client.probes import PROBES, open_probe
-from bilprov.analyzer.output.outputs import stream_output
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.ports import open_port
@@ -44,8 +43,7 @@ def drive(
         words = movement_words(protocol, all_movement(protocol))
         confirm_motion(protocol, f"the robot at {port} will do what is typed: {words}", yes=yes)
         stopper = stack.enter_context(Stopper())
-        output = stream_output(style)
-        driving = Driving(protocol, opened, timeout, stopper, output, eye, max_drive)
+        driving = Driving(protocol, opened, timeout, stopper, style, eye, max_drive)
         with driving:
             driving.begin()
             interactive = _on_terminal()

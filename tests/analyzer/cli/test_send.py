@@ -12,18 +12,19 @@ from pathlib import Path
 import pytest
 
 from benchmarks.adapter import Adapter
-from bilprov.analyzer.cli.send import _resumed
 from bilprov.analyzer.client.homing import stops
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.replug import Place
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.conformance.cli.shell.items import _resumed
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
-from tests.support.robots import PATIENCE, served_here, simulate
+from tests.support.robots import PATIENCE, ProbeServer, served_here, simulate
 from tests.support.wires import json_lines, running
 
 pytestmark = pytest.mark.waits
@@ -104,6 +105,57 @@ def test_a_device_that_floods_the_line_ends_it_at_once(protocol: Protocol, more:
     assert "2 of 3 instructions were sent" in told
     assert len(result.stdout.splitlines()) < 80
     assert (device.state.moving, device.state.speed) == (False, 0)
+
+
+# -- what a probe sees ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("more", "seen"), [((), [False, True, True]), (("--together",), [True])])
+def test_json_lines_hold_what_the_probe_sees_after_each_item(
+    protocol: Protocol, more: tuple[str, ...], seen: list[bool]
+) -> None:
+    """Of a robot that answers bad data as it should, and drives on."""
+    device = Simulator(protocol, fault_bank(protocol)["no-stop-on-bad-data"])
+    words = ("Speed 9", "Forward", "81 09", "--yes", "--format", "jsonl", *more)
+    with served_here(device) as (port, probe):
+        result = command("send", port, "--probe", probe, *words)
+
+    lines = json_lines(result.stdout)
+    looks = [line for line in lines if line["kind"] == "look"]
+    assert result.returncode == 0
+    assert [look["moving"] for look in looks] == seen
+    assert (looks[-1]["motion"], looks[-1]["speed"]) == ("forward", 9)
+    assert lines[-1] == looks[-1]
+    assert [line["t"] for line in lines] == sorted(line["t"] for line in lines)
+    assert not device.state.moving
+
+
+def test_a_probe_that_hangs_up_ends_it_with_the_robot_at_rest(protocol: Protocol) -> None:
+    device = Simulator(protocol)
+    with ProbeServer(b'{"moving": true}\n', b"") as probe, served_here(device) as (port, _):
+        words = ("Speed 80", "Forward", "LED 5", "--yes", "--probe", probe.name)
+        result = command("send", port, *words)
+
+    assert result.returncode == 2
+    assert f"bilprov: the probe at {probe.name} hung up" in result.stderr.decode()
+    assert (device.state.moving, device.state.led) == (False, 0)
+
+
+def test_ctrl_c_does_not_wait_for_a_command_that_looks(protocol: Protocol) -> None:
+    device = Simulator(protocol)
+    with (
+        served_here(device) as (port, _),
+        running(
+            *("send", port, "Speed 9", "Forward", "--yes"),
+            *("--probe", "exec:sleep 600"),
+        ) as sending,
+    ):
+        sending.stdout.readline()
+        sending.stdout.readline()
+        code, _, err = sending.end()
+
+    assert (code, err) == (1, b"1 of 2 instructions were sent\n")
+    assert not device.state.moving
 
 
 # -- what is said, and how long it drives ---------------------------------------------------------

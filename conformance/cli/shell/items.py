@@ -1,9 +1,12 @@
-"""Sends the items of `bilprov send` to a device, one after the other, and shows its answers."""
+"""Sends the items of `bilprov send` to a device, one after the other, and shows its answers.
+
+A probe, where there is one, looks at the robot after each of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Literal
 
@@ -17,9 +20,10 @@ from bilprov.analyzer.cli.options import (
 )
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
+from bilprov.analyzer.client.probes import open_probe
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.outputs import stream_output
+from bilprov.analyzer.output.outputs import stream_output, write_out
 from bilprov.analyzer.replay.answers import (
     FLOOD_WORDS,
     UNANSWERED_STOPS,
@@ -36,6 +40,7 @@ from bilprov.analyzer.transport.replug import Place, opened_again, opened_when_t
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.text import quantity
+from bilprov.conformance.cli.shell.looks import asked, look_text
 from bilprov.spec.movement import movement_of, movement_words
 from bilprov.spec.protocol import Protocol
 
@@ -49,6 +54,7 @@ def send_items(
     settings: LineSettings,
     timeout: int,
     *,
+    probe: str | None,
     together: bool,
     expectations: Sequence[str],
     style: Literal["lines", "jsonl"],
@@ -60,7 +66,7 @@ def send_items(
 
     The values are those of the options of `bilprov send`; `timeout` (ns) is the longest pause
     inside a frame. Raises UsageError for an item that is nothing, LinkError for a port that cannot
-    be used.
+    be used, ProbeError for a probe that cannot.
     """
     try:
         steps = [bytes_or_pause(protocol, item) for item in items]
@@ -82,7 +88,11 @@ def send_items(
     if first is None:
         note("stopped before the port appeared: nothing was sent")
         return 1
-    with first as opened:
+    with ExitStack() as stack:
+        opened = stack.enter_context(first)
+        eye = None if probe is None else open_probe(probe, opened)
+        if eye is not None:
+            stack.callback(eye.close)
         note_hindrances(port)
         words = movement_words(protocol, movement_of(protocol, frames))
         confirm_motion(protocol, f"the robot at {port} will do what is sent: {words}", yes=yes)
@@ -107,10 +117,23 @@ def send_items(
                 if not together:
                     target.settle()
 
+            def look() -> None:
+                """After the last answer that is waited for, as long as the robot is let be."""
+                if together:
+                    target.settle()
+                if eye is None or target.ended:
+                    return
+                seen = asked(eye, target.pump, stopper, target.now)
+                if seen is not None:
+                    write_out(look_text(seen, style))
+
             place, gaps = Place(port), list[str]()
             with Target(protocol, opened, timeout, stopper, heard, max_drive) as target:
                 target.begin()
-                actions: list[Callable[[], object]] = [partial(done, what) for what in steps]
+                actions: list[Callable[[], object]] = []
+                for what in steps:
+                    actions += [partial(done, what)] + [look] * (not together)
+                actions += [look] * together
                 # With --wait it is homed while a port that is lost can still be waited for.
                 for action in (*actions, target.finish, *([target.home] * wait)):
                     if stopper.stopped or target.driven_out:
