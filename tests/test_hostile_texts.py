@@ -24,8 +24,8 @@ from bilprov.captures.schemas import Chunk, Line, Log, Time
 from bilprov.captures.text import escape_controls, escape_json, printable
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
-from bilprov.conformance.learning.machine import Machine, Transition
 from bilprov.conformance.learning.output import Output
+from bilprov.conformance.machines.mealy import Mealy
 from bilprov.spec.emit.c import c_header
 from bilprov.spec.emit.python_stub import python_stub
 from bilprov.spec.emit.wireshark import lua_dissector
@@ -258,8 +258,8 @@ def test_a_grammars_texts_stay_in_the_docstrings_of_a_stub(
 
 @pytest.mark.waits
 def test_names_and_devices_stay_in_the_labels_of_a_picture(protocol: Protocol) -> None:
-    rows = tuple(Transition(0, Output((at,))) for at in range(len(HOSTILE)))
-    machine = Machine((rows,))
+    outputs = tuple(Output((at,)) for at in range(len(HOSTILE)))
+    machine = Mealy(((0,) * len(HOSTILE),), (outputs,))
 
     def drawn(names: list[str], title: str) -> str:
         return dot_text(protocol, machine, names, title, {(0, 0)})

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from bilprov.conformance.cases.field_prefixes import FieldPrefixes
 from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
-from bilprov.conformance.machines.mealy import Mealy, explore, input_classes, minimal
+from bilprov.conformance.machines.mealy import Mealy, Output, explore, input_classes, minimal
 from bilprov.spec.motion import Effect, State
 from bilprov.spec.protocol import Protocol
 
@@ -28,7 +28,7 @@ class ByteMachine:
     and every other variable zero.
     """
 
-    machine: Mealy
+    machine: Mealy[Output]
     classes: tuple[tuple[int, ...], ...]
     variables: tuple[str, ...]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,18 +31,19 @@ from bilprov.conformance.learning.drawing import (
     LARGE,
     dot_text,
     has_graphviz,
-    overview_text,
     state_words,
     svg_text,
 )
+from bilprov.conformance.machines.wp_method import state_cover
 from bilprov.spec.codec import spaced
 from bilprov.spec.errors import UserError
 from bilprov.spec.movement import all_movement, movement_words
 
 if TYPE_CHECKING:
-    from bilprov.conformance.learning.comparison import Difference
     from bilprov.conformance.learning.learned import Learned
+    from bilprov.conformance.learning.learner import Difference
     from bilprov.conformance.learning.output import Output
+    from bilprov.conformance.machines.mealy import Mealy
 
 _SHOWN = 5  # differences told on the screen
 
@@ -116,7 +117,7 @@ def learn(options: LearnOptions) -> int:
                 "use tcp:HOST:PORT or modem:LINE"
             )
         if target.moves:
-            _confirm(target, robot, options.seed)
+            _confirm(target, robot)
         stack.enter_context(stopper)
         if target.moves:
             stopper.before_suspending(target.halt)
@@ -140,19 +141,11 @@ def learn(options: LearnOptions) -> int:
     return learned.exit
 
 
-def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
-    from bilprov.conformance.learning.rehearsal import estimated_seconds
-    from bilprov.conformance.oracle.timers import timers_of
+def _confirm(target: Target, robot: RobotOptions) -> None:
+    from bilprov.conformance.learning.reference import estimated_seconds
 
     note_hindrances(robot.target)
-    seconds = estimated_seconds(
-        target.protocol,
-        timers_of(target.environment, target.protocol),
-        byte_time=target.byte_time,
-        adapter=target.latency,
-        observable=target.environment.observability.available,
-        seed=seed,
-    )
+    seconds = estimated_seconds(target)
     words = movement_words(target.protocol, all_movement(target.protocol))
     what = f"the robot at {robot.target} will move for about {seconds:.0f} s: {words}"
     confirm_motion(target.protocol, what, yes=robot.yes)
@@ -161,41 +154,29 @@ def _confirm(target: Target, robot: RobotOptions, seed: int) -> None:
 
 def _write(learned: Learned, options: LearnOptions) -> None:
     """Write the files that were asked for; a picture needs a machine."""
-    dot, svg = options.dot, options.svg
-    texts: list[tuple[str, str]] = []
-    if learned.machine is not None and (dot or svg):
-        text = _drawn(learned, dot_text)
-        if dot is not None:
-            texts.append((dot, text))
-        if svg is not None and has_graphviz():
-            large = len(learned.machine.states) > LARGE
-            picture = _drawn(learned, overview_text) if large else text
-            texts.append((svg, svg_text(picture)))
-        elif svg is not None:
-            texts.append((_dot_path(svg), text))
-    elif dot or svg:
+    dot, svg, texts = options.dot, options.svg, list[tuple[str, str]]()
+    if learned.machine is None and (dot or svg):
         note("nothing is drawn: the machine was not learned")
+    elif learned.machine is not None:
+        if dot is not None:
+            texts.append((dot, _drawn(learned, learned.machine)))
+        if svg is not None and has_graphviz():
+            large = len(learned.machine) > LARGE
+            texts.append((svg, svg_text(_drawn(learned, learned.machine, overview=large))))
+        elif svg is not None:
+            path = svg if svg == STANDARD_OUTPUT else str(Path(svg).with_suffix(".dot"))
+            texts.append((path, _drawn(learned, learned.machine)))
     if options.json is not None:
         indent = None if options.json == STANDARD_OUTPUT else 1
         texts.append((options.json, json.dumps(_as_json(learned), indent=indent) + "\n"))
     write_each(texts)
 
 
-def _dot_path(svg: str) -> str:
-    return svg if svg == STANDARD_OUTPUT else str(Path(svg).with_suffix(".dot"))
-
-
-def _drawn(learned: Learned, draw: Callable[..., str]) -> str:
+def _drawn(learned: Learned, machine: Mealy[Output], *, overview: bool = False) -> str:
     """The machine in DOT, with the transitions at which it differs in red."""
-    machine = learned.machine
-    assert machine is not None
-    differing = set()
-    for difference in learned.differences:
-        state = 0
-        for letter in difference.word[:-1]:
-            state = machine.states[state][letter].target
-        differing.add((state, difference.word[-1]))
-    return draw(learned.protocol, machine, learned.names, learned.device, differing)
+    ends = [(machine.after(one.word[:-1]), one.word[-1]) for one in learned.differences]
+    names, device = learned.names, learned.device
+    return dot_text(learned.protocol, machine, names, device, ends, overview=overview)
 
 
 def _told(learned: Learned) -> Iterator[str]:
@@ -204,7 +185,7 @@ def _told(learned: Learned) -> Iterator[str]:
     if learned.repeated:
         sent += f", {learned.repeated:,} of them sent again"
     if learned.machine is not None:
-        states = quantity(len(learned.machine.states), "state")
+        states = quantity(len(learned.machine), "state")
         inputs = quantity(len(learned.steps), "input")
         yield f"learned {states} over {inputs}, from {sent}"
         looks = ", ".join(learned.seen) or "nothing of the robot: no probe"
@@ -279,7 +260,7 @@ def _as_json(learned: Learned) -> dict[str, Any]:
             "flaky": learned.flaky,
         },
         "inputs": inputs,
-        "states": None if machine is None else _states(learned),
+        "states": None if machine is None else _states(machine),
         "expected_states": learned.expected_states,
         "readings": [
             {"point": point, "choice": word, "verdict": label}
@@ -291,17 +272,20 @@ def _as_json(learned: Learned) -> dict[str, Any]:
     }
 
 
-def _states(learned: Learned) -> list[dict[str, Any]]:
-    machine = learned.machine
-    assert machine is not None
-    rows = zip(state_words(machine), machine.access(), machine.states, strict=True)
+def _states(machine: Mealy[Output]) -> list[dict[str, Any]]:
+    rows = zip(
+        *(state_words(machine), state_cover(machine), machine.targets, machine.outputs), strict=True
+    )
     return [
         {
             "name": words,
             "reached_by": list(access),
-            "transitions": [{"to": t.target, **_output(t.output)} for t in row],
+            "transitions": [
+                {"to": target, **_output(output)}
+                for target, output in zip(targets, outputs, strict=True)
+            ],
         }
-        for words, access, row in rows
+        for words, access, targets, outputs in rows
     ]
 
 

@@ -1,153 +1,109 @@
-"""Draws a machine: DOT text of all its states or of its kinds of motion, and SVG by Graphviz."""
+"""Draws a machine: DOT text of all its states or of its kinds of motion, and SVG by Graphviz.
+
+AALpy's own drawing has an arrow for each input: some thousand for a robot, which nobody can read.
+"""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
+from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
 
 from bilprov.captures.text import escape_controls, quantity
-from bilprov.conformance.learning.machine import Machine
 from bilprov.conformance.learning.output import Output
+from bilprov.conformance.machines.mealy import Mealy
+from bilprov.conformance.machines.wp_method import state_cover
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
-_PATIENCE = 300  # s that Graphviz may take
 LARGE = 12
 """States up to which a picture shows each; of more, which take dot minutes, kinds of motion."""
-_NAMED = 3  # inputs that are named on an arrow between kinds
+_PATIENCE = 300  # s that Graphviz may take
+_NAMED = 3  # inputs that are named on an arrow
+_HEAD = """rankdir=LR; node [shape=box style=rounded fontname="sans-serif"];
+edge [fontname="sans-serif" fontsize=10];
+start [shape=point]; start -> 0 [tooltip="homed"];"""
 _AT_ONCE = "nslimit=1; nslimit1=1; mclimit=0.1; splines=line;"
+_RED = 'color="#c62828" fontcolor="#c62828"'
 
 
 class DrawingError(UserError):
     """Graphviz did not draw the machine. One sentence."""
 
 
-@dataclass(slots=True)
-class _Arrow:
-    """The transitions from one node to another, by their inputs' names, with their answers."""
-
-    answers: dict[str, set[tuple[int, ...]]] = field(default_factory=dict)
-    differing: dict[str, None] = field(default_factory=dict)
-
-    def add(self, name: str, codes: tuple[int, ...], differs: bool) -> None:
-        self.answers.setdefault(name, set()).add(codes)
-        if differs:
-            self.differing[name] = None
-
-    def line(self, protocol: Protocol, source: int, target: int, look: str, named: int) -> str:
-        """The arrow in DOT. Up to `named` inputs stand on it, more are counted."""
-        told = [
-            f"{name}: {' or '.join(answer_words(protocol, one) for one in sorted(codes))}"
-            for name, codes in self.answers.items()
-        ]
-        kinds = set[tuple[int, ...]]().union(*self.answers.values())
-        inputs = quantity(len(told), "input")
-        if len(told) <= named:
-            label = "\n".join(told)
-        elif len(kinds) == 1:
-            label = f"{inputs}: {answer_words(protocol, min(kinds))}"
-        else:
-            label = f"{inputs}, {quantity(len(kinds), 'answer')}"
-        label = f"{look}, {label}" if look else label
-        if self.differing and len(told) > named:
-            label += "".join(f"\n{name} differs" for name in self.differing)
-        red = ' color="#c62828" fontcolor="#c62828"' if self.differing else ""
-        words = f"label={_quoted(label)} tooltip={_quoted(chr(10).join(told))}{red}"
-        return f"{source} -> {target} [{words}];"
-
-
 def dot_text(
     protocol: Protocol,
-    machine: Machine,
+    machine: Mealy[Output],
     names: Sequence[str],
     title: str,
     differing: Collection[tuple[int, int]] = (),
+    *,
+    overview: bool = False,
 ) -> str:
     """The machine in DOT, the language of Graphviz.
 
-    `names` are the inputs in words. A state is named after what is seen in it. Transitions with the
-    same source, target and look are one arrow, with the number of its inputs and answers. A tooltip
-    tells each input of an arrow, and a shortest way to a state. `differing` are the transitions
-    (state, input) to be drawn in red.
+    `names` are the inputs in words. A node is a state, named after what is seen in it or, in an
+    overview, a kind of motion with the number of its states. Transitions between the same nodes are
+    one arrow, whose tooltip says what each input gives; that of a state is a shortest way to it.
+    `differing` are the transitions (state, input) to be drawn in red.
     """
-    labels = state_words(machine)
-    lines = _head(title)
-    if len(labels) > LARGE:
+    labels = _kinds(machine) if overview else state_words(machine)
+    nodes = list(dict.fromkeys(labels))
+    lines = [f"digraph {_quoted(title)} {{", _HEAD]
+    if len(nodes) > LARGE:
         lines.append(_AT_ONCE)
-    for state, (words, access) in enumerate(zip(labels, machine.access(), strict=True)):
-        way = ", ".join(names[letter] for letter in access) or "homed"
-        lines.append(f"{state} [label={_quoted(words)} tooltip={_quoted(way)}];")
-    for source, row in enumerate(machine.states):
-        arrows: dict[tuple[int, str], _Arrow] = {}
-        for letter, (target, output) in enumerate(row):
-            arrow = arrows.setdefault((target, output.look_words), _Arrow())
-            arrow.add(names[letter], output.codes, (source, letter) in differing)
-        for (target, look), arrow in arrows.items():
-            unseen = "" if labels[target].endswith(look) else look
-            lines.append(arrow.line(protocol, source, target, unseen, named=1))
+    for number, label in enumerate(nodes):
+        states = quantity(labels.count(label), "state")
+        way = state_cover(machine)[labels.index(label)]
+        words = f"{label or 'its motion is not seen'}\n{states}" if overview else label
+        tooltip = ", ".join(names[letter] for letter in way) or "homed"
+        lines.append(f"{number} [label={_quoted(words)} tooltip={_quoted(tooltip)}];")
+    arrows: dict[tuple[int, int], dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    red: dict[tuple[int, int], dict[str, None]] = defaultdict(dict)
+    for source, (targets, outputs) in enumerate(zip(machine.targets, machine.outputs, strict=True)):
+        for letter, (target, output) in enumerate(zip(targets, outputs, strict=True)):
+            ends = nodes.index(labels[source]), nodes.index(labels[target])
+            arrows[ends][names[letter]].add(answer_words(protocol, output.codes))
+            if (source, letter) in differing:
+                red[ends][names[letter]] = None
+    for ends, answers in arrows.items():
+        lines.append(_arrow(*ends, answers, red[ends]))
     return "\n".join([*lines, "}", ""])
 
 
-def overview_text(
-    protocol: Protocol,
-    machine: Machine,
-    names: Sequence[str],
-    title: str,
-    differing: Collection[tuple[int, int]] = (),
-) -> str:
-    """The kinds of motion of a machine in DOT, each with the number of its states.
-
-    The arrows tell which inputs lead from one kind to another, in some state at least. The
-    arguments are those of `dot_text`, which draws every state.
-    """
-    words = [
-        min(seen) if len(seen) == 1 else ""
-        for seen in _seen(machine, lambda output: output.motion_words)
-    ]
-    kinds = list(dict.fromkeys(words))
-    lines = _head(title)
-    for number, kind in enumerate(kinds):
-        size = quantity(words.count(kind), "state")
-        label = f"{kind or 'its motion is not seen'}\n{size}"
-        lines.append(f"{number} [label={_quoted(label)}];")
-    arrows: dict[tuple[int, int], _Arrow] = {}
-    for source, row in enumerate(machine.states):
-        for letter, (target, output) in enumerate(row):
-            ends = kinds.index(words[source]), kinds.index(words[target])
-            arrow = arrows.setdefault(ends, _Arrow())
-            arrow.add(names[letter], output.codes, (source, letter) in differing)
-    for (start, end), arrow in arrows.items():
-        lines.append(arrow.line(protocol, start, end, "", named=_NAMED))
-    return "\n".join([*lines, "}", ""])
+def _arrow(source: int, target: int, answers: dict[str, set[str]], red: Collection[str]) -> str:
+    """An arrow in DOT. A few inputs stand on it, more are counted."""
+    each = [f"{name}: {' or '.join(sorted(words))}" for name, words in answers.items()]
+    kinds = set[str]().union(*answers.values())
+    label = "\n".join(each)
+    if len(each) > _NAMED:
+        all_alike = f": {min(kinds)}" if len(kinds) == 1 else f", {quantity(len(kinds), 'answer')}"
+        label = quantity(len(each), "input") + all_alike
+        label += "".join(f"\n{name} differs" for name in red)
+    words = f"label={_quoted(label)} tooltip={_quoted(chr(10).join(each))}"
+    return f"{source} -> {target} [{words}{' ' + _RED if red else ''}];"
 
 
-def _head(title: str) -> list[str]:
-    return [
-        f"digraph {_quoted(title)} {{",
-        'rankdir=LR; node [shape=box style=rounded fontname="sans-serif"];',
-        'edge [fontname="sans-serif" fontsize=10];',
-        'start [shape=point]; start -> 0 [tooltip="homed"];',
-    ]
-
-
-def state_words(machine: Machine) -> tuple[str, ...]:
+def state_words(machine: Mealy[Output]) -> tuple[str, ...]:
     """Each state in words: its number, and what is seen on every way into it."""
-    numbered = enumerate(_seen(machine, lambda output: output.look_words))
-    return tuple(
-        f"{i}: {min(seen)}" if len(seen) == 1 and min(seen) else str(i) for i, seen in numbered
-    )
+    seen = _seen(machine, lambda output: output.look_words)
+    return tuple(f"{number}: {words}" if words else str(number) for number, words in seen)
 
 
-def _seen(machine: Machine, words: Callable[[Output], str]) -> list[set[str]]:
-    """For each state what is seen on the ways into it, in words."""
-    seen: list[set[str]] = [set() for _ in machine.states]
-    for row in machine.states:
-        for target, output in row:
+def _kinds(machine: Mealy[Output]) -> tuple[str, ...]:
+    """The kind of motion that is seen on every way into each state."""
+    return tuple(words for _, words in _seen(machine, lambda output: output.motion_words))
+
+
+def _seen(machine: Mealy[Output], words: Callable[[Output], str]) -> list[tuple[int, str]]:
+    """Each state with what is seen on the ways into it, "" where that is not always the same."""
+    seen: list[set[str]] = [set() for _ in machine.targets]
+    for targets, outputs in zip(machine.targets, machine.outputs, strict=True):
+        for target, output in zip(targets, outputs, strict=True):
             seen[target].add(words(output))
-    return seen
+    return [(number, min(ways) if len(ways) == 1 else "") for number, ways in enumerate(seen)]
 
 
 def _quoted(text: str) -> str:

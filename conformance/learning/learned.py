@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from bilprov.analyzer.client.link import Link, drive
 from bilprov.analyzer.client.operations import Ended, Procedure, send
@@ -12,12 +12,11 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
-from bilprov.conformance.learning.comparison import Difference
-from bilprov.conformance.learning.learner import Learner
-from bilprov.conformance.learning.machine import Machine, Word
-from bilprov.conformance.learning.output import Output
-from bilprov.conformance.learning.reference import reference_machine
+from bilprov.conformance.learning.learner import Difference, Learner
+from bilprov.conformance.learning.output import FACETS, Output
+from bilprov.conformance.learning.reference import reference_machine, seen_without
 from bilprov.conformance.learning.system import NotLearned, System
+from bilprov.conformance.machines.mealy import Mealy, minimal
 from bilprov.conformance.oracle.choices import Choices, verdict_of
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
@@ -33,9 +32,6 @@ from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
 
-FACETS = {"moving": "whether it moves", "motion": "its motion", "ahead": "its wheels", "led": "led"}
-"""What a look can show, by the facet of an output, in words."""
-
 
 @dataclass(slots=True)
 class Learned:
@@ -44,7 +40,7 @@ class Learned:
     `steps` are the inputs, `machine` is the device's, None where it was not learned, and then
     `trouble` says why in a sentence. `expected_states` is how many the Protocol's machine has over
     the same inputs, as far as it was seen. `differences` were each seen on the device, the shortest
-    first; `more` tells that there are others. `choices` are the open points at which the device
+    first; `more` says that there are others. `choices` are the open points at which the device
     chooses otherwise than the kit, with its word and the verdict of that. `beside` are failures
     found before, between and after the sequences, as case and reason. `broken` is true where the
     kit or the port failed. `seen` are facets of the look, in words. `flaky` counts outcomes that
@@ -58,7 +54,7 @@ class Learned:
     seed: int
     steps: tuple[Step, ...]
     lossless: bool
-    machine: Machine | None = None
+    machine: Mealy[Output] | None = None
     expected_states: int = 0
     differences: tuple[Difference, ...] = ()
     more: bool = False
@@ -71,7 +67,6 @@ class Learned:
     sequences: int = 0
     repeated: int = 0
     flaky: int = 0
-    verdict: Verdict = field(init=False, default=Verdict.PASS)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,18 +74,18 @@ class Learned:
         return tuple(name_of(self.protocol, step) for step in self.steps)
 
     @property
+    def verdict(self) -> Verdict:
+        """The verdict, from what was found. What was never seen is no pass."""
+        if self.differences or self.beside or (self.flaky and self.lossless):
+            return Verdict.FAIL
+        if self.broken:
+            return Verdict.ERROR
+        return Verdict.INCONCLUSIVE if self.trouble or self.flaky or not self.seen else Verdict.PASS
+
+    @property
     def exit(self) -> int:
         """The exit code: 0 the same machine, 1 another, 2 the kit failed, 3 not all is known."""
         return exit_code([self.verdict])
-
-    def judge(self) -> None:
-        """Set the verdict, from what was found. What was never seen is no pass."""
-        if self.differences or self.beside or (self.flaky and self.lossless):
-            self.verdict = Verdict.FAIL
-        elif self.broken:
-            self.verdict = Verdict.ERROR
-        elif self.trouble or self.flaky or not self.seen:
-            self.verdict = Verdict.INCONCLUSIVE
 
     def send_line(self, difference: Difference) -> str:
         """The command that sends the sequence of a difference, from rest.
@@ -104,7 +99,7 @@ class Learned:
         items = [item_of(protocol, frame) for frame in frames]
         return shlex.join(["bilprov", *named, "send", port, *items])
 
-    def frames_of(self, word: Word) -> tuple[bytes, ...]:
+    def frames_of(self, word: bytes) -> tuple[bytes, ...]:
         """The frames of a sequence of inputs."""
         return tuple(self.steps[letter].frame for letter in word)
 
@@ -127,12 +122,11 @@ def learn_target(
     protocol, environment = target.protocol, target.environment
     steps = alphabet(protocol)
     lossless = environment.lossless
-    told = Learned(protocol, environment.device, environment.link, seed, steps, lossless)
+    learned = Learned(protocol, environment.device, environment.link, seed, steps, lossless)
     timers = timers_of(environment, protocol)
-    deadline = int(protocol.timing.answer_deadline * MS)
     config = RunConfig(
         protocol,
-        timers.due_within(deadline),
+        timers.due_within(int(protocol.timing.answer_deadline * MS)),
         environment.observability,
         environment.power,
         environment.virtual,
@@ -146,26 +140,25 @@ def learn_target(
             try:
                 unusable = drive(_opening(run), link, target.interrupted)
             finally:
-                told.beside = _failures(run.results)
+                learned.beside = _failures(run.results)
             if unusable:
                 raise Unusable(unusable)
-            _learn(run, link, target.interrupted, told, progress)
+            _learn(run, link, target.interrupted, learned, progress)
         except (GaveUp, NotLearned) as why:
-            told.trouble = str(why)
+            learned.trouble = str(why)
         except Ended as ended:
-            told.trouble, told.broken, works = str(ended), ended.error, ended.line_works
+            learned.trouble, learned.broken, works = str(ended), ended.error, ended.line_works
         finally:
             if works:
                 done = len(run.results)
                 ended_again = drive(leave(run), link, target.interrupted)
-                if ended_again and ended_again.error and not told.trouble:
-                    told.trouble, told.broken = str(ended_again), True
-                told.beside += _failures(run.results[done:])
+                if ended_again and ended_again.error and not learned.trouble:
+                    learned.trouble, learned.broken = str(ended_again), True
+                learned.beside += _failures(run.results[done:])
     except BaseException:
         target.halt()
         raise
-    told.judge()
-    return told
+    return learned
 
 
 def _failures(results: Sequence[CaseResult]) -> tuple[tuple[str, str], ...]:
@@ -212,60 +205,38 @@ def _learn(
     run: Run,
     link: Link,
     interrupted: Callable[[], bool | str],
-    told: Learned,
+    learned: Learned,
     progress: Callable[[int, int], None],
 ) -> None:
     """Learn the device, and fill in what came of it, however it ends."""
     choices = run.profile.choices
-    told.choices = tuple(
+    learned.choices = tuple(
         (point, choices.word(point), verdict_of(point, choices.word(point)).label)
         for point in sorted(choices.others)
     )
-    reference = reference_machine(Model(run.protocol, choices), told.steps)
-    states = 0
-
-    def sent(frames: int) -> None:
-        progress(states, frames)
-
-    def found(count: int) -> None:
-        nonlocal states
-        states = count
-
+    reference = reference_machine(Model(run.protocol, choices), learned.steps)
+    system = System(
+        *(run, link, interrupted, learned.steps, reference),
+        sent=lambda frames: progress(learner.states, frames),
+    )
+    learner = Learner(system, reference, seed=learned.seed)
     begun = len(run.results)
-    system = System(run, link, interrupted, told.steps, reference, sent)
-    learner = Learner(system, reference, seed=told.seed, hypothesis=found)
     try:
-        machine = learner.learn()
-        told.machine, told.more = machine, learner.more
-        told.differences = tuple(learner.differences)
-        told.expected_states = len(_as_seen(reference, machine).minimal().states)
-        told.seen = tuple(words for facet, words in FACETS.items() if _shows(machine, facet))
+        learned.machine = machine = learner.learn()
+        learned.differences, learned.more = tuple(learner.differences), learner.more
+        outputs = [output for row in machine.outputs for output in row]
+        hidden = {one for one in FACETS if all(getattr(o, one) is None for o in outputs)}
+        learned.seen = tuple(words for facet, words in FACETS.items() if facet not in hidden)
+        learned.expected_states = len(minimal(seen_without(reference, hidden)))
     finally:
-        if told.machine is None and system.deviation:
-            told.differences = (system.deviation,)
-        told.frames, told.sequences = system.frames, system.sequences
-        told.repeated, told.flaky = system.repeated, system.flaky
+        if learned.machine is None and system.deviation:
+            learned.differences = (system.deviation,)
+        learned.frames, learned.sequences = system.frames, system.sequences
+        learned.repeated, learned.flaky = system.repeated, system.flaky
         run.strays.close(keeps_all=run.keeps_all)
         between = run.results[begun:]
-        if told.lossless:
-            told.beside += _failures(between)
+        if learned.lossless:
+            learned.beside += _failures(between)
         else:
             # In so many sequences noise makes as many strays as fail a run of the suite.
-            told.flaky += len(between)
-
-
-def _shows(machine: Machine, facet: str) -> bool:
-    """Whether any output of the machine has this facet."""
-    return any(getattr(t.output, facet) is not None for row in machine.states for t in row)
-
-
-def _as_seen(reference: Machine, machine: Machine) -> Machine:
-    """The reference with only those facets that the device's outputs have."""
-    hidden = {facet: None for facet in FACETS if not _shows(machine, facet)}
-
-    def shown(output: Output) -> Output:
-        return output._replace(**hidden)  # type: ignore[arg-type]  # each facet may be None
-
-    return Machine(
-        tuple(tuple(t._replace(output=shown(t.output)) for t in row) for row in reference.states)
-    )
+            learned.flaky += len(between)

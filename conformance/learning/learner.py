@@ -4,30 +4,35 @@ The algorithm of Kearns and Vazirani identifies the target of each transition by
 tree. Its hypothesis is compared with the machine that is expected, which gives the counterexamples:
 where outputs differ, and where one state stands for several of the expected ones, the device is
 asked who is right. What then is left is tried by seeded random sequences.
+
+AALpy's own comparison (`bisimilar`) and its oracles know neither a facet that nobody sees nor what
+is expected: they would ask a robot for hours what this asks in seconds.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator
-from functools import cache, partial
 from itertools import chain
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from bilprov.conformance.learning.comparison import (
-    Difference,
-    differences,
-    distinguishing,
-    joint_states,
-)
-from bilprov.conformance.learning.machine import Machine, Word, explored
 from bilprov.conformance.learning.output import Output
+from bilprov.conformance.machines.mealy import Mealy, explore, minimal
+from bilprov.conformance.machines.wp_method import Characterisation, state_cover
 from bilprov.spec.errors import UserError
 
 WALKS, STRIDE = 200, 12
 """Random sequences that a final hypothesis must pass, and the number of inputs in each."""
 MOST_DIFFERENCES = 12
 """Differences that are checked on the device."""
+
+
+class Difference(NamedTuple):
+    """A sequence of inputs after whose last one the outputs differ for the first time."""
+
+    word: bytes
+    expected: Output
+    actual: Output
 
 
 class NoAALpy(UserError):
@@ -37,7 +42,7 @@ class NoAALpy(UserError):
 class Teacher(Protocol):
     """Whoever answers an output query."""
 
-    def outputs(self, word: Word) -> list[Output]:
+    def outputs(self, word: bytes) -> tuple[Output, ...]:
         """The outputs for a sequence of inputs."""
 
 
@@ -56,92 +61,104 @@ def require_aalpy() -> Callable[..., Any]:
 class Learner:
     """Learns the machine of a teacher, and finds where it differs from `reference`.
 
-    `seed` makes the random sequences. `hypothesis` is called with the number of states of each
-    hypothesis. Afterwards `differences` holds the differences that the teacher has confirmed, the
-    shortest first, and `more` whether there are others beside them.
+    `seed` makes the random sequences. `states` is how many the last hypothesis has. Afterwards
+    `differences` holds the differences that the teacher has confirmed, the shortest first, and
+    `more` whether there are others beside them.
     """
 
-    def __init__(
-        self,
-        teacher: Teacher,
-        reference: Machine,
-        *,
-        seed: int = 1,
-        hypothesis: Callable[[int], None] = lambda states: None,
-    ) -> None:
-        self._teacher = teacher
-        self._reference = reference
-        self._minimal = reference.minimal()
-        self._apart = cache(partial(distinguishing, self._minimal))
+    def __init__(self, teacher: Teacher, reference: Mealy[Output], *, seed: int = 1) -> None:
+        self._teacher, self._reference = teacher, reference
+        self._minimal = minimal(reference)
+        self._apart = Characterisation(self._minimal)
         self._seed = seed
-        self._told = hypothesis
-        self._machine: Machine | None = None
+        self._machine = reference
+        self.states = 0
         self.differences: list[Difference] = []
         self.more = False
         # What the library counts, and we do not read.
         self.num_queries = self.num_steps = self.num_cached_queries = 0
 
-    def learn(self) -> Machine:
+    def learn(self) -> Mealy[Output]:
         """Learn the machine. Raises NoAALpy, and whatever the teacher raises."""
-        run = require_aalpy()
-        alphabet = list(self._reference.inputs)
-        run(
-            *(alphabet, self, self, "mealy"),
-            cex_processing="rs",
-            cache_and_non_det_check=False,
-            print_level=0,
-        )
-        assert self._machine is not None
+        settings = {"cex_processing": "rs", "cache_and_non_det_check": False, "print_level": 0}
+        require_aalpy()(list(self._reference.inputs), self, self, "mealy", **settings)
         return self._machine
 
-    def query(self, word: Word) -> list[Output]:
+    def query(self, word: tuple[int, ...]) -> list[Output]:
         """Answer an output query of the algorithm."""
-        return self._teacher.outputs(tuple(word))
+        return list(self._teacher.outputs(bytes(word)))
 
-    def find_cex(self, hypothesis: Any) -> Word | None:
+    def find_cex(self, hypothesis: Any) -> bytes | None:
         """A sequence for which the algorithm's hypothesis is wrong, None if none is found."""
-        self._machine = machine = _machine_of(hypothesis, len(self._reference.inputs))
-        self._told(len(machine.states))
+        self._machine = explore(
+            hypothesis.initial_state,
+            len(self._reference.inputs),
+            lambda state, letter: (state.transitions[letter], state.output_fun[letter]),
+        )
+        self.states = len(self._machine)
         self.differences, self.more = [], False
-        for difference in differences(self._reference, machine):
+        for difference in differences(self._reference, self._machine):
             if len(self.differences) == MOST_DIFFERENCES:
                 self.more = True
                 break
-            wrong = self._wrong(machine, difference.word)
+            wrong = self._wrong(difference.word)
             if wrong:
                 return wrong
             self.differences.append(difference)
-        suspects = chain(self._several(machine), self._walks(machine))
-        return next(filter(None, (self._wrong(machine, word) for word in suspects)), None)
+        return next(filter(None, map(self._wrong, chain(self._several(), self._walks()))), None)
 
-    def _several(self, machine: Machine) -> Iterator[Word]:
+    def _several(self) -> Iterator[bytes]:
         """Sequences that would tell the expected states apart which one state stands for."""
-        first: dict[int, tuple[int, Word]] = {}
-        for (due, given), word in joint_states(self._minimal, machine).items():
-            other, access = first.setdefault(given, (due, word))
+        first: dict[int, tuple[int, bytes]] = {}
+        both = side_by_side(self._minimal, self._machine, past_differences=True)
+        for word in state_cover(both):
+            due = self._minimal.after(word)
+            other, access = first.setdefault(self._machine.after(word), (due, word))
             if other != due:
-                apart = self._apart(other, due)
+                apart = self._apart.separating(other, due)
                 yield access + apart
                 yield word + apart
 
-    def _walks(self, machine: Machine) -> Iterator[Word]:
+    def _walks(self) -> Iterator[bytes]:
         draw = random.Random(f"walks {self._seed}")
         for _ in range(WALKS):
-            yield tuple(draw.choices(machine.inputs, k=STRIDE))
+            yield bytes(draw.choices(self._machine.inputs, k=STRIDE))
 
-    def _wrong(self, machine: Machine, word: Word) -> Word | None:
+    def _wrong(self, word: bytes) -> bytes | None:
         """The sequence up to where the teacher's outputs are not the machine's, None if all are."""
-        pairs = zip(machine.outputs(word), self._teacher.outputs(word), strict=True)
+        pairs = zip(self._machine.run(word), self._teacher.outputs(word), strict=True)
         place = next((i for i, (mine, theirs) in enumerate(pairs) if mine != theirs), None)
         return None if place is None else word[: place + 1]
 
 
-def _machine_of(hypothesis: Any, inputs: int) -> Machine:
-    """The library's machine as ours."""
-    states = {state.state_id: state for state in hypothesis.states}
+def differences(reference: Mealy[Output], learned: Mealy[Output]) -> Iterator[Difference]:
+    """Yield where the machines differ, the shortest sequences first.
 
-    def step(ident: str, letter: int) -> tuple[str, Output]:
-        state = states[ident]
-        return state.transitions[letter].state_id, state.output_fun[letter]
+    Behind a difference the search does not go on; the same input with the same two outputs is
+    yielded once, at its shortest. What is expected has the facets that are seen.
+    """
+    both = side_by_side(reference, learned, past_differences=False)
+    kinds: set[tuple[int, Output, Output]] = set()
+    for word, outputs in zip(state_cover(both), both.outputs, strict=True):
+        for letter, (due, given) in enumerate(outputs):
+            expected = due.beside(given)
+            if not due.fits(given) and (letter, expected, given) not in kinds:
+                kinds.add((letter, expected, given))
+                yield Difference(word + bytes([letter]), expected, given)
 
-    return explored(hypothesis.initial_state.state_id, inputs, step)
+
+def side_by_side(
+    one: Mealy[Output], other: Mealy[Output], *, past_differences: bool
+) -> Mealy[tuple[Output, Output]]:
+    """The machine of the pairs of states that both reach; its outputs are those of both.
+
+    Unless `past_differences`, outputs that do not fit lead back to the first state.
+    """
+
+    def step(pair: tuple[int, int], letter: int) -> tuple[tuple[int, int], tuple[Output, Output]]:
+        outputs = one.outputs[pair[0]][letter], other.outputs[pair[1]][letter]
+        targets = one.targets[pair[0]][letter], other.targets[pair[1]][letter]
+        follows = past_differences or outputs[0].fits(outputs[1])
+        return (targets if follows else (0, 0)), outputs
+
+    return explore((0, 0), len(one.inputs), step)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from bilprov.captures.schemas import Look
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.spec.motion import WHEELS, Motion
 from bilprov.spec.protocol import Protocol
+
+FACETS = {"moving": "whether it moves", "motion": "its motion", "ahead": "its wheels", "led": "led"}
+"""What a look can show, by the facet of an output, in words."""
+_MOTIONS = {signs: motion.value for motion, signs in WHEELS.items()}
 
 
 class Output(NamedTuple):
@@ -25,25 +30,15 @@ class Output(NamedTuple):
 
     def fits(self, other: Output) -> bool:
         """Whether both are equal in their answers and in every facet that both have."""
-        return self.codes == other.codes and all(
-            mine is None or theirs is None or mine == theirs
-            for mine, theirs in zip(self[1:], other[1:], strict=True)
-        )
+        return self == other or self.beside(other) == other.beside(self)
 
     def beside(self, other: Output) -> Output:
         """This output with only those facets that the other has too."""
-        return Output(
-            self.codes,
-            None if other.moving is None else self.moving,
-            None if other.motion is None else self.motion,
-            None if other.ahead is None else self.ahead,
-            None if other.led is None else self.led,
-        )
+        return self.without(name for name in FACETS if getattr(other, name) is None)
 
-    @property
-    def look(self) -> tuple[bool | None, str | None, str | None, int | None]:
-        """The facets of the look."""
-        return self.moving, self.motion, self.ahead, self.led
+    def without(self, facets: Iterable[str]) -> Output:
+        """This output with these facets not seen."""
+        return self._replace(**dict.fromkeys(facets))  # type: ignore[arg-type]  # each may be None
 
     @property
     def motion_words(self) -> str:
@@ -55,17 +50,13 @@ class Output(NamedTuple):
     @property
     def look_words(self) -> str:
         """The look in few words: `forward, left wheel ahead, led 7`; "" where nothing is seen."""
-        words = [self.motion_words] if self.motion_words else []
-        if self.ahead in ("left", "right"):
-            words.append(f"{self.ahead} wheel ahead")
-        if self.led is not None:
-            words.append(f"led {self.led}")
-        return ", ".join(words)
+        ahead = f"{self.ahead} wheel ahead" if self.ahead in ("left", "right") else ""
+        led = "" if self.led is None else f"led {self.led}"
+        return ", ".join(filter(None, (self.motion_words, ahead, led)))
 
     def words(self, protocol: Protocol) -> str:
         """The whole output in words: `00 OK; forward, led 0`."""
-        look = self.look_words
-        return answer_words(protocol, self.codes) + (f"; {look}" if look else "")
+        return "; ".join(filter(None, (answer_words(protocol, self.codes), self.look_words)))
 
 
 def output_of(codes: tuple[int, ...], look: Look | None) -> Output:
@@ -77,8 +68,7 @@ def output_of(codes: tuple[int, ...], look: Look | None) -> Output:
     motion, ahead = Motion.STOPPED.value if still else look.motion, None
     if look.left is not None and look.right is not None:
         turning, ahead = _turning(look.left, look.right)
-        agree = motion in (None, turning)
-        motion = turning if agree else f"{motion}, by its wheels {turning}"
+        motion = turning if motion in (None, turning) else f"{motion}, by its wheels {turning}"
     return Output(codes, look.moving, motion, ahead, look.led)
 
 
@@ -96,6 +86,3 @@ def _turning(left: int, right: int) -> tuple[str, str | None]:
 
 def _sign(value: int) -> int:
     return (value > 0) - (value < 0)
-
-
-_MOTIONS = {signs: motion.value for motion, signs in WHEELS.items()}

@@ -1,21 +1,35 @@
-"""The machine of the Protocol over the same inputs, with the choices that a device has shown."""
+"""The machine of the Protocol over the same inputs, and how long it takes to learn it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-from bilprov.captures.schemas import Look
+from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.preamble import frame_effect_of
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.learning.alphabet import reset
-from bilprov.conformance.learning.machine import Machine, explored
-from bilprov.conformance.learning.output import Output, output_of
+from bilprov.conformance.dut.target import Target
+from bilprov.conformance.learning.alphabet import alphabet, reset
+from bilprov.conformance.learning.output import FACETS, Output, output_of
+from bilprov.conformance.machines.mealy import Mealy, explore, minimal
+from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
+from bilprov.conformance.oracle.timers import timers_of
 from bilprov.spec.motion import wheels
 
+_OPENING = 10.0  # s for the link check, measurements and experiments
+_LATENCY = MS // 2  # of an answer, and of a look
+_ASKED, _LENGTH = 2.5, 5  # sequences that learning takes for each transition, and their inputs
+_SHOWS = {
+    "speed": ("moving", "motion", "ahead"),
+    "motion": ("motion", "ahead"),
+    "steering": ("ahead",),
+    "led": ("led",),
+}
+"""The facets that depend on each variable; a robot that stands still shows no speed."""
 
-def reference_machine(model: Model, steps: Sequence[Step]) -> Machine:
+
+def reference_machine(model: Model, steps: Sequence[Step]) -> Mealy[Output]:
     """The machine that a device must be which makes the model's choices; it may not be minimal.
 
     Facets of an output that the model does not know are None.
@@ -30,22 +44,47 @@ def reference_machine(model: Model, steps: Sequence[Step]) -> Machine:
         after = replace(model.after(before, one.frame_effect), rests_on=frozenset())
         return after, _expected(model, one, after)
 
-    return explored(replace(start, rests_on=frozenset()), len(steps), step)
+    return explore(replace(start, rests_on=frozenset()), len(steps), step)
+
+
+def seen_without(machine: Mealy[Output], facets: Collection[str]) -> Mealy[Output]:
+    """The machine with outputs that do not have these facets."""
+    return Mealy(
+        machine.targets, tuple(tuple(o.without(facets) for o in row) for row in machine.outputs)
+    )
+
+
+def estimated_seconds(target: Target) -> float:
+    """About how long (s) it takes to learn a conforming device in place of the target."""
+    protocol, steps = target.protocol, alphabet(target.protocol)
+    looks = target.environment.observability.available
+    settle = timers_of(target.environment, protocol).settle
+    machine = reference_machine(Model(protocol, Choices()), steps)
+    transitions = len(steps) * len(minimal(seen_without(machine, () if looks else FACETS)))
+
+    def exchange(frame: bytes) -> int:
+        return (len(frame) + 1) * target.byte_time + _LATENCY + target.latency
+
+    each = sum(exchange(step.frame) for step in steps) / len(steps) + (
+        _LATENCY if looks else settle
+    )
+    # A truncated frame is hardly ever but the last of a sequence.
+    timeouts = (
+        sum(step.truncated for step in steps) / len(steps) * protocol.timing.truncation_timeout
+    )
+    # Each stop of homing is answered while the next ones are sent.
+    begin = exchange(bytes(protocol.longest_frame)) + settle + sum(map(exchange, reset(protocol)))
+    return _OPENING + _ASKED * transitions * (begin + _LENGTH * each + timeouts * MS) / 1e9
 
 
 def _expected(model: Model, step: Step, after: ExpectedState) -> Output:
     word = model.choices.word(step.point) if step.point else ""
     accepted = next((one for one in step.accepted if one.word == word), step.accepted[0])
-    state, unknown = after.state, after.unknown
+    state = after.state
     full = max(abs(end) for end in model.protocol.limits.get("steering", (0, 0)))
     left, right = wheels(state, full)
     motion = state.visible_motion.value
     look = Look(t=0, moving=state.moving, motion=motion, led=state.led, left=left, right=right)
-    output = output_of(accepted.codes, look)
-    if "speed" in unknown and not after.still:
-        output = output._replace(moving=None, motion=None, ahead=None)
-    if "motion" in unknown:
-        output = output._replace(motion=None, ahead=None)
-    if "steering" in unknown:
-        output = output._replace(ahead=None)
-    return output._replace(led=None) if "led" in unknown else output
+    unknown = after.unknown - {"speed"} if after.still else after.unknown
+    hidden = (facet for variable in unknown for facet in _SHOWS[variable])
+    return output_of(accepted.codes, look).without(hidden)

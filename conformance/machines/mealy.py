@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 S = TypeVar("S", bound=Hashable)
+T = TypeVar("T", bound=Hashable)
+O_co = TypeVar("O_co", bound=Hashable, covariant=True)
 Output = Hashable
 
 MOST_INPUTS = 256
@@ -15,14 +17,14 @@ MOST_INPUTS = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Mealy:
+class Mealy(Generic[O_co]):
     """A complete, deterministic Mealy machine; it starts in state 0.
 
     `targets` and `outputs` hold a row for each state with an entry for each input.
     """
 
     targets: tuple[tuple[int, ...], ...]
-    outputs: tuple[tuple[Output, ...], ...]
+    outputs: tuple[tuple[O_co, ...], ...]
 
     def __len__(self) -> int:
         return len(self.targets)
@@ -38,7 +40,7 @@ class Mealy:
             state = self.targets[state][symbol]
         return state
 
-    def run(self, word: bytes, state: int = 0) -> tuple[Output, ...]:
+    def run(self, word: bytes, state: int = 0) -> tuple[O_co, ...]:
         """The output of each input of a word."""
         outputs = []
         for symbol in word:
@@ -46,7 +48,7 @@ class Mealy:
             state = self.targets[state][symbol]
         return tuple(outputs)
 
-    def restricted(self, inputs: Iterable[int]) -> Mealy:
+    def restricted(self, inputs: Iterable[int]) -> Mealy[O_co]:
         """The machine with only these inputs, in this order."""
         chosen = tuple(inputs)
         return Mealy(
@@ -55,7 +57,7 @@ class Mealy:
         )
 
 
-def explore(start: S, inputs: int, step: Callable[[S, int], tuple[S, Output]]) -> Mealy:
+def explore(start: S, inputs: int, step: Callable[[S, int], tuple[S, T]]) -> Mealy[T]:
     """The machine of all states that inputs reach from `start`; `step` gives state and output.
 
     Raises ValueError for more than MOST_INPUTS inputs.
@@ -77,7 +79,7 @@ def explore(start: S, inputs: int, step: Callable[[S, int], tuple[S, Output]]) -
     return Mealy(tuple(targets), tuple(outputs))
 
 
-def refined(machine: Mealy, blocks: Sequence[int], inputs: Iterable[int]) -> list[int]:
+def refined(machine: Mealy[Output], blocks: Sequence[int], inputs: Iterable[int]) -> list[int]:
     """The next partition: states stay in a block that agree on outputs and on the targets' blocks.
 
     `blocks` holds the number of each state's block.
@@ -91,7 +93,7 @@ def refined(machine: Mealy, blocks: Sequence[int], inputs: Iterable[int]) -> lis
     return after
 
 
-def minimal(machine: Mealy) -> Mealy:
+def minimal(machine: Mealy[T]) -> Mealy[T]:
     """The smallest machine with the same outputs for every word, by partition refinement."""
     blocks, count = [0] * len(machine), 0
     while count < len(set(blocks)) or count == 0:
@@ -99,14 +101,14 @@ def minimal(machine: Mealy) -> Mealy:
         blocks = refined(machine, blocks, machine.inputs)
     member = {block: state for state, block in reversed(list(enumerate(blocks)))}
 
-    def step(block: int, symbol: int) -> tuple[int, Output]:
+    def step(block: int, symbol: int) -> tuple[int, T]:
         state = member[block]
         return blocks[machine.targets[state][symbol]], machine.outputs[state][symbol]
 
     return explore(blocks[0], len(machine.inputs), step)
 
 
-def input_classes(machine: Mealy) -> tuple[tuple[int, ...], ...]:
+def input_classes(machine: Mealy[Output]) -> tuple[tuple[int, ...], ...]:
     """The inputs in classes: those of one class have the same target and output in every state."""
     classes: dict[Hashable, list[int]] = {}
     for symbol in machine.inputs:

@@ -62,7 +62,9 @@ class Characterisation:
     inputs that are used only where no word without them tells two states apart.
     """
 
-    def __init__(self, machine: Mealy, reset: Reset = NO_RESET, dear: Sequence[int] = ()) -> None:
+    def __init__(
+        self, machine: Mealy[Output], reset: Reset = NO_RESET, dear: Sequence[int] = ()
+    ) -> None:
         self._machine = machine
         self._reset = reset
         self._dear = bytes(dear)
@@ -117,7 +119,7 @@ class Characterisation:
         """These words and as many more as tell the states of different blocks apart."""
         words = list(words)
         while pair := self._alike(words, blocks):
-            words.append(self._separating(*pair))
+            words.append(self.separating(*pair))
         return words
 
     def _alike(self, words: list[bytes], blocks: list[int]) -> tuple[int, int] | None:
@@ -129,7 +131,7 @@ class Characterisation:
                 return first, state
         return None
 
-    def _separating(self, one: int, other: int) -> bytes:
+    def separating(self, one: int, other: int) -> bytes:
         """The shortest word that tells two states apart, without dear inputs if there is one."""
         machine, word = self._machine, bytearray()
         level = self._level(one, other)
@@ -153,7 +155,9 @@ class Characterisation:
         return next(n for n, (_, b) in enumerate(self._rounds) if b[one] != b[other])
 
 
-def _rounds(machine: Mealy, dear: Sequence[int]) -> Iterator[tuple[tuple[int, ...], list[int]]]:
+def _rounds(
+    machine: Mealy[Output], dear: Sequence[int]
+) -> Iterator[tuple[tuple[int, ...], list[int]]]:
     """The partitions of the refinement, each with the inputs that led to it; dear ones come last.
 
     Raises ValueError for a machine that is not minimal.
@@ -172,7 +176,7 @@ def _rounds(machine: Mealy, dear: Sequence[int]) -> Iterator[tuple[tuple[int, ..
         raise ValueError("the machine is not minimal: no word distinguishes two of its states")
 
 
-def state_cover(machine: Mealy, dear: Sequence[int] = ()) -> tuple[bytes, ...]:
+def state_cover(machine: Mealy[Output], dear: Sequence[int] = ()) -> tuple[bytes, ...]:
     """The shortest word to each state, in the order of the states; dear inputs are tried last."""
     words: dict[int, bytes] = {0: b""}
     cheap = [symbol for symbol in machine.inputs if symbol not in dear]
@@ -188,13 +192,13 @@ def state_cover(machine: Mealy, dear: Sequence[int] = ()) -> tuple[bytes, ...]:
     return tuple(words[state] for state in range(len(machine)))
 
 
-def most_words(machine: Mealy, extra: int) -> int:
+def most_words(machine: Mealy[Output], extra: int) -> int:
     """How many beginnings the suite has, each of which needs at least one word."""
     return int(len(machine) * len(machine.inputs) ** (extra + 1))
 
 
 def wp_suite(
-    machine: Mealy, extra: int = 0, reset: Reset = NO_RESET, dear: Sequence[int] = ()
+    machine: Mealy[Output], extra: int = 0, reset: Reset = NO_RESET, dear: Sequence[int] = ()
 ) -> Suite:
     """The words of the Wp-method for devices with at most `extra` states more than the machine.
 

@@ -17,7 +17,7 @@ from bilprov.conformance.cases.proof import (
     suite,
 )
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.machines.mealy import Mealy, minimal
+from bilprov.conformance.machines.mealy import Mealy, Output, minimal
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.proof import proven
@@ -32,7 +32,7 @@ ONLY_ANSWERS = Options(level="complete", only=("complete/answers/*",))
 class MachineDevice:
     """A device that is a Mealy machine over the byte classes; it shows nothing but answers."""
 
-    def __init__(self, protocol: Protocol, machine: Mealy) -> None:
+    def __init__(self, protocol: Protocol, machine: Mealy[Output]) -> None:
         known = byte_machine(protocol, None)
         self._machine, self._silence = machine, known.silence
         self._inputs = {byte: n for n, members in enumerate(known.classes) for byte in members}
@@ -68,7 +68,7 @@ class MachineDevice:
         self._state = self._machine.targets[self._state][symbol]
 
 
-def other_machine(draw: Random, machine: Mealy) -> Mealy:
+def other_machine(draw: Random, machine: Mealy[Output]) -> Mealy[Output]:
     """The machine with one transition changed, in a way that shows."""
     while True:
         targets, outputs = list(map(list, machine.targets)), list(map(list, machine.outputs))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Container
+from dataclasses import replace
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
@@ -18,16 +20,16 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.learning.alphabet import reset
-from bilprov.conformance.learning.comparison import Difference
 from bilprov.conformance.learning.learned import Learned, learn_target
+from bilprov.conformance.learning.learner import Difference
 from bilprov.conformance.learning.output import Output, output_of
-from bilprov.conformance.learning.rehearsal import estimated_seconds
+from bilprov.conformance.learning.reference import estimated_seconds
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import Condition, silent, twice
 from tests.support.firmware import AVR, built
-from tests.support.robots import BYTE_TIME, Timers
+from tests.support.robots import BYTE_TIME
 
 
 class Blind:
@@ -126,7 +128,7 @@ def test_another_reading_is_named_and_no_difference(
 
     assert (learned.exit, learned.differences) == (0, ())
     assert learned.machine is not None
-    assert len(learned.machine.states) == states
+    assert len(learned.machine) == states
     points = [point.partition(" ")[0] for point, _, _ in learned.choices]
     assert variant.partition("=")[0] in [*points, "R-stop-latency"]
 
@@ -153,7 +155,7 @@ def test_without_a_probe_answers_alone_are_learned_which_is_no_pass(
     learned = learn(each_protocol, Blind(Simulator(each_protocol)))
 
     assert learned.machine is not None
-    assert (len(learned.machine.states), learned.expected_states) == (1, 1)
+    assert (len(learned.machine), learned.expected_states) == (1, 1)
     assert (learned.exit, learned.seen, learned.differences) == (3, (), ())
 
 
@@ -163,7 +165,7 @@ def test_another_grammar_is_learned_too_though_a_motion_alone_sets_its_led(wide:
 
     assert (learned.exit, learned.trouble) == (0, "")
     assert learned.machine is not None
-    assert len(learned.machine.states) == learned.expected_states > 10
+    assert len(learned.machine) == learned.expected_states > 10
 
 
 def test_without_a_probe_a_wrong_code_is_a_difference(protocol: Protocol) -> None:
@@ -246,7 +248,7 @@ def test_a_bad_line_changes_nothing_about_the_machine(protocol: Protocol) -> Non
     learned = learn(protocol, NoisyDevice(robot, Noise(1e-4, 1e-4, 1e-4), 3))
 
     assert learned.machine is not None
-    assert (len(learned.machine.states), learned.differences) == (36, ())
+    assert (len(learned.machine), learned.differences) == (36, ())
     assert learned.flaky > 0
     assert learned.verdict is Verdict.INCONCLUSIVE
 
@@ -265,11 +267,12 @@ def test_what_contradicts_itself_ends_in_one_sentence(protocol: Protocol) -> Non
 def test_the_time_that_is_told_counts_bytes_and_what_an_adapter_holds_back(
     protocol: Protocol,
 ) -> None:
+    whole = device_target(protocol, Simulator(protocol))
+
     def told(byte_time: int, adapter: int = 0) -> float:
-        timers = Timers()
-        return estimated_seconds(
-            protocol, timers, byte_time=byte_time, adapter=adapter, observable=True
-        )
+        link: dict[str, object] = {"byte_ns": byte_time, "latency_ns": adapter}
+        environment = structs.replace(whole.environment, link=link)
+        return estimated_seconds(replace(whole, environment=environment))
 
     pty, slow, slower, usb = told(0), told(MS), told(2 * MS), told(0, 16 * MS)
     assert pty < slow
@@ -280,7 +283,7 @@ def test_the_time_that_is_told_counts_bytes_and_what_an_adapter_holds_back(
 
 def test_a_line_of_send_names_the_grammar_that_it_needs(horn: Protocol) -> None:
     learned = learn(horn, Blind(Simulator(horn)))
-    word = (learned.names.index("Horn sound=3"),)
+    word = bytes([learned.names.index("Horn sound=3")])
 
     line = learned.send_line(Difference(word, Output((0,)), Output((1,))))
     assert line.startswith("bilprov --grammar horn.py send PORT")
@@ -297,7 +300,7 @@ def test_a_board_is_the_protocols_machine_by_its_answers(protocol: Protocol) -> 
         board.close()
 
     assert learned.machine is not None
-    assert (len(learned.machine.states), learned.differences) == (1, ())
+    assert (len(learned.machine), learned.differences) == (1, ())
 
 
 @AVR

@@ -9,12 +9,12 @@ import pytest
 
 from bilprov.captures.schemas import Look
 from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
-from bilprov.conformance.learning.comparison import Difference, differences
-from bilprov.conformance.learning.drawing import dot_text, overview_text
-from bilprov.conformance.learning.learner import Learner
-from bilprov.conformance.learning.machine import Machine, Transition, Word
+from bilprov.conformance.learning.drawing import dot_text
+from bilprov.conformance.learning.learner import Difference, Learner, differences
 from bilprov.conformance.learning.output import Output, output_of
 from bilprov.conformance.learning.reference import reference_machine
+from bilprov.conformance.machines.mealy import Mealy, minimal
+from bilprov.conformance.machines.wp_method import state_cover
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.spec.protocol import Protocol
@@ -25,17 +25,16 @@ Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 OK, NO = Output((0,)), Output((1,))
 
 
-def machine(*rows: str) -> Machine:
+def machine(*rows: str) -> Mealy[Output]:
     """A machine of rows like `1! 0`: for each input the next state, and ! where it answers 1."""
-    return Machine(
-        tuple(
-            tuple(Transition(int(one.strip("!")), NO if "!" in one else OK) for one in row.split())
-            for row in rows
-        )
+    cells = [row.split() for row in rows]
+    return Mealy(
+        tuple(tuple(int(one.strip("!")) for one in row) for row in cells),
+        tuple(tuple(NO if "!" in one else OK for one in row) for row in cells),
     )
 
 
-def reference(protocol: Protocol) -> Machine:
+def reference(protocol: Protocol) -> Mealy[Output]:
     return reference_machine(Model(protocol, Choices()), alphabet(protocol))
 
 
@@ -73,10 +72,11 @@ def test_a_facet_that_is_not_seen_fits_any_and_another_value_does_not() -> None:
 
 def test_a_minimal_machine_behaves_alike_and_is_numbered_by_its_behaviour() -> None:
     three = machine("2 1", "2 1!", "0 1")  # 0 and 2 behave alike
+    word = bytes([1, 1, 0, 1])
 
-    assert three.minimal() == machine("0 1", "0 1!")
-    assert three.minimal().outputs((1, 1, 0, 1)) == three.outputs((1, 1, 0, 1)) == [OK, NO, OK, OK]
-    assert three.access() == ((), (1,), (0,))
+    assert minimal(three) == machine("0 1", "0 1!")
+    assert minimal(three).run(word) == three.run(word) == (OK, NO, OK, OK)
+    assert state_cover(three) == (b"", bytes([1]), bytes([0]))
 
 
 def test_the_shortest_difference_comes_first_and_each_kind_of_difference_once() -> None:
@@ -84,8 +84,8 @@ def test_the_shortest_difference_comes_first_and_each_kind_of_difference_once() 
 
     assert list(differences(due, due)) == []
     assert list(differences(due, given)) == [
-        Difference((0, 1, 0), OK, NO),
-        Difference((0, 1, 1), OK, NO),
+        Difference(bytes([0, 1, 0]), OK, NO),
+        Difference(bytes([0, 1, 1]), OK, NO),
     ]
 
 
@@ -107,24 +107,22 @@ def test_the_machine_of_the_protocol_does_what_a_robot_of_two_rules_does(
     draw = random.Random("two rules")
 
     for _ in range(60):
-        word = draw.choices(due.inputs, k=10)
+        word = bytes(draw.choices(due.inputs, k=10))
         driven = drive(each_protocol, [*setup, *(steps[letter].frame for letter in word)])
-        for output, (code, state) in zip(due.outputs(word), driven[len(setup) :], strict=True):
+        for output, (code, state) in zip(due.run(word), driven[len(setup) :], strict=True):
             assert output.codes == (code,)
             assert (output.moving, output.led) in [(state.moving, state.led), (state.moving, None)]
             assert output.motion == (state.motion if state.moving else "stopped")
 
 
 class Knowing:
-    """A teacher that knows a machine, and counts what it is asked."""
+    """A teacher that knows a machine."""
 
-    def __init__(self, known: Machine) -> None:
+    def __init__(self, known: Mealy[Output]) -> None:
         self.known = known
-        self.asked = 0
 
-    def outputs(self, word: Word) -> list[Output]:
-        self.asked += 1
-        return self.known.outputs(word)
+    def outputs(self, word: bytes) -> tuple[Output, ...]:
+        return self.known.run(word)
 
 
 def test_any_small_machine_is_learned_whatever_is_expected() -> None:
@@ -134,7 +132,7 @@ def test_any_small_machine_is_learned_whatever_is_expected() -> None:
             " ".join(f"{draw.randrange(size)}{draw.choice(['', '!'])}" for _ in range(3))
             for _ in range(size)
         ]
-        known = machine(*rows).minimal()
+        known = minimal(machine(*rows))
         expected = machine("0 0 0")
         learner = Learner(Knowing(known), expected)
 
@@ -146,28 +144,27 @@ def test_the_machine_of_any_protocol_is_learned_as_its_minimal_one(each_protocol
     due = reference(each_protocol)
     learner = Learner(Knowing(due), due)
 
-    assert learner.learn() == due.minimal()
+    assert learner.learn() == minimal(due)
     assert (learner.differences, learner.more) == ([], False)
 
 
 def test_a_drawing_merges_arrows_counts_them_and_shows_differences_in_red(
     protocol: Protocol,
 ) -> None:
-    moving = Output((0,), moving=True)
-    one = Machine(
-        (
-            (Transition(1, moving), Transition(1, moving._replace(codes=(1,))), Transition(0, OK)),
-            (Transition(1, moving), Transition(1, moving), Transition(0, OK)),
-        )
+    go = Output((0,), moving=True)
+    refused = go._replace(codes=(1,))
+    one = Mealy(
+        ((1, 1, 1, 1, 0), (1, 1, 1, 1, 0)), ((go, go, go, refused, OK), (go, go, go, go, OK))
     )
 
-    text = dot_text(protocol, one, ["Go", 'Say "go"', "Halt"], "a car", {(0, 1)})
+    text = dot_text(protocol, one, ["A", "B", "C", 'Say "go"', "Halt"], "a car", {(0, 3)})
 
     assert text.startswith('digraph "a car" {')
-    assert '1 [label="1: moving" tooltip="Go"];' in text
-    assert 'label="2 inputs, 2 answers\\nSay \\"go\\" differs"' in text
-    assert 'tooltip="Go: 00 OK\\nSay \\"go\\": 01 BAD_HEADER"' in text
-    assert 'label="2 inputs: 00 OK"' in text
+    assert '1 [label="1: moving" tooltip="A"];' in text
+    assert 'label="4 inputs, 2 answers\\nSay \\"go\\" differs"' in text
+    assert 'C: 00 OK\\nSay \\"go\\": 01 BAD_HEADER"' in text
+    assert 'label="4 inputs: 00 OK"' in text
+    assert 'label="Halt: 00 OK"' in text
     assert text.count("#c62828") == 2  # the line and the words of one arrow
 
 
@@ -176,18 +173,16 @@ def test_an_overview_has_a_node_for_each_kind_of_motion(protocol: Protocol) -> N
     stopped = Output((0,), moving=False, motion="stopped", led=0)
     bright = forward._replace(led=7)
     refused = stopped._replace(codes=(1,))
-    one = Machine(
-        (
-            (Transition(1, forward), Transition(0, stopped), Transition(0, refused)),
-            (Transition(1, forward), Transition(2, bright), Transition(0, stopped)),
-            (Transition(2, bright), Transition(2, bright), Transition(0, refused)),
-        )
+    one = Mealy(
+        ((1, 0, 0), (1, 2, 0), (2, 2, 0)),
+        ((forward, stopped, refused), (forward, bright, stopped), (bright, bright, refused)),
     )
 
-    text = overview_text(protocol, one, ["Forward", "LED", "Stop"], "a car", {(2, 2)})
+    names = ["Forward", "LED", "Stop"]
+    text = dot_text(protocol, one, names, "a car", {(2, 2)}, overview=True)
 
-    assert '0 [label="stopped\\n1 state"];' in text
-    assert '1 [label="forward\\n2 states"];' in text
+    assert '0 [label="stopped\\n1 state"' in text
+    assert '1 [label="forward\\n2 states"' in text
     assert '0 -> 1 [label="Forward: 00 OK" tooltip="Forward: 00 OK"];' in text
     assert '1 -> 1 [label="Forward: 00 OK\\nLED: 00 OK"' in text
     red = '1 -> 0 [label="Stop: 00 OK or 01 BAD_HEADER"'

@@ -28,7 +28,7 @@ def counted(outputs: tuple[Output, ...]) -> Hashable:
 RESETS = {"not judged": NO_RESET, "judged": Reset(b"\0\0\0", counted)}
 
 
-def every_machine(states: int, inputs: int, outputs: int) -> Iterator[Mealy]:
+def every_machine(states: int, inputs: int, outputs: int) -> Iterator[Mealy[Output]]:
     rows = list(product(product(range(states), range(outputs)), repeat=inputs))
     for machine in product(rows, repeat=states):
         yield Mealy(
@@ -37,14 +37,14 @@ def every_machine(states: int, inputs: int, outputs: int) -> Iterator[Mealy]:
         )
 
 
-def drawn(draw: Random, states: int, inputs: int, outputs: int) -> Mealy:
+def drawn(draw: Random, states: int, inputs: int, outputs: int) -> Mealy[Output]:
     return Mealy(
         tuple(tuple(draw.randrange(states) for _ in range(inputs)) for _ in range(states)),
         tuple(tuple(draw.randrange(outputs) for _ in range(inputs)) for _ in range(states)),
     )
 
 
-def equal(one: Mealy, other: Mealy) -> bool:
+def equal(one: Mealy[Output], other: Mealy[Output]) -> bool:
     """Whether two machines give the same outputs to every word, by walking through both."""
     met, found = {(0, 0)}, deque([(0, 0)])
     while found:
@@ -58,7 +58,7 @@ def equal(one: Mealy, other: Mealy) -> bool:
     return True
 
 
-def passes(device: Mealy, specified: Mealy, suite: Suite, reset: Reset) -> bool:
+def passes(device: Mealy[Output], specified: Mealy[Output], suite: Suite, reset: Reset) -> bool:
     """Whether a device answers the suite as specified; of resets only what is seen counts."""
     return all(
         device.run(word) == specified.run(word)
@@ -68,7 +68,7 @@ def passes(device: Mealy, specified: Mealy, suite: Suite, reset: Reset) -> bool:
     )
 
 
-def small_machines(states: int) -> list[Mealy]:
+def small_machines(states: int) -> list[Mealy[Output]]:
     every = (machine for n in range(1, states + 1) for machine in every_machine(n, 2, 2))
     return [m for m in every if len(minimal(m)) == len(m)]
 
@@ -121,7 +121,7 @@ def test_random_machines_with_at_most_so_many_states_more_are_told_apart(
     assert told > 100
 
 
-def mutants(draw: Random, specified: Mealy, extra: int) -> Iterator[Mealy]:
+def mutants(draw: Random, specified: Mealy[Output], extra: int) -> Iterator[Mealy[Output]]:
     """Machines that differ in one transition, each state of which may be split in several."""
     for _ in range(20):
         states = range(len(specified) + extra)
