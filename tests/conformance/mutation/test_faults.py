@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import pytest
 
-from bilprov.conformance.api import Options, conform, suite_ids
+from bilprov.conformance.api import Options, suite_ids
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
@@ -30,7 +30,6 @@ EXACTLY = {
     "accepts-led-bit-3": ["bad-data/LED/[89]", "bad-data/LED/1[0-5]", "recovery/bad-data/*"],
     "swallows-missing-data": ["wrong-length/[SRL][!t]*/0"],
     "stop-does-nothing": ["valid/Stop", "leave/stopped"],
-    "moves-at-power-on": ["power-on/at-rest", "power-on/Speed"],
 }
 # Devices of which too little is left to judge one by one: what else they break is not said.
 SWEEPING = {
@@ -43,39 +42,23 @@ SWEEPING = {
     "xon-xoff",
 }
 
-# What shows only in the first frames after power-on, so that it takes a whole run with its switch.
-AT_POWER_ON = {
-    "first-frame-answered-twice",
-    "second-frame-unanswered",
-    "first-fault-unanswered",
-    "banner-after-first-frame",
-    "first-fault-missed",
-}
-
-# What a case's id begins with where single frames, or the first bytes of a run, are the case.
-SINGLE = (*FrameClass, "link", "line", "power-on", "timing", "leave")
+# What a case's id begins with where single frames are the case.
+SINGLE = (*FrameClass, "link", "line", "timing", "leave")
 
 
 def by_single_frames(fault: Fault) -> bool:
     """Whether single frames are meant to catch it, and nothing else is."""
-    alone = all(glob == "*" or glob.split("/")[0] in SINGLE for glob in fault.caught_by)
-    return alone and fault.name not in AT_POWER_ON
+    return all(glob == "*" or glob.split("/")[0] in SINGLE for glob in fault.caught_by)
 
 
-def test_the_bank_is_large_and_every_fault_says_what_it_does(protocol: Protocol) -> None:
+def test_every_fault_says_what_it_does_and_which_clauses_it_breaks(protocol: Protocol) -> None:
     bank = fault_bank(protocol)
 
-    assert len(bank) >= 160
     assert len({fault.doc for fault in bank.values()}) == len(bank)
     for name, fault in bank.items():
         assert name == fault.name
-        assert name == name.lower()
-        assert " " not in name
-        assert len(fault.doc) > 15
-        assert not fault.doc.endswith(".")
-        assert set(fault.clauses) <= {field.name for field in fields(Clauses)}
-        assert fault.clauses
-        assert fault.needs in ("", "soak")
+        assert {*fault.clauses} <= {field.name for field in fields(Clauses)}, name
+        assert fault.clauses, name
 
 
 def test_no_two_faults_have_one_name(protocol: Protocol, horn: Protocol) -> None:
@@ -105,19 +88,6 @@ def test_every_glob_that_a_fault_names_has_cases(protocol: Protocol) -> None:
     assert {glob for glob in globs if not any(matching(ident, (glob,)) for ident in suite)} == set()
 
 
-@pytest.mark.parametrize("name", sorted(AT_POWER_ON))
-def test_what_shows_only_after_power_on_fails_the_cases_that_are_meant_to_catch_it(
-    protocol: Protocol, name: str
-) -> None:
-    fault = BANK[name]
-
-    report = conform(Simulator(protocol, fault), grammar=protocol, options=Options(level="smoke"))
-
-    failed = failing(report.results)
-    assert failed
-    assert {ident for ident in failed if not matching(ident, fault.caught_by)} == set()
-
-
 @pytest.mark.sample(6)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n, fault in BANK.items() if by_single_frames(fault)])
@@ -125,48 +95,22 @@ def test_a_fault_fails_the_cases_that_are_meant_to_catch_it(protocol: Protocol, 
     fault = fault_bank(protocol)[name]
     device = Simulator(protocol, fault)
     cases = cases_of(protocol)
-    link = CountingLink(device)
 
-    runner = run_over(link, protocol, cases)
+    runner = run_over(CountingLink(device), protocol, cases)
 
     results = runner.run.results
     found = failing(results)
-    verdicts = {result.verdict for result in results}
-    if fault.exit == 2:
-        assert runner.unusable
-        assert results == []
-        return
-    assert runner.unusable == ""
-    assert Verdict.ERROR not in verdicts
-    assert bool(found) is (fault.exit == 1)
+    assert bool(runner.unusable) is (results == []) is (fault.exit == 2)
+    assert Verdict.ERROR not in {result.verdict for result in results}
     assert {ident for ident in found if not matching(ident, fault.caught_by)} == set()
-    ids = [case.id for case in cases]
-    held = [glob for glob in fault.caught_by if any(matching(i, (glob,)) for i in ids)]
-    assert [glob for glob in held if not any(matching(i, (glob,)) for i in found)] == []
-    clauses = {result.clause for result in results if result.verdict is Verdict.FAIL}
-    broken = {getattr(protocol.clauses, name) for name in fault.clauses}
-    assert clauses & broken or not clauses
-    if fault.exit == 3:
-        assert Verdict.INCONCLUSIVE in verdicts
+    ids = {case.id for case in cases} if results else set()
+    tried = [glob for glob in fault.caught_by if any(matching(i, (glob,)) for i in ids)]
+    assert [glob for glob in tried if not any(matching(i, (glob,)) for i in found)] == []
+    assert sorted(result.id for result in results if result.id in ids) == sorted(ids)
     if name in EXACTLY:
-        ids = {result.id for result in results}
-        assert found == {ident for ident in ids if matching(ident, EXACTLY[name])}
-    run = [result.id for result in results if result.id in {case.id for case in cases}]
-    assert sorted(run) == sorted(case.id for case in cases)
+        all_ids = (result.id for result in results)
+        assert found == {ident for ident in all_ids if matching(ident, EXACTLY[name])}
     assert at_rest(device) or name in ("stop-does-nothing", "restarts-by-itself")
-
-
-@pytest.mark.sample(1)
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_reference_passes_everything_and_nothing_is_inconclusive(
-    protocol: Protocol, seed: int
-) -> None:
-    report = conform(grammar=protocol, options=Options(seed=seed))
-
-    assert report.exit == 0
-    assert [r.id for r in report.results if r.verdict is not Verdict.PASS] == []
-    assert report.seed == seed
 
 
 @pytest.mark.slow

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable
 
 import pytest
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.equivalence import random_search
 from bilprov.conformance.mutation.random_faults import drawn_fault, random_fault
-from bilprov.conformance.mutation.search_inputs import alphabet, hints
+from bilprov.conformance.mutation.search_inputs import alphabet
 from bilprov.spec.protocol import Protocol, load
-from tests.support import ROOT
 from tests.support.grammars import short_grammar, still_grammar
 
 # As drawn on CPython 3.11; `random.random()` is the same for a seed in every Python.
@@ -47,39 +42,12 @@ def test_a_name_draws_the_same_fault_for_ever(protocol: Protocol, name: str) -> 
     assert find_fault(protocol, name).doc == DOCS[name]
 
 
-def test_a_seed_draws_the_same_in_another_process_with_other_hashes() -> None:
-    text = (
-        "from bilprov.analyzer.grammar_file import load_protocol\n"
-        "from bilprov.conformance.mutation.random_faults import drawn_fault, random_fault\n"
-        "protocol = load_protocol()\n"
-        "print([random_fault(protocol, seed).doc for seed in range(40)])\n"
-        "print([drawn_fault(protocol, 3, number).doc for number in range(40)])"
-    )
-    told = {
-        subprocess.run(
-            [sys.executable, "-c", text],
-            env={"PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT / "src")},
-            capture_output=True,
-            check=True,
-        ).stdout
-        for seed in ("1", "2")
-    }
-
-    assert len(told) == 1
-
-
 def test_the_faults_of_300_seeds_are_many_different_ones(protocol: Protocol) -> None:
     docs = [random_fault(protocol, seed).doc for seed in range(1, 301)]
 
     assert len(set(docs)) > 270
     for word in ("moves", "previous", "pipelined", "faults", "every", "led", "turns-bits", "gap"):
         assert sum(word in doc for doc in docs) >= 5, word
-
-
-def test_they_follow_another_grammar(horn: Protocol) -> None:
-    docs = [random_fault(horn, seed).doc for seed in range(100)]
-
-    assert any("Horn" in doc for doc in docs)
 
 
 def test_the_wider_faults_are_of_six_families_and_many_different_ones(protocol: Protocol) -> None:
@@ -123,24 +91,6 @@ def test_faults_are_drawn_of_a_grammar_with_few_lengths_or_without_motions(
     if edited is still_grammar:
         assert not any("steering" in doc or re.search("moves [^s]", doc) for doc in docs)
     assert alphabet(small)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("family", ["random needle", "random context"])
-def test_a_fault_hints_at_the_frame_that_shows_it(protocol: Protocol, family: str) -> None:
-    faults = [drawn_fault(protocol, 2, number) for number in range(1, 45)]
-    hinting = [one for one in faults if one.family == family and hints(protocol, one)]
-    assert len(hinting) >= 5
-    unshown = [fault for fault in hinting if not random_shows(protocol, fault)]
-
-    # A few cannot show: a fault after a fault finds the robot stopped and reset.
-    assert len(unshown) <= len(hinting) // 4, [fault.doc for fault in unshown]
-
-
-def random_shows(protocol: Protocol, fault: Fault) -> bool:
-    return bool(
-        random_search(protocol, fault, alphabet(protocol, hints(protocol, fault)), 8000, 2000)
-    )
 
 
 @pytest.mark.parametrize(
