@@ -64,7 +64,8 @@ class Options:
     suite's level, `soak` how many faults more are sent at its end. `allow` are the choices
     (NAME=VALUE) that would fail otherwise. `budget` (s) keeps the cases that add most a second,
     `profile` is the text of a device's profile, "" for none. `extra` is how many states more than
-    the Protocol's machine a device may have that the level `complete` still finds.
+    the Protocol's machine a device may have that the level `complete` still finds. `first` are the
+    ids of cases that are run before the others.
     """
 
     only: tuple[str, ...] = ()
@@ -80,6 +81,7 @@ class Options:
     budget: float | None = None
     profile: str = ""
     extra: int = 0
+    first: tuple[str, ...] = ()
 
 
 def select_cases(
@@ -139,7 +141,8 @@ def select_cases(
                     break
                 chosen += (case,)
         cases = chosen
-    return cases
+    early = frozenset(options.first)
+    return tuple(sorted(cases, key=lambda case: case.id not in early)) if early else cases
 
 
 def opening_and_reading_cases(grammar: Grammar) -> tuple[Case, ...]:

@@ -46,6 +46,17 @@ def user_file(environ: Mapping[str, str] = os.environ) -> Path:
     return Path(home, "bilprov", "config.toml")
 
 
+def state_folder(environ: Mapping[str, str] = os.environ) -> Path | None:
+    """The user's folder for what is kept from one use to the next (XDG); None if there is none."""
+    folder = Path(environ.get("XDG_STATE_HOME", ""))
+    if not folder.is_absolute():
+        try:
+            folder = Path.home() / ".local" / "state"
+        except RuntimeError:
+            return None
+    return folder / "bilprov"
+
+
 def read_settings(commands: Iterable[str], environ: Mapping[str, str] = os.environ) -> Tables:
     """Read the user's file, if there is one; `commands` are the names of the commands.
 

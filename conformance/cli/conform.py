@@ -41,6 +41,7 @@ from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cases.run_movement import run_movement
 from bilprov.conformance.cases.selection import matching
+from bilprov.conformance.cli.last_run import last_run, no_run, ordered
 from bilprov.conformance.cli.options import (
     expect_failures_option,
     expected_file,
@@ -83,6 +84,8 @@ class CaseOptions:
         multiple=True, metavar="GLOB", help="Only these cases; * crosses /."
     )
     listing: bool = flag("List the cases and send nothing.", "--list")
+    last_failed: bool = flag("Only what failed in the last run of this device; all if nothing did.")
+    failed_first: bool = flag("First what failed in the last run of this device, then the others.")
     fail_fast: bool = flag("End after the first failure.")
     seed: int = seed_option(help="Seed for the choice of data and motions.")
     extra: int = option(
@@ -202,13 +205,17 @@ def conform(options: ConformOptions) -> int:
             raise ValueError(f"--extra {options.cases.extra} is for --level {COMPLETE.name}")
         suite = options.suite(profile)
         cases = select_cases(protocol, suite, settings)
+        last = last_run(protocol, name.text)
+        if options.cases.last_failed or options.cases.failed_first:
+            asked = {case.id for case in _asked(protocol, suite, cases)}
+            suite, order = ordered(suite, last, asked, alone=options.cases.last_failed)
+            note(order)
+            cases = select_cases(protocol, suite, settings)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     if options.cases.listing:
-        chosen = matching(suite.only or "*")
-        for case in (*opening_and_reading_cases(protocol), *cases):
-            if chosen(case.id):
-                click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
+        for case in _asked(protocol, suite, cases):
+            click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
     promise_verdict()
     robot = robot.fitting(name)
@@ -229,6 +236,7 @@ def conform(options: ConformOptions) -> int:
     try:
         with Stopper():
             report = with_expected(report, expected, known.expect_failures)
+            (last or no_run(protocol, name.text)).after(report).keep()
     finally:
         try:
             deliver(outputs, [report], protocol)
@@ -241,6 +249,12 @@ def conform(options: ConformOptions) -> int:
     if broken:
         raise broken
     return report.exit
+
+
+def _asked(protocol: Protocol, suite: Options, cases: Sequence[AnyCase]) -> list[AnyCase]:
+    """The cases that are asked for, with those that every run has where they are."""
+    wanted = matching(suite.only or "*")
+    return [c for c in (*opening_and_reading_cases(protocol), *cases) if wanted(c.id)]
 
 
 def _tested(

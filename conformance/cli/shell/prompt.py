@@ -18,6 +18,7 @@ from prompt_toolkit.history import FileHistory, History, InMemoryHistory
 from prompt_toolkit.patch_stdout import patch_stdout
 
 from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.settings import state_folder
 from bilprov.analyzer.output.text_lines import state_words
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.completion import candidates
@@ -150,11 +151,6 @@ class _FileHistory(FileHistory):
 
 
 def _history() -> History:
-    """The lines typed before, in the user's state folder (XDG); kept in memory if there is none."""
-    folder = Path(os.environ.get("XDG_STATE_HOME", ""))
-    if not folder.is_absolute():
-        try:
-            folder = Path.home() / ".local" / "state"
-        except RuntimeError:
-            return InMemoryHistory()
-    return _FileHistory(folder / "bilprov" / "shell_history")
+    """The lines typed before, in the user's state folder; kept in memory if there is none."""
+    folder = state_folder()
+    return _FileHistory(folder / "shell_history") if folder else InMemoryHistory()

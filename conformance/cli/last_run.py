@@ -1,0 +1,124 @@
+"""What failed in the last run of each device, kept in the user's state folder for the next run."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from bilprov.analyzer.cli.settings import state_folder
+from bilprov.analyzer.files import read_bounded, write_whole
+from bilprov.analyzer.foreign import from_json
+from bilprov.captures.text import escape_controls, quantity
+from bilprov.conformance.api import Options
+from bilprov.conformance.oracle.verdicts import Label, Verdict
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.protocol import Protocol
+
+_FOLDER = "last_runs"
+_DEVICES = 50  # the oldest run is forgotten where there are more
+_MOST = 1 << 22  # bytes of a file
+
+# What a case came to, for good: any other verdict says nothing of the device.
+_JUDGED = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT, Verdict.FAIL)
+
+
+class LastRun(msgspec.Struct, frozen=True):
+    """The last run of a device with a grammar: the ids of what failed, with their verdicts.
+
+    A case that a later run could not judge stays as it was.
+    """
+
+    device: str
+    grammar: str
+    failed: dict[str, Label] = {}
+
+    def after(self, report: Report) -> LastRun:
+        """What is known after another run.
+
+        After a run of all cases nothing is known of any other case; one of some of them (--only),
+        or one that ended early, leaves what is known of the rest.
+        """
+        if report.unusable:
+            return self
+        judged = {result.id for result in report.results if result.verdict in _JUDGED}
+        if not (report.options["only"] or report.ended):
+            judged |= self.failed.keys() - {result.id for result in report.results}
+        kept = {ident: verdict for ident, verdict in self.failed.items() if ident not in judged}
+        return msgspec.structs.replace(self, failed=kept | failed_cases(report))
+
+    def keep(self) -> None:
+        """Write it for the next run; where that cannot be done, the next run knows of none."""
+        file = _file(self.device, self.grammar)
+        if file is None:
+            return
+        with suppress(OSError):
+            file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            write_whole(file, msgspec.json.encode(self))
+            for old in sorted(file.parent.glob("*.json"), key=_written)[:-_DEVICES]:
+                old.unlink()
+
+
+def last_run(protocol: Protocol, device: str) -> LastRun | None:
+    """The last run of the device that `conform` names so, None where none is known."""
+    none = no_run(protocol, device)
+    file = _file(none.device, none.grammar)
+    if file is not None:
+        with suppress(OSError, ValueError):
+            return from_json(read_bounded(file, _MOST), LastRun)
+    return None
+
+
+def no_run(protocol: Protocol, device: str) -> LastRun:
+    """What is known of a device before its first run."""
+    return LastRun(escape_controls(device), escape_controls(f"{protocol.name}, {protocol.origin}"))
+
+
+def ordered(
+    suite: Options, last: LastRun | None, planned: Collection[str], *, alone: bool
+) -> tuple[Options, str]:
+    """The options with which what failed last is run first, or `alone`; and that in words.
+
+    `planned` are the ids of all cases that the run would have. Where none of them failed last, or
+    there is no last run, the options stay.
+    """
+    if last is None:
+        return suite, "no run of this device is known: all cases are run"
+    if not last.failed:
+        return suite, "nothing failed in its last run: all cases are run"
+    failed = tuple(ident for ident in last.failed if ident in planned)
+    if not failed:
+        count = quantity(len(last.failed), "case")
+        return suite, f"{count} failed last, none of those asked for: all of those are run"
+    some = "" if len(failed) == len(last.failed) else f" of {len(last.failed)}, as asked for"
+    if alone:
+        return replace(suite, only=failed), f"only the cases that failed last ({len(failed)}{some})"
+    return replace(suite, first=failed), f"first the cases that failed last ({len(failed)}{some})"
+
+
+def failed_cases(report: Report) -> dict[str, Label]:
+    """The cases that count as failed in a run, with their verdicts: none that is expected to."""
+    known: Iterable[str] = report.comparison.expected if report.comparison else ()
+    least = Verdict.NON_STRICT if report.options["strict"] else Verdict.FAIL
+    return {
+        result.id: result.verdict.label
+        for result in report.results
+        if result.verdict in (least, Verdict.FAIL) and result.id not in known
+    }
+
+
+def _file(device: str, grammar: str) -> Path | None:
+    folder = state_folder()
+    name = hashlib.sha256(f"{device}\n{grammar}".encode()).hexdigest()[:32]
+    return folder / _FOLDER / f"{name}.json" if folder else None
+
+
+def _written(file: Path) -> float:
+    try:
+        return file.stat().st_mtime
+    except OSError:
+        return 0.0

@@ -1,0 +1,190 @@
+"""What failed last is kept for each device, and `conform` runs it alone or first."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from bilprov.conformance.cli.last_run import LastRun, last_run, no_run
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.recheck import recheck
+from bilprov.conformance.report.expected import Comparison
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import Done, command
+from tests.support.reports import a_case, a_run
+
+FAULTY = ("--fault", "no-stop-on-bad-data")
+BAD_DATA = ("--only", "bad-data/LED/*")
+
+Conform = Callable[..., Done]
+
+
+@pytest.fixture
+def conform(tmp_path: Path) -> Conform:
+    """`conform sim --level smoke`, with a state folder of its own."""
+
+    def run(*words: str, level: str = "smoke") -> Done:
+        state = str(tmp_path / "state")
+        return command("conform", "sim", "--level", level, *words, XDG_STATE_HOME=state)
+
+    return run
+
+
+def cases(run: Done) -> dict[str, str]:
+    """The verdicts of the cases besides those that every run has, in their order."""
+    report: dict[str, Any] = json.loads(run.stdout)
+    openings = ("power-on/", "link/", "timing/", "reading/")
+    found = {case["id"]: case["verdict"] for case in report["cases"]}
+    return {ident: verdict for ident, verdict in found.items() if not ident.startswith(openings)}
+
+
+def told(run: Done) -> str:
+    return run.stderr.decode().splitlines()[0]
+
+
+def listed(run: Done) -> list[str]:
+    return [line.split()[0] for line in run.stdout.decode().splitlines()]
+
+
+def test_what_failed_is_run_alone_until_nothing_fails(conform: Conform) -> None:
+    failed = {i for i, v in cases(conform(*FAULTY, "--json", "-")).items() if v == "fail"}
+    assert 1 < len(failed) < 40
+
+    assert set(listed(conform("--last-failed", "--list"))) == failed  # and sends nothing
+    mended = conform("--last-failed", "--json", "-")
+    assert told(mended) == f"only the cases that failed last ({len(failed)})"
+    assert cases(mended) == dict.fromkeys(cases(mended), "pass")
+    assert cases(mended).keys() == failed
+
+    again = conform("--last-failed", *BAD_DATA, "--json", "-")
+    assert told(again) == "nothing failed in its last run: all cases are run"
+    assert cases(again).keys() == {"bad-data/LED/8"}
+
+
+def test_without_a_last_run_everything_is_run(conform: Conform) -> None:
+    run = conform("--last-failed", *BAD_DATA, "--json", "-")
+
+    assert told(run) == "no run of this device is known: all cases are run"
+    assert (run.returncode, cases(run)) == (0, {"bad-data/LED/8": "pass"})
+
+
+def test_what_failed_is_run_first_and_a_recording_of_that_is_judged_the_same(
+    conform: Conform, tmp_path: Path
+) -> None:
+    usual = list(cases(conform(*FAULTY, *BAD_DATA, "--only", "valid/LED/*", "--json", "-")))
+    assert usual[0] != "bad-data/LED/8"
+    record = tmp_path / "run.mcap"
+    words = (*BAD_DATA, "--only", "valid/LED/*", "--record", str(record), "--json", "-")
+
+    run = conform("--failed-first", *words)
+
+    assert told(run) == "first the cases that failed last (1)"
+    assert list(cases(run)) == ["bad-data/LED/8", *(i for i in usual if i != "bad-data/LED/8")]
+    assert recheck(str(record)).differences == ()
+
+
+def test_a_run_of_some_cases_changes_only_these(conform: Conform) -> None:
+    conform(*FAULTY)
+    before = listed(conform("--last-failed", "--list"))
+
+    conform(*BAD_DATA)  # it conforms now
+
+    assert listed(conform("--last-failed", "--list")) == [
+        ident for ident in before if ident != "bad-data/LED/8"
+    ]
+
+
+def test_what_failed_and_is_not_asked_for_is_no_reason_to_run_nothing(conform: Conform) -> None:
+    conform(*FAULTY)
+    some = conform("--last-failed", "--only", "bad-data/*", "--list")
+    none = conform("--last-failed", "--only", "valid/LED/*", "--list")
+
+    assert listed(some) == ["bad-data/LED/8"]
+    assert told(some).endswith("as asked for)")
+    assert "none of those asked for" in told(none)
+    assert listed(none) == ["valid/LED/0"]
+
+
+def test_each_device_and_grammar_has_its_own_and_the_oldest_is_forgotten(
+    protocol: Protocol, horn: Protocol, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    first = replace(no_run(protocol, "first"), failed={"a/b": "fail"})
+    first.keep()
+    assert last_run(protocol, "first") == first
+    assert last_run(horn, "first") is None
+    assert last_run(protocol, "second") is None
+
+    for number in range(60):
+        no_run(protocol, f"/dev/tty\udcff\x1b{number}").keep()
+
+    assert last_run(protocol, "first") is None
+    assert last_run(protocol, "/dev/tty\udcff\x1b59") is not None
+    assert len(list(tmp_path.rglob("*.json"))) == 50
+
+
+@pytest.mark.parametrize("text", [b"", b"[]", b'{"failed": {"a": "fine"}}', b"\xff" * 100])
+def test_a_damaged_or_unwritable_state_is_no_state(
+    conform: Conform, tmp_path: Path, text: bytes
+) -> None:
+    conform(*FAULTY, *BAD_DATA)
+    (file,) = (tmp_path / "state").rglob("*.json")
+    file.write_bytes(text)
+    assert "no run" in told(conform("--last-failed", *BAD_DATA))
+
+    for path in (file, file.parent):
+        path.unlink() if path.is_file() else path.rmdir()
+    file.parent.write_bytes(b"")  # where the folder should be
+    assert conform(*FAULTY, *BAD_DATA).returncode == 1
+    assert "no run" in told(conform("--last-failed", *BAD_DATA))
+
+
+# -- what a run leaves ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def before() -> LastRun:
+    return LastRun("sim", "robot-car", {"made/fail": "fail", "made/pass": "fail", "gone/1": "fail"})
+
+
+def after(before: LastRun, protocol: Protocol, *verdicts: Verdict, **changes: Any) -> list[str]:
+    """What failed after a run in which a case had each of the verdicts; `only` are its globs."""
+    report = a_run(protocol, "valid/LED/1")
+    options = report.options | {
+        "only": changes.pop("only", ()),
+        "strict": changes.pop("strict", False),
+    }
+    results = tuple(a_case(f"made/{verdict.label}", verdict) for verdict in verdicts)
+    return list(before.after(replace(report, results=results, options=options, **changes)).failed)
+
+
+def test_a_whole_run_leaves_what_failed_in_it(before: LastRun, protocol: Protocol) -> None:
+    assert after(before, protocol, *Verdict) == ["made/fail"]
+    assert after(before, protocol, Verdict.PASS) == []
+    assert after(before, protocol, Verdict.NON_STRICT, strict=True) == ["made/non-strict"]
+
+
+def test_a_partial_or_broken_run_leaves_what_it_did_not_judge(
+    before: LastRun, protocol: Protocol
+) -> None:
+    assert after(before, protocol, Verdict.PASS, only=("made/*",)) == ["made/fail", "gone/1"]
+    assert after(before, protocol, Verdict.PASS, ended="it was") == ["made/fail", "gone/1"]
+    assert after(before, protocol, unusable="nobody answers") == list(before.failed)
+
+
+@pytest.mark.parametrize("verdict", [Verdict.SKIPPED, Verdict.INCONCLUSIVE, Verdict.ERROR])
+def test_what_could_not_be_judged_stays_failed(protocol: Protocol, verdict: Verdict) -> None:
+    before = LastRun("sim", "robot-car", {f"made/{verdict.label}": "fail"})
+
+    assert after(before, protocol, verdict) == list(before.failed)
+
+
+def test_what_is_expected_to_fail_does_not_count(before: LastRun, protocol: Protocol) -> None:
+    comparison = Comparison("known.txt", frozenset({"made/fail"}), 0, ())
+
+    assert after(before, protocol, *Verdict, comparison=comparison) == []
