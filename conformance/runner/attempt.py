@@ -14,7 +14,6 @@ from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.sequence import run_sequence
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.single_frame import run_single_frame
-from bilprov.conformance.runner.tally import Place
 from bilprov.conformance.runner.trial import Homed, Trial
 from bilprov.conformance.runner.waiting import GaveUp
 
@@ -23,17 +22,14 @@ from bilprov.conformance.runner.waiting import GaveUp
 class Attempt:
     """One attempt at a case: its result, and the mismatch where a sequence failed.
 
-    `stopped` is what ended the run, or why it is to be ended, None if nothing. `started` is how
-    many frames there were before it since power-on, `cycles` how many power cycles
-    (`runner.tally`). `looks` is how many looks were made in it. `already` is how the state that
-    failed was wrong before the frame under test, "" if it was not.
+    `stopped` is what ended the run, or why it is to be ended, None if nothing. `looks`
+    is how many looks were made in it. `already` is how the state that failed was wrong before the
+    frame under test, "" if it was not.
     """
 
     result: CaseResult
     mismatch: Mismatch | None = None
     stopped: Ended | GaveUp | None = None
-    started: int = 0
-    cycles: int = 0
     looks: int = 0
     already: str = ""
 
@@ -70,24 +66,16 @@ def attempt(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     An attempt that was stopped, by the user, the link or the device, has a result too: what passed
     so far is then no pass.
     """
-    trial, mismatch, tally = Trial(run, case), None, run.tally
-    started, cycles, looks = tally.frames, tally.cycles, run.looks.made
+    trial, mismatch = Trial(run, case), None
+    looks = run.looks.made
     try:
         if isinstance(case, SequenceCase):
             mismatch = yield from run_sequence(trial, case)
         else:
             yield from run_single_frame(trial, case)
     except Ended as ended:
-        homed, over = Homed(stopped=ended), tally.frames
+        homed = Homed(stopped=ended)
     else:
-        over = tally.frames
         homed = yield from home_after(run, trial)
-    only_late = homed.late and not any(a.verdict is Verdict.FAIL for a in trial.axes.values())
     result = trial.end(homed)
-    if result.verdict is Verdict.FAIL and cycles == tally.cycles:
-        first = over if only_late else started + 1
-        if mismatch and mismatch.burst >= 0 and isinstance(case, SequenceCase):
-            first = over - len(case.bursts[mismatch.burst].steps) + 1
-        tally.places.append(Place(first, tally.frames if only_late else over))
-    looks = run.looks.made - looks
-    return Attempt(result, mismatch, homed.stopped, started, cycles, looks, trial.already)
+    return Attempt(result, mismatch, homed.stopped, run.looks.made - looks, trial.already)

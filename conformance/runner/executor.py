@@ -79,8 +79,7 @@ class Runner:
     def execute(self) -> Procedure[None]:
         """Do the whole run. Always ends by homing the robot, if the line still works."""
         run = self.run
-        followers = (run.tally, run.limit, run.sight)
-        yield from followed(self._execute(), *followers, look=run.looks.observe)
+        yield from followed(self._execute(), run, run.limit, run.sight, look=run.looks.observe)
 
     def _execute(self) -> Procedure[None]:
         run = self.run

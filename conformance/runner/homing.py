@@ -61,7 +61,6 @@ def home_again(run: Run) -> Procedure[None]:
     What it sends until it has answered a stop, such as a banner, is no answer to anything. Raises
     GaveUp when it no longer answers.
     """
-    run.tally.begin_anew()
     run.waiting.answered()
     for _ in range(-(-run.timers.boot // run.timers.longest)):
         yield from send(stops(run.protocol)[:1])

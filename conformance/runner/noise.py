@@ -7,7 +7,6 @@ from math import comb
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.runner.attempt import Attempt
-from bilprov.conformance.runner.rhythm import at_least
 from bilprov.conformance.runner.run import Run
 
 _SPOILT, _UNLIKELY = 1e-3, 1e-4  # share of bytes that noise may spoil; what is no chance
@@ -37,9 +36,16 @@ def is_no_chance(run: Run, size: int, differed: int, tries: int) -> bool:
     suite bears; and each failure so far was tried again, which makes a coincidence likelier.
     """
     flaky = run.counters.flaky
-    met = 2 * flaky / max(1, _FRAME * run.tally.frames)
+    met = 2 * flaky / max(1, _FRAME * run.answers)
     spoilt = 1 - (1 - min(max(_SPOILT, met), 1.0)) ** size
     return at_least(differed, tries, spoilt) * (1 + flaky) < _UNLIKELY
+
+
+def at_least(count: int, tries: int, chance: float) -> float:
+    """The probability that at least `count` of `tries` happen, each with probability `chance`."""
+    return sum(
+        comb(tries, n) * chance**n * (1 - chance) ** (tries - n) for n in range(count, tries + 1)
+    )
 
 
 def case_bytes(case: Case | SequenceCase) -> int:

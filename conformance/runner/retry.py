@@ -3,8 +3,7 @@
 A mismatch on a line may be noise. Reproduced twice in three tries it is a failure; otherwise it is
 flaky, that is inconclusive and never a pass; a line that loses nothing has no noise, and there it
 is a failure all the same. A fault that shows only now and then (a counter) is tried more often.
-One that fails where its rhythm predicts it is no noise either. Reproduced failures of a sequence
-are minimised.
+Reproduced failures of a sequence are minimised.
 """
 
 from __future__ import annotations
@@ -22,8 +21,6 @@ from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
 from bilprov.conformance.runner.noise import burst_bytes, case_bytes, is_no_lie, is_no_noise
-from bilprov.conformance.runner.prediction import find_rhythm
-from bilprov.conformance.runner.rhythm import Rhythm
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.slow_preambles import was_too_slow
@@ -86,15 +83,9 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         same_place, tries, more = yield from _again(run, case, first)
         if not same_place and run.config.lossless:
             run.counters.reproduced += 1
-            rhythm = yield from find_rhythm(run, case, first)
-            if rhythm:
-                return Attempt(_rhythmic(known, rhythm))
             return Attempt(_not_reproduced(run, known, tries, more))
         if not same_place and not _cannot_be_noise(run, first):
             run.counters.flaky += 1
-            rhythm = yield from find_rhythm(run, case, first)
-            if rhythm:
-                return Attempt(_rhythmic(_named(run, case, first), rhythm))
             return Attempt(_not_reproduced(run, first.result, tries))
         run.counters.reproduced += 1
         known, confirmed = _named(run, case, first), True
@@ -238,17 +229,6 @@ def _placed(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
     return msgspec.structs.replace(
         tried.result, axes=axes, clause=clause, planned=planned, sent=sent
     )
-
-
-def _rhythmic(result: CaseResult, rhythm: Rhythm) -> CaseResult:
-    """The failed result, which says in which rhythm it fails."""
-    axes = {
-        name: msgspec.structs.replace(axis, reason=f"{rhythm.words}: {axis.reason}")
-        if axis.verdict is Verdict.FAIL
-        else axis
-        for name, axis in result.axes.items()
-    }
-    return msgspec.structs.replace(result, axes=axes)
 
 
 def _unconfirmed(result: CaseResult, why: str) -> CaseResult:

@@ -11,7 +11,7 @@ from itertools import islice
 
 import msgspec
 
-from bilprov.analyzer.client.operations import Received
+from bilprov.analyzer.client.operations import Operation, Received, Reply
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, runner_case
 from bilprov.conformance.cases.sequence import SequenceCase
@@ -22,9 +22,7 @@ from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.probe_trust.looks import Looks
-from bilprov.conformance.runner.rhythm import Rhythms
 from bilprov.conformance.runner.stray_answers import StrayAnswers
-from bilprov.conformance.runner.tally import Tally
 from bilprov.conformance.runner.time_limit import TimeLimit
 from bilprov.conformance.runner.waiting import CoarseLine, Waiting
 from bilprov.spec.codec import spaced
@@ -161,9 +159,8 @@ class Run:
     `limit` ends the run where it takes too long.
 
     `profile` holds what was measured of the device, `strays` the answers that belong to no case,
-    `results` every final result in order, `tally` every frame that was sent, `sight` what the looks
-    have shown, `rhythms` those that mismatches were shown to have, `followed` the settings that the
-    probe has shown to follow.
+    `results` every final result in order, `answers` how many came, `sight` what the looks have
+    shown, `followed` the settings that the probe has shown to follow.
     """
 
     def __init__(
@@ -183,17 +180,16 @@ class Run:
         )
         self.line = CoarseLine(config.protocol, self.waiting, self.profile)
         self.counters = Counters()
-        self.tally = Tally(config.protocol, self.waiting)
+        self.answers = 0
         self.sight = Sight()
         self.limit = TimeLimit(config.announced)
-        self.rhythms = Rhythms()
         self.followed: set[str] = set()
         self.results: list[CaseResult] = []
         self.strays = StrayAnswers(
             config.protocol,
             self.conclude,
             lossless=config.lossless,
-            frames=lambda: self.tally.frames,
+            frames=lambda: self.answers,
         )
         sees = config.observability
         self._trusted = not sees.foreign
@@ -233,6 +229,11 @@ class Run:
             return False
         loses = any(choices.differs(point) for point in (*FLUSH_POINTS, "R-answer-point"))
         return not loses and self.profile.truncation_answered is not False
+
+    def did(self, operation: Operation, reply: Reply) -> None:
+        """Take note of an operation that was done: of the answers that came."""
+        if isinstance(reply, Received):
+            self.answers += len(reply.answers)
 
     def answered(self, frame: bytes, heard: Received, sent: int) -> None:
         """Take note of how soon the answer to a valid frame came, which had gone at `sent` (ns)."""

@@ -24,8 +24,8 @@ class StrayAnswers:
 
     A single stray or lost byte may be noise on the line: inconclusive. A flood or repeated stray
     answers are the device's failure, and so is a device that stops answering; on a `lossless` line
-    so is every one. `frames` tells how many frames were sent so far: the more there were, the more
-    of them noise may have doubled.
+    so is every one. `frames` tells how many frames were answered so far: the more there were, the
+    more of them noise may have doubled.
     """
 
     def __init__(
