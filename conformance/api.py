@@ -35,6 +35,8 @@ from bilprov.conformance.cases.selection import (
     matching,
     reaches,
 )
+from bilprov.conformance.causes.explained import Explainer
+from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIM, Target, device_target
@@ -201,6 +203,7 @@ def conform(
         [listener] if listener else [],
         skip=spare,
         logged=logged,
+        explains=logged,
     )
 
 
@@ -214,18 +217,24 @@ def run_suite(
     experiments: frozenset[str] | None = None,
     short_homing: bool = True,
     slow_preambles: bool = True,
+    retries_causes: bool = True,
+    explains: bool = True,
 ) -> Report:
     """Run the cases on a target, live or recorded; every run goes through this function.
 
     `listeners` are told of the run while it goes on; one that is `broken` ends it. `skip` decides
     before each case, from its id and the results so far, whether to skip it. Without `logged` no
     case keeps its wire log. `experiments` are the ids of those that a recording holds (None: every
-    one is made); `short_homing` and `slow_preambles` are those of `RunConfig`. Raises ValueError
-    when no case is left to run.
+    one is made); `short_homing` and `slow_preambles` are those of `RunConfig`. Without `explains`
+    the report has no causes; without `retries_causes` they are not tried again, which recordings of
+    older kits did not do. Raises ValueError when no case is left to run.
     """
     grammar = target.protocol
     log, meter = WireLog(), Meter(target.byte_time)
+    trace = Trace()
     everyone = (*listeners, meter, log) if logged else (*listeners, meter)
+    if explains:
+        everyone = (*everyone, trace)
     link = ObservedLink(target.connect, everyone)
     cases = select_cases(grammar, options, target.line)
     for listener in everyone:
@@ -274,6 +283,7 @@ def run_suite(
         report=end,
         note=note,
     )
+    explainer = Explainer(run, trace, target.byte_time)
     timeout_case = truncation_timeout(grammar)
     asked = timeout_case is not None and matching(options.only)(timeout_case.id)
     runner = Runner(
@@ -284,6 +294,7 @@ def run_suite(
         discover=not options.profile,
         spare=skip,
         left_out=_left_out(grammar, options, target.line),
+        afterwards=explainer.try_again if explains and retries_causes else None,
     )
     try:
         drive(runner.execute(), link, interrupted)
@@ -300,6 +311,7 @@ def run_suite(
             unseen=tuple(run.sight.sentences(grammar.limits)),
             notices=tuple(run.notices),
             timing=meter.report(run.waiting.timeouts),
+            causes=explainer.causes() if explains else (),
             dropped=_dropped(grammar, options, cases, target.line),
         )
         for listener in everyone:

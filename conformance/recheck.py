@@ -88,6 +88,7 @@ class _Run(msgspec.Struct, frozen=True):
     environment: Environment = msgspec.field(name="circumstances")
     short_homing: bool = False
     slow_preambles: bool = False
+    retries_causes: bool = False
 
 
 class _CaseVerdicts(msgspec.Struct):
@@ -151,6 +152,7 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
             experiments=_experiments(evidence),
             short_homing=run.short_homing,
             slow_preambles=run.slow_preambles,
+            retries_causes=run.retries_causes,
         )
         cut = link.cut
         if link.left:

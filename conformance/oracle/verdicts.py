@@ -138,6 +138,26 @@ class CaseResult(msgspec.Struct, frozen=True):
         return worst_axis.reason if worst_axis else ""
 
 
+class Cause(msgspec.Struct, frozen=True):
+    """A cause of failures: one deviation of the device, and the condition under which it shows.
+
+    `sentence` says it in words, with how sure it is; `when` is the condition alone. `axis` is the
+    worst axis of the case that it fails (answer, stop or state), `clause` the one that it violates,
+    `cases` the ids of the cases that it explains, `others` how many cases met the condition and
+    were right. `send` are arguments of `bilprov send PORT` that show it; `tried` whether they were
+    tried on the device.
+    """
+
+    sentence: str
+    when: str
+    axis: str
+    clause: str
+    cases: tuple[str, ...]
+    others: int
+    send: tuple[str, ...]
+    tried: bool = False
+
+
 def exit_code(verdicts: Iterable[Verdict], *, strict: bool = False) -> int:
     """1 if any case failed; else 2 if any is an error; else 3 if any is inconclusive; else 0.
 

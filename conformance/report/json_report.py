@@ -29,7 +29,7 @@ NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
 # The values that a Report and its JSON have in common, and those whose "" is null in the JSON.
 _SAME = (
     *("kit", "device", "link", "options", "seed", "exit", "timing", "dropped", "profile"),
-    *("took_s", "versions", "unseen", "notices"),
+    *("took_s", "versions", "unseen", "notices", "causes"),
 )
 _NULLED = ("unusable", "ended", "ended_by", "proof", "begun", "host")
 _MOST = 1 << 28  # bytes of a report
@@ -71,6 +71,7 @@ def head_of(report: Report) -> schema.Head:
         grammar=schema.Grammar(**report.grammar),
         verdict=report.verdict.label,
         counts=report.counts,
+        unexplained=report.unexplained,
         coverage={name: schema.Covered(*pair) for name, pair in report.coverage.items()},
         expected_failures=_expected_failures(report.comparison),
     )

@@ -19,7 +19,7 @@ from bilprov.conformance.cases.coverage import covered
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code, worst
+from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict, exit_code, worst
 from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.proof import proven
 from bilprov.spec.protocol import Protocol
@@ -40,8 +40,8 @@ class Report(msgspec.Struct, frozen=True):
     `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took, `host` the machine's
     name, `versions` those of Python, its platform and libraries: each "", None or empty where it is
     not known. `unseen` says what the probe did not show, and from which look on, `notices` what
-    else the user should know of device, line and probe. `file` is where the report was read from,
-    "" for a run of this process.
+    else the user should know of device, line and probe. `causes` explain the failed cases, the
+    worst first. `file` is where the report was read from, "" for a run of this process.
     """
 
     grammar: dict[str, str]
@@ -68,12 +68,19 @@ class Report(msgspec.Struct, frozen=True):
     versions: dict[str, str] = {}
     unseen: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
+    causes: tuple[Cause, ...] = ()
     file: str = ""
 
     @property
     def verdict(self) -> Verdict:
         """The worst verdict, ERROR where nothing could be judged."""
         return Verdict.ERROR if self.unusable else worst(r.verdict for r in self.results)
+
+    @property
+    def unexplained(self) -> int:
+        """How many failed cases no cause explains."""
+        known = {ident for cause in self.causes for ident in cause.cases}
+        return sum(r.verdict is Verdict.FAIL and r.id not in known for r in self.results)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -221,6 +228,11 @@ def evidence(result: CaseResult) -> list[tuple[str, str]]:
     return rows
 
 
+def port_of(report: Report) -> str:
+    """The port to send to; `PORT` for the built-in simulator, where `bilprov simulate` serves."""
+    return report.device if report.link["kind"] == "port" else "PORT"
+
+
 def reproduce(report: Report, result: CaseResult) -> str:
     """The command that runs this case again or, for a sequence, sends the frames that fail.
 
@@ -231,8 +243,7 @@ def reproduce(report: Report, result: CaseResult) -> str:
     grammar = report.grammar["file"]
     start = ["bilprov"] if grammar == "grammar.py" else ["bilprov", "--grammar", grammar]
     if result.reproduce:
-        port = report.device if report.link["kind"] == "port" else "PORT"
-        return shlex.join([*start, "send", port, *result.reproduce.split()])
+        return shlex.join([*start, "send", port_of(report), *result.reproduce.split()])
     words = [*start, "conform", report.device, "--seed", str(report.seed), "--only", result.id]
     if report.options.get("level", "standard") != "standard":
         words += ["--level", report.options["level"]]

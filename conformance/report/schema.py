@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from bilprov.conformance.oracle.verdicts import Label, WireKind
+from bilprov.conformance.oracle.verdicts import Cause, Label, WireKind
 
 Seconds = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 Milliseconds = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
@@ -114,7 +114,8 @@ class Head(msgspec.Struct, kw_only=True):
     `took_s` how long it took (real time, s), `host` the machine's name, each null where it is not
     known; `versions` are those of Python, its platform and the libraries that reports depend on.
     `unseen` has a sentence for what the probe did not show, and from which look on, `notices` one
-    for each thing to know of device, line and probe.
+    for each thing to know of device, line and probe. `causes` explain the failed cases, the worst
+    first; `unexplained` is how many of them no cause explains.
     """
 
     kit: str
@@ -141,6 +142,8 @@ class Head(msgspec.Struct, kw_only=True):
     versions: dict[str, str] = {}
     unseen: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
+    causes: tuple[Cause, ...] = ()
+    unexplained: Count = 0
 
 
 class Link(msgspec.Struct, kw_only=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 
 import msgspec
@@ -9,11 +10,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import STYLES, conclusion
 from bilprov.conformance.report.grouping import Row, by_group, by_reason, names, rows, tally
-from bilprov.conformance.report.run_report import Report, evidence, reproduce, run_facts
+from bilprov.conformance.report.run_report import Report, evidence, port_of, reproduce, run_facts
 
 # The verdicts whose cases are listed, the first one's only if every case is asked for.
 _LISTED = (
@@ -58,9 +60,24 @@ def show(report: Report, console: Console, *, everything: bool = False) -> None:
             console.print(Text(sentence, STYLES[Verdict.INCONCLUSIVE]))
         if report.proof:
             console.print(Text(report.proof))
+        _causes(report, console)
         _not_passed(report, console, everything=everything)
         _no_longer_failing(report, console, everything=everything)
     console.print(conclusion(report))
+
+
+def _causes(report: Report, console: Console) -> None:
+    """Print the causes of the failures, the worst first, each with the line that shows it."""
+    for cause in report.causes:
+        line = Text.assemble(("cause", STYLES[Verdict.FAIL]), " ", cause.sentence)
+        console.print(line.append(f"  {cause.clause}", "dim"))
+        again = shlex.join(["bilprov", "send", port_of(report), *cause.send])
+        more = f" and {len(cause.cases) - _SHOWN} more" if len(cause.cases) > _SHOWN else ""
+        cases = f"{', '.join(cause.cases[:_SHOWN])}{more}"
+        console.print(Text.assemble(("      cases     ", "dim"), cases))
+        console.print(Text.assemble(("      again     ", "dim"), again), soft_wrap=True)
+    if report.causes and report.unexplained:
+        console.print(Text(f"{quantity(report.unexplained, 'failed case')} of no cause found"))
 
 
 def _not_passed(report: Report, console: Console, *, everything: bool) -> None:
@@ -68,12 +85,25 @@ def _not_passed(report: Report, console: Console, *, everything: bool) -> None:
     known = report.comparison.expected if report.comparison else frozenset()
     for verdict in _LISTED:
         found = [r for r in report.results if r.verdict is verdict and r.id not in known]
+        if verdict is Verdict.FAIL and not everything:
+            found = _without_causes(report, found, console)
         if verdict is Verdict.INFORMATIONAL and not everything:
             continue
         if verdict is Verdict.INCONCLUSIVE and not everything:
             _reasons(found, console)
         else:
             _cases(report, found, console, len(found) if everything else _SHOWN)
+
+
+def _without_causes(report: Report, found: list[CaseResult], console: Console) -> list[CaseResult]:
+    """The failed cases that no cause explains; of the others one line says how many they are."""
+    explained = {ident for cause in report.causes for ident in cause.cases}
+    left = [result for result in found if result.id not in explained]
+    if len(left) < len(found):
+        words = quantity(len(found) - len(left), "case")
+        causes = "the cause" if len(report.causes) == 1 else "the causes"
+        console.print(Text(f"fail {words}, explained by {causes} above; --verbose lists them"))
+    return left
 
 
 def _no_longer_failing(report: Report, console: Console, *, everything: bool) -> None:

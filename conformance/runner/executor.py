@@ -51,6 +51,7 @@ class Runner:
     `measure` has the truncation time-out measured even if no case needs it, `discover` has the
     device's choices found out. `spare` is called before each case with its id and the results so
     far, and returns whether to skip it. `left_out` are the groups of which a budget left no case.
+    `afterwards` is done when all are judged, if the line still works.
     `unusable` says why the line could not be used at all,
     `ended` what ended the run early.
     """
@@ -65,9 +66,11 @@ class Runner:
         discover: bool = True,
         spare: SkipPolicy | None = None,
         left_out: Sequence[str] = (),
+        afterwards: Callable[[], Procedure[None]] | None = None,
     ) -> None:
         self._spare = spare
         self._left_out = tuple(left_out)
+        self._afterwards = afterwards
         self.run = run
         self.unusable = ""
         self.ended: Ended | None = None
@@ -92,6 +95,11 @@ class Runner:
             self._not_run(Verdict.INCONCLUSIVE, str(ended))
         run.release(str(self.ended or ""))
         run.strays.close(keeps_all=run.keeps_all)
+        if self.ended is None and self._afterwards and not self.unusable:
+            try:
+                yield from self._afterwards()
+            except Ended as ended:
+                self.ended = ended
         if self.ended is None or self.ended.line_works:
             stopped = yield from leave(run)
             self.ended = self.ended or stopped

@@ -135,6 +135,7 @@ class RunRecorder(Closing, RunListener):
                 "circumstances": environment,
                 "short_homing": True,
                 "slow_preambles": True,
+                "retries_causes": True,
             }
         )
         self._attach(GRAMMAR, "text/x-python", protocol.source.encode())

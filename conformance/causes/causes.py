@@ -1,0 +1,169 @@
+"""The causes of a run's failures: a rule, what goes wrong under it, and the cases it explains."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Sequence
+from dataclasses import dataclass, field
+
+from bilprov.conformance.causes.exchanges import Bag, Exchange
+from bilprov.conformance.causes.features import Feature
+from bilprov.conformance.causes.learner import one_rule, rules
+from bilprov.conformance.causes.relations import Effect, Relation, relations
+from bilprov.conformance.causes.rules import Rule, matches
+
+_LITERALS = 4
+"""Conditions of one rule for everything that went wrong; with more it describes two causes."""
+_FEW, _FEW_SHARE = 3, 0.1
+"""Cases, and their share of the widest cause's, that may be what another cause brings about."""
+_BACK = 64
+"""Frames up to a deviation at which that other cause is looked for."""
+TIERS = (1, 2, 4, 6)
+"""The costs up to which features are tried: those that explain most simply come first."""
+
+
+@dataclass(slots=True)
+class Cause:
+    """A rule, the effects that it explains, and deviations that these have brought about."""
+
+    rule: Rule
+    effects: list[Effect] = field(default_factory=list)
+    consequences: list[Bag] = field(default_factory=list)
+
+    @property
+    def exchanges(self) -> list[Exchange]:
+        """The exchanges that the rule takes in among those that may have caused a deviation."""
+        groups = [group for effect in self.effects for group in effect.groups]
+        return [e for group in groups for e in group if matches(self.rule, e)]
+
+    @property
+    def cases(self) -> set[str]:
+        """The ids of the cases that it explains."""
+        consequences = {bag.exchanges[-1].case for bag in self.consequences}
+        return consequences | {e.case for e in self.exchanges}
+
+    def foresees(self, exchange: Exchange) -> bool:
+        """Return whether it takes in an exchange and would show there."""
+        differs = any(effect.relation.differs(exchange) for effect in self.effects)
+        return differs and matches(self.rule, exchange)
+
+
+def find_causes(
+    features: Sequence[Feature],
+    exchanges: Iterable[Exchange],
+    bags: Iterable[Bag],
+    failed: Container[str],
+) -> list[Cause]:
+    """Find the causes of the deviations in the failed cases."""
+    clean = [e for e in exchanges if not e.deviations and e.right]
+    effects = _effects([bag for bag in bags if bag.exchanges[0].case in failed], clean)
+    effects.sort(key=lambda effect: -len(effect.bags))
+    causes: list[Cause] = []
+    for effect in effects:
+        if not any(_joined(features, cause, effect) for cause in causes):
+            causes += _causes(features, effect)
+    return _without_leftovers(causes)
+
+
+def _without_leftovers(causes: Sequence[Cause]) -> list[Cause]:
+    """The causes, without those of a few deviations that another one has brought about.
+
+    That is so where a frame before them in the same case is one at which the other cause shows.
+    """
+    kept: list[Cause] = []
+    for cause in sorted(causes, key=lambda cause: -len(cause.cases)):
+        few = max(_FEW, _FEW_SHARE * len(kept[0].cases)) if kept else 0
+        bags = [bag for effect in cause.effects for bag in effect.bags]
+        brought_about = []
+        if len(cause.cases) <= few:
+            brought_about = [(bag, other) for bag in bags if (other := _brought_about(bag, kept))]
+        if len(brought_about) < len(bags):
+            kept.append(cause)
+            continue
+        for bag, other in brought_about:
+            other.consequences.append(bag)
+    return kept
+
+
+def _brought_about(bag: Bag, causes: Sequence[Cause]) -> Cause | None:
+    """The cause that shows at a frame up to this deviation, None where there is none."""
+    exchange: Exchange | None = bag.exchanges[-1]
+    for _ in range(_BACK):
+        if exchange is None or exchange.case != bag.exchanges[-1].case:
+            return None
+        for cause in causes:
+            if cause.foresees(exchange):
+                return cause
+        exchange = exchange.previous
+    return None
+
+
+def _effects(bags: Iterable[Bag], clean: Sequence[Exchange]) -> list[Effect]:
+    kinds: dict[tuple[str, str], list[Bag]] = {}
+    for bag in bags:
+        kinds.setdefault(bag.deviation[:2], []).append(bag)
+    return [
+        Effect(relation, own, _against(relation, own, clean))
+        for kind in kinds.values()
+        for relation, own in relations(kind)
+    ]
+
+
+def _against(relation: Relation, bags: Sequence[Bag], clean: Sequence[Exchange]) -> list[Exchange]:
+    watched = 0
+    if relation.how == "changed":
+        watched = min(e.watched for bag in bags for e in bag.exchanges)
+    return [e for e in clean if relation.shows(e, watched)]
+
+
+def _joined(features: Sequence[Feature], cause: Cause, effect: Effect) -> bool:
+    """Add an effect to a cause if one rule explains both; return whether it does."""
+    if _explains(cause.rule, effect):
+        cause.effects.append(effect)
+        return True
+    both = [*cause.effects, effect]
+    rule = _one_rule(features, both)
+    if rule is None or _cost(rule) > _cost(cause.rule) + 1:
+        return False
+    cause.rule, cause.effects = rule, both
+    return True
+
+
+def _cost(rule: Rule) -> int:
+    """How much it takes to say a rule: what its features cost, and each of its conditions."""
+    return sum(literal.feature.cost + 1 for literal in rule)
+
+
+def _explains(rule: Rule, effect: Effect) -> bool:
+    taken = all(any(matches(rule, e) for e in group) for group in effect.groups)
+    return taken and not any(matches(rule, e) for e in effect.against)
+
+
+def _one_rule(features: Sequence[Feature], effects: Sequence[Effect]) -> Rule | None:
+    groups = [group for effect in effects for group in effect.groups]
+    against = list({id(e): e for effect in effects for e in effect.against}.values())
+    for share in (1.0, 0.97):
+        for most in TIERS:
+            rule = one_rule([f for f in features if f.cost <= most], groups, against, share)
+            if rule is not None and len(rule) <= _LITERALS:
+                return rule
+    return None
+
+
+def _causes(features: Sequence[Feature], effect: Effect) -> list[Cause]:
+    """The causes of one effect: one where one rule explains it, else as few as cover it."""
+    rule = _one_rule(features, [effect])
+    if rule is not None:
+        return [Cause(rule, [effect])]
+    causes, left = [], list(effect.bags)
+    for rule in rules([f for f in features if f.cost <= TIERS[-2]], effect.groups, effect.against):
+        whole = Effect(effect.relation, left, effect.against)
+        taken = [
+            bag
+            for bag, group in zip(left, whole.groups, strict=True)
+            if any(matches(rule, e) for e in group)
+        ]
+        if taken:
+            causes.append(Cause(rule, [Effect(effect.relation, taken, effect.against)]))
+        explained = set(map(id, taken))
+        left = [bag for bag in left if id(bag) not in explained]
+    return causes

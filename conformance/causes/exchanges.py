@@ -1,0 +1,427 @@
+"""Rebuilds the exchanges of a run from its trace: each frame, its answers, and what was seen.
+
+Each exchange is compared with the model of a conforming device. A deviation belongs to the frame
+that may have caused it: what was wrong before a frame is not counted against it, and what a later
+frame hides is no evidence for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.causes.trace import (
+    Begun,
+    Concluded,
+    Event,
+    Heard,
+    PoweredOn,
+    Seen,
+    Sent,
+    Silent,
+)
+from bilprov.conformance.oracle.judge import MOVING, differences
+from bilprov.conformance.oracle.sight import facets_of
+from bilprov.conformance.oracle.state_model import ExpectedState, Model
+from bilprov.spec.codec import Judgement, judge
+from bilprov.spec.motion import VARIABLES, Motion
+
+ANSWER, MOTION = "answer", "motion"
+
+
+class Deviation(NamedTuple):
+    """How an exchange deviates in one facet.
+
+    `facet` is `answer`, `motion` or a variable of the state. `how` is `silent`, `other`, `extra` or
+    `late` of an answer; `wrong`, `late` or `changed` (right at first) of what was seen. `expected`
+    and `seen` are response codes, kinds of motion or values.
+    """
+
+    facet: str
+    how: str
+    expected: int | str | None = None
+    seen: int | str | None = None
+
+
+class History(NamedTuple):
+    """What came before a frame since power-on: how many frames, faults, truncated frames, valid.
+
+    `row` are the consecutive faults right before it, `since` how many frames ago each instruction
+    or class of faults was last sent (1: the frame before).
+    """
+
+    frames: int
+    faults: int
+    row: int
+    truncated: int
+    last: Mapping[str, int]
+
+
+@dataclass(slots=True, eq=False, repr=False)
+class Exchange:
+    """One frame as it went over the line, with the state before it and what came of it.
+
+    Times are in ns: `start` and `end` those of its first and last byte, `pauses` those inside it
+    as (how many bytes stand before it, how long), `gap` from the frame before to its header (None
+    after power-on). `ahead` is how many frames before it were not answered yet. `before` and
+    `after` are the states of a conforming device, `accepted` its answers, `watched` how long (ns)
+    it was then looked at, `last_seen` the last look before it. `right` are the facets that were
+    seen to be right, `deviations` those that were not.
+    """
+
+    case: str
+    judgement: Judgement
+    step: Step
+    start: int
+    end: int
+    pauses: tuple[tuple[int, int], ...]
+    gap: int | None
+    ahead: int
+    history: History
+    previous: Exchange | None
+    before: ExpectedState
+    after: ExpectedState
+    accepted: frozenset[int | None] = frozenset()
+    watched: int = 0
+    last_seen: Look | None = None
+    codes: tuple[tuple[int, int], ...] = ()
+    right: set[str] = field(default_factory=set)
+    deviations: dict[str, Deviation] = field(default_factory=dict)
+
+    @property
+    def pause(self) -> int:
+        """The longest pause inside the frame (ns), 0 where its bytes came in one go."""
+        return max((length for _, length in self.pauses), default=0)
+
+    @property
+    def kind(self) -> str:
+        """The instruction's name of a valid frame, else its outcome; `truncated` for a cut one."""
+        if self.step.truncated:
+            return "truncated"
+        return self.judgement.name if self.judgement.valid else self.judgement.outcome.value
+
+
+class Bag(NamedTuple):
+    """The exchanges one of which has caused a deviation."""
+
+    deviation: Deviation
+    exchanges: tuple[Exchange, ...]
+
+
+class Timing(NamedTuple):
+    """Times of a line (ns): what pause ends a frame, a byte, how late an answer may come."""
+
+    timeout: int
+    byte_time: int
+    longest: int
+
+
+class Exchanges:
+    """The exchanges of a trace, and the bags of those that deviate from the model."""
+
+    def __init__(self, model: Model, events: Iterable[Event], timing: Timing) -> None:
+        self.all: list[Exchange] = []
+        self.bags: list[Bag] = []
+        self._model = model
+        self._timeout, self._byte_time, self._longest = timing
+        self._stop_longest = int(model.protocol.timing.stop_longest * MS)
+        self._case, self._first = "", 0
+        self._expected = model.found()
+        self._power_on()
+        for event in events:
+            self._take(event)
+        self._close()
+
+    def _power_on(self) -> None:
+        self._held = b""
+        self._held_start = self._held_end = 0
+        self._pauses: tuple[tuple[int, int], ...] = ()
+        self._burst: list[Exchange] = []
+        self._answers: list[tuple[int, int]] = []
+        self._looks: list[tuple[int, Look]] = []
+        self._counts = History(0, 0, 0, 0, {})
+        self._previous: Exchange | None = None
+        self._over = 0
+        self._lost = False
+        self._last_seen: Look | None = None
+        self._unseen: dict[str, list[Exchange]] = {}
+
+    def _take(self, event: Event) -> None:
+        if isinstance(event, Sent):
+            self._sent(event.t, event.data)
+        elif isinstance(event, Heard):
+            self._silent_until(event.t)
+            if self._burst:  # else nothing has asked for it
+                self._answers.append((event.t, event.code))
+        elif isinstance(event, Seen):
+            self._silent_until(event.t)
+            self._looks.append((event.t, event.look))
+        elif isinstance(event, Silent):
+            self._silent_until(event.t)
+        elif isinstance(event, PoweredOn):
+            self._close()
+            self._power_on()
+            power_on = self._model.protocol.power_on
+            self._expected = ExpectedState(power_on)
+        elif isinstance(event, Begun):
+            self._begin(event.ident)
+        elif isinstance(event, Concluded):
+            self._close()
+            for exchange in self.all[self._first :]:
+                exchange.case = exchange.case or event.ident
+            self._begin("" if self._case == event.ident else self._case)
+
+    def _begin(self, ident: str) -> None:
+        """Begin a case, "" for what is between two; one concluded without a beginning claims it."""
+        self._close()
+        self._case, self._first = ident, len(self.all)
+        self._lost = False
+
+    def _sent(self, t: int, data: bytes) -> None:
+        start = t - (len(data) - 1) * self._byte_time
+        self._silent_until(start)
+        if not self._held and self._burst and self._settled(start):
+            self._close()
+        for number, byte in enumerate(data):
+            at = start + number * self._byte_time
+            if not self._held:
+                self._held_start, self._pauses = at, ()
+            elif at - self._held_end >= MS:
+                self._pauses += ((len(self._held), at - self._held_end),)
+            self._held += bytes([byte])
+            self._held_end = at
+            if len(self._held) > self._model.protocol.lengths[self._held[0]]:
+                self._frame(truncated=False)
+
+    def _settled(self, now: int) -> bool:
+        """Whether the frames of the burst were waited for."""
+        late = now - self._burst[-1].end > self._longest
+        return bool(self._looks) or late or len(self._answers) >= len(self._burst)
+
+    def _silent_until(self, now: int) -> None:
+        if self._held and now - self._held_end >= self._timeout:
+            self._frame(truncated=True)
+
+    def _frame(self, *, truncated: bool) -> None:
+        protocol, data = self._model.protocol, self._held
+        self._held = b""
+        judgement = judge(protocol, data)
+        if truncated:
+            step = truncated_frame(protocol, judgement.id, judgement.length, data[1:])
+        else:
+            step = complete_frame(protocol, data[0], data[1:])
+        exchange = Exchange(
+            self._case,
+            judgement,
+            step,
+            self._held_start,
+            self._held_end,
+            self._pauses,
+            self._held_start - self._over if self._previous else None,
+            max(0, len(self._burst) - len(self._answers)),
+            self._counts,
+            self._previous,
+            self._expected,
+            self._expected,
+        )
+        counts = self._counts
+        self._counts = History(
+            counts.frames + 1,
+            counts.faults + step.faulty,
+            counts.row + 1 if step.faulty else 0,
+            counts.truncated + step.truncated,
+            {**counts.last, exchange.kind: counts.frames, **self._classes(exchange)},
+        )
+        self._previous, self._over = exchange, self._held_end
+        self._burst.append(exchange)
+
+    def _classes(self, exchange: Exchange) -> dict[str, int]:
+        return {("fault" if exchange.step.faulty else "valid"): self._counts.frames}
+
+    def _close(self) -> None:
+        """Judge the frames of a burst from their answers and the looks after them."""
+        burst, answers, looks = self._burst, self._answers, self._looks
+        self._burst, self._answers, self._looks = [], [], []
+        if not burst:
+            if looks and not self._lost:
+                self._resynchronise(looks[-1][1])
+            return
+        guilty: Exchange | None = None
+        for exchange, codes in zip(burst, self._paired(burst, answers), strict=True):
+            exchange.codes = tuple(codes)
+            exchange.before = self._expected
+            deviation = self._judged_answer(exchange)
+            if self._lost:
+                pass
+            elif deviation:
+                exchange.deviations[ANSWER] = deviation
+                self.bags.append(Bag(deviation, (exchange,)))
+                guilty = guilty or exchange
+                self._lost = deviation.how in ("silent", "extra")
+            elif not self._chosen(exchange.step):
+                exchange.right.add(ANSWER)
+            self._may_show_in(exchange)
+            self._expected = self._model.after(self._expected, exchange.step.frame_effect)
+            exchange.after, exchange.last_seen = self._expected, self._last_seen
+            if guilty:
+                self._expected = replace(self._expected, unknown=frozenset(VARIABLES))
+            if exchange is burst[-1] or not _repeats(exchange):
+                self.all.append(exchange)
+        if self._lost:
+            self._unseen.clear()
+        elif looks:
+            self._judge_looks(burst, answers, looks, guilty)
+
+    def _paired(
+        self, burst: list[Exchange], answers: list[tuple[int, int]]
+    ) -> list[list[tuple[int, int]]]:
+        """The answers of each frame of a burst: equally many where that is possible."""
+        pairs: list[list[tuple[int, int]]] = [[] for _ in burst]
+        if len(answers) % len(burst) == 0:
+            each = len(answers) // len(burst)
+            return [answers[at * each : (at + 1) * each] for at in range(len(burst))]
+        due = 0
+        for number, answer in enumerate(answers):
+            left = len(answers) - number
+            if due >= len(burst):
+                pairs[-1].append(answer)
+                continue
+            # With fewer answers than frames, a frame whose code does not fit has got none.
+            while left < len(burst) - due and answer[1] not in self._accepted(burst[due]):
+                due += 1
+            pairs[due].append(answer)
+            due += 1
+        return pairs
+
+    def _accepted(self, exchange: Exchange) -> set[int | None]:
+        """The codes that are right for a frame, None for no answer, with the device's choices."""
+        step, choices = exchange.step, self._model.choices
+        word = choices.word(step.point) if step.point else ""
+        chosen = [a for a in step.accepted[1:] if a.word == word]
+        return {next(iter(a.codes), None) for a in (chosen or step.accepted[:1])}
+
+    def _chosen(self, step: Step) -> bool:
+        """Whether the right answer is known from this very device, as a choice of its own."""
+        return bool(step.point) and self._model.choices.differs(step.point)
+
+    def _judged_answer(self, exchange: Exchange) -> Deviation | None:
+        accepted = self._accepted(exchange)
+        exchange.accepted = frozenset(accepted)
+        expected = next(iter(accepted))
+        codes = [code for _, code in exchange.codes]
+        if not codes:
+            return None if None in accepted else Deviation(ANSWER, "silent", expected)
+        if codes[0] not in accepted:
+            return Deviation(ANSWER, "other", expected, codes[0])
+        if len(codes) > 1:
+            return Deviation(ANSWER, "extra", expected, len(codes))
+        late = exchange.codes[0][0] - exchange.end
+        if late > self._longest + (self._timeout if exchange.step.truncated else 0):
+            return Deviation(ANSWER, "late", expected, late // MS)
+        return None
+
+    def _judge_looks(
+        self,
+        burst: list[Exchange],
+        answers: list[tuple[int, int]],
+        looks: list[tuple[int, Look]],
+        guilty: Exchange | None,
+    ) -> None:
+        since = max(burst[-1].end, answers[-1][0] if answers else 0)
+        facets = _shown(looks[-1][1])
+        different = {id(look): look for _, look in looks}  # the trace keeps equal ones once
+        deviating = {key: self._deviating(look) for key, look in different.items()}
+        found = [deviating[id(look)] for _, look in looks]
+        burst[-1].watched = looks[-1][0] - since
+        for facet in sorted(facets - self._unknown_facets()):
+            wrong = [facet in deviating for deviating in found]
+            if facet == MOTION and not any(wrong) and not self._expected.state.speed:
+                continue  # no motion shows at speed 0
+            candidates = (guilty,) if guilty else tuple(self._unseen.pop(facet, burst))
+            deviation = None
+            if all(wrong):
+                deviation = Deviation(facet, "wrong", *found[-1][facet])
+            elif wrong[-1]:
+                deviation = Deviation(facet, "changed", *found[-1][facet])
+            elif wrong[0] and facet == MOTION:
+                first = next(t for (t, _), bad in zip(looks, wrong, strict=True) if not bad)
+                if first - since > self._stop_longest:
+                    deviation = Deviation(facet, "late", *found[0][facet])
+            if deviation is None:
+                for exchange in () if guilty else candidates:
+                    exchange.right.add(facet)
+                continue
+            for exchange in candidates:
+                exchange.deviations[facet] = deviation
+            self.bags.append(Bag(deviation, tuple(candidates)))
+        self._resynchronise(looks[-1][1])
+
+    def _unknown_facets(self) -> set[str]:
+        unknown = set(self._expected.unknown)
+        return unknown | ({MOTION} if unknown & {"speed", "motion", "curve"} else set())
+
+    def _deviating(self, look: Look) -> dict[str, tuple[int | str, int | str]]:
+        """The facets of a look that deviate, with what was expected and what was seen."""
+        found: dict[str, tuple[int | str, int | str]] = {}
+        for name, wanted, seen in differences(self._model, self._expected, look):
+            if name not in MOVING:
+                found[name] = wanted, seen  # type: ignore[assignment]
+        # The wheels are held to the settings that the probe reports, right or wrong.
+        own = {name: getattr(look, name) for name in ("speed", "steering") if name in found}
+        reported = replace(self._expected, state=replace(self._expected.state, **own))
+        if any(name in MOVING for name, _, _ in differences(self._model, reported, look)):
+            found[MOTION] = reported.state.visible_motion.value, seen_motion(look)
+        return found
+
+    def _may_show_in(self, exchange: Exchange) -> None:
+        """Keep a frame as one that the next look may show; what it sets hides earlier frames."""
+        effect = exchange.step.frame_effect.effect or self._model.protocol.on_fault
+        for facet in VARIABLES:
+            if effect.sets(facet):
+                self._unseen[facet] = []
+            self._unseen.setdefault(facet, []).append(exchange)
+
+    def _resynchronise(self, look: Look) -> None:
+        """Go on from what was seen, so that a deviation is not counted again later."""
+        self._last_seen = look
+        state = self._expected.state
+        values = {
+            name: getattr(look, name)
+            for name in ("speed", "steering", "led")
+            if getattr(look, name) is not None
+        }
+        unknown = self._expected.unknown - values.keys()
+        if look.moving and look.motion:
+            values["motion"], unknown = Motion(look.motion), unknown - {"motion"}
+        elif look.moving is False and (state.moving or "motion" in unknown):
+            values["motion"], unknown = Motion.STOPPED, unknown - {"motion"}
+        pending = self._expected.pending_speed
+        if values.get("speed") == pending:
+            pending = None
+        self._expected = ExpectedState(replace(state, **values), unknown, pending)
+
+
+def _repeats(exchange: Exchange) -> bool:
+    """Whether a right exchange repeats the one before it, as stops that home a device do."""
+    previous = exchange.previous
+    if previous is None or exchange.deviations or previous.deviations:
+        return False
+    return (
+        previous.step.frame == exchange.step.frame
+        and previous.after == exchange.before == exchange.after
+    )
+
+
+def _shown(look: Look) -> set[str]:
+    facets = facets_of(look)
+    return (facets - set(MOVING)) | ({MOTION} if look.moving is not None else set())
+
+
+def seen_motion(look: Look) -> str:
+    """Return the motion that a look shows."""
+    if not look.moving:
+        return "stopped"
+    return look.motion or "moving"

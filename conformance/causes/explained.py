@@ -1,0 +1,136 @@
+"""Explains the failures of a run: its causes as the report gives them, the worst first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from bilprov.analyzer.client.operations import Procedure, followed, listen, power_cycle
+from bilprov.captures.text import quantity
+from bilprov.conformance.causes.exchanges import ANSWER, MOTION, Exchanges, Timing
+from bilprov.conformance.causes.features import features
+from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, shows
+from bilprov.conformance.causes.rules import matches
+from bilprov.conformance.causes.trace import Trace
+from bilprov.conformance.causes.wording import condition, deviations
+from bilprov.conformance.oracle.verdicts import Cause, Verdict
+from bilprov.conformance.runner.homing import home
+from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.waiting import GaveUp
+
+if TYPE_CHECKING:
+    from bilprov.conformance.causes.causes import Cause as Found
+
+_TRIED = 5
+"""Causes that are tried again."""
+_WHILE = 10_000_000_000
+"""For how long (ns) causes are tried again."""
+
+
+@dataclass(slots=True)
+class _Explanation:
+    """A cause, the line that shows it, and whether it did again (None where it was not tried)."""
+
+    found: Found
+    line: Line
+    shown: bool | None = None
+
+
+class Explainer:
+    """Explains a run's failures from its trace; `byte_time` is a byte's time on the line (ns)."""
+
+    def __init__(self, run: Run, trace: Trace, byte_time: int) -> None:
+        self._run = run
+        self._trace = trace
+        self._timing = Timing(run.waiting.timeout, byte_time, run.timers.longest)
+        self._explanations: list[_Explanation] | None = None
+
+    def try_again(self) -> Procedure[None]:
+        """Try the line of each of the first causes again.
+
+        The device was just switched on where that can be done; it is always homed first.
+        """
+        run, begun = self._run, self._trace.now
+        for explanation in self._found()[:_TRIED]:
+            if self._trace.now - begun > _WHILE:
+                return
+            try:
+                if run.config.power:
+                    yield from power_cycle()
+                    yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
+                yield from home(run)
+                explanation.shown = yield from self._shows(explanation)
+                yield from home(run)
+            except GaveUp:
+                return
+
+    def _shows(self, explanation: _Explanation) -> Procedure[bool]:
+        """Send the line once; return whether the cause shows."""
+        run, trace = self._run, Trace()
+        watched = max(e.watched for e in explanation.found.exchanges)
+        sent = shown_by(explanation.line, self._timing, watched, looks=run.config.observable)
+        yield from followed(sent, trace)
+        exchanges = Exchanges(run.model, trace.events, self._timing)
+        return bool(exchanges.all) and shows(explanation.found, exchanges)
+
+    def causes(self) -> tuple[Cause, ...]:
+        """Return the causes of the run's failures, those that keep the device moving first."""
+        failed = {r.id: r.clause for r in self._run.results if r.verdict is Verdict.FAIL}
+        judged = sum(r.verdict is not Verdict.SKIPPED for r in self._run.results)
+        return tuple(self._cause(one, failed, judged) for one in self._found())
+
+    def _found(self) -> list[_Explanation]:
+        if self._explanations is None:
+            self._explanations = list(self._explained())
+        return self._explanations
+
+    def _explained(self) -> Sequence[_Explanation]:
+        run = self._run
+        failed = {r.id for r in run.results if r.verdict is Verdict.FAIL}
+        if not failed:
+            return []
+        from bilprov.conformance.causes.causes import find_causes  # it needs numpy
+
+        exchanges = Exchanges(run.model, self._trace.events, self._timing)
+        found = find_causes(features(run.protocol), exchanges.all, exchanges.bags, failed)
+        found = [cause for cause in found if not failed.isdisjoint(cause.cases)]
+        found.sort(key=lambda cause: (_rank(cause), -len(cause.cases)))
+        finder = Finder(run.protocol, self._timing)
+        return [_Explanation(cause, finder.line(cause)) for cause in found]
+
+    def _cause(self, explanation: _Explanation, failed: dict[str, str], judged: int) -> Cause:
+        found, shown = explanation.found, explanation.shown
+        taken = found.cases
+        cases = tuple(ident for ident in failed if ident in taken)
+        right = {
+            e.case for effect in found.effects for e in effect.against if matches(found.rule, e)
+        }
+        others = len(right - taken)
+        when, what = condition(found.rule), deviations(self._run.protocol, found.effects)
+        met = len(cases) + others
+        sure = f"{len(cases):,} of {quantity(met, 'case')}, and none of {judged - met:,} others"
+        return Cause(
+            sentence=f"{what} after {when} ({sure}; {_tried(shown)})",
+            when=when,
+            axis=("stop", "state", "answer", "state")[_rank(found)],
+            clause=failed[cases[0]],
+            cases=cases,
+            others=others,
+            send=explanation.line.words,
+            tried=shown is not None,
+        )
+
+
+def _tried(shown: bool | None) -> str:
+    if shown is None:
+        return "not tried again"
+    return "tried again: the same" if shown else "tried again: not seen"
+
+
+def _rank(found: Found) -> int:
+    """How bad a cause is: it keeps moving, a wrong motion, a wrong answer, the rest."""
+    facets = {effect.relation.facet for effect in found.effects}
+    if any(effect.keeps_moving for effect in found.effects):
+        return 0
+    return 1 if MOTION in facets else 2 if ANSWER in facets else 3

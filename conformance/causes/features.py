@@ -1,0 +1,202 @@
+"""What a cause may depend on: features of an exchange, all of which come from the protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from bilprov.captures.schemas import MS
+from bilprov.conformance.causes.exchanges import Exchange
+from bilprov.spec.motion import VARIABLES
+from bilprov.spec.protocol import Protocol
+
+Value = str | int | None
+Of = Callable[[Exchange], Value]
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """One thing that is known of each exchange.
+
+    `of` gives its value: a word, a number, or None where the exchange has none. `cost` ranks
+    features that explain equally well: the lower is named. `bits` is how many bits of a number may
+    matter each for itself, `counts` whether every n-th may matter. `words` has `{}` where the value
+    stands; a `subject` names the frame itself.
+    """
+
+    name: str
+    of: Of
+    words: str
+    cost: int = 1
+    bits: int = 0
+    counts: bool = False
+    subject: bool = False
+
+
+def features(protocol: Protocol) -> tuple[Feature, ...]:
+    """Return every feature of a protocol's exchanges."""
+    return (
+        *_of_frames(protocol),
+        *_of_data(protocol),
+        *_of_states(),
+        *_of_delivery(),
+        *_of_history(protocol),
+    )
+
+
+def _of_frames(protocol: Protocol) -> Iterator[Feature]:
+    yield Feature("frame", lambda e: e.kind, "{}", 0, subject=True)
+    yield Feature("fault", _fault, "{}", 0, subject=True)
+    yield Feature("outcome", lambda e: _whole(e, e.judgement.outcome.value), "{}", 0, subject=True)
+    yield Feature("instruction", _instruction, "{}", 1, subject=True)
+    yield Feature("cut", lambda e: "cut short" if e.step.truncated else "complete", "{}", 1)
+    yield Feature("id", lambda e: e.judgement.id, "with ID {}", 2, protocol.ids[-1].bit_length())
+    bits = protocol.data_lengths[-1].bit_length()
+    yield Feature("length", lambda e: e.judgement.length, "with announced length {}", 2, bits)
+    yield Feature("arrived", lambda e: len(e.step.frame) - 1, "with {} data bytes", 3)
+    yield Feature("surplus", _surplus, "with {} more data bytes than it takes", 3)
+
+
+def _fault(exchange: Exchange) -> str:
+    return "a faulty frame" if exchange.step.faulty else "a valid frame"
+
+
+def _instruction(exchange: Exchange) -> str:
+    judgement = exchange.judgement
+    return f"an instruction {judgement.name}" if judgement.instruction else "an unused ID"
+
+
+def _whole(exchange: Exchange, outcome: str) -> str | None:
+    return None if exchange.step.truncated else outcome
+
+
+def _surplus(exchange: Exchange) -> int | None:
+    spec = exchange.judgement.instruction
+    return None if spec is None else exchange.judgement.length - spec.length
+
+
+def _of_data(protocol: Protocol) -> Iterator[Feature]:
+    names = {part.name: part for spec in protocol.instructions for part in spec.fields}
+    for name, part in names.items():
+        width = max(abs(part.low), abs(part.high)).bit_length()
+        yield Feature(name, _field(name), f"with {name} {{}}", 1, width)
+    for index in range(1, protocol.data_lengths[-1] + 1):
+        words = f"with data byte {index} {{}}"
+        yield Feature(f"byte {index}", _byte(index), words, 2 if index == 1 else 4, 8)
+    yield Feature("same", _repeats, "{}", 3)
+
+
+def _field(name: str) -> Of:
+    return lambda exchange: dict(exchange.judgement.fields).get(name)
+
+
+def _byte(index: int) -> Of:
+    return lambda e: e.step.frame[index] if index < len(e.step.frame) else None
+
+
+def _repeats(exchange: Exchange) -> str | None:
+    if exchange.previous is None:
+        return None
+    same = exchange.previous.step.frame == exchange.step.frame
+    return "the same frame again" if same else "another frame than before"
+
+
+def _of_states() -> Iterator[Feature]:
+    for name in VARIABLES:
+        bits = 0 if name == "motion" else 8
+        yield Feature(f"{name} before", _before(name), f"while {name} is {{}}", 2, bits)
+    yield Feature("moving before", _moved, "while it {}", 2)
+
+
+def _before(name: str) -> Of:
+    def of(exchange: Exchange) -> Value:
+        known = name not in exchange.before.unknown
+        return getattr(exchange.before.state, name) if known else None
+
+    return of
+
+
+def _moved(exchange: Exchange) -> str | None:
+    if exchange.before.unknown & {"motion", "speed"}:
+        return None
+    return "moves" if exchange.before.state.moving else "stands"
+
+
+def _of_delivery() -> Iterator[Feature]:
+    yield Feature("sent ahead", lambda e: "sent ahead" if e.ahead else "waited for", "{}", 2)
+    yield Feature("ahead", lambda e: e.ahead, "with {} frames before it not answered yet", 3)
+    yield Feature("split", lambda e: "split" if e.pauses else "in one go", "{}", 2)
+    yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} ms inside", 5)
+    yield Feature(
+        "gap", lambda e: None if e.gap is None else e.gap // MS, "{} ms after the frame before", 5
+    )
+
+
+def _of_history(protocol: Protocol) -> Iterator[Feature]:
+    yield Feature(
+        "previous", lambda e: e.previous.kind if e.previous else "power-on", "sent after {}", 2
+    )
+    yield Feature("previous fault", _previous_fault, "sent after {}", 2)
+    yield Feature(
+        "previous instruction",
+        lambda e: e.previous.judgement.name if e.previous else None,
+        "sent after {}, right or wrong",
+        4,
+    )
+    for counter, one in (
+        ("frames", "frame"),
+        ("faults", "fault"),
+        ("truncated", "truncated frame"),
+    ):
+        words = f"with {{}} {one}s before it since power-on"
+        yield Feature(counter, _count(counter), words, 6, counts=True)
+    yield Feature("due", _due, "{}", 2)
+    yield Feature("row", lambda e: e.history.row, "with {} faults in a row before it", 3)
+    kinds = ["fault", "valid", "truncated", *(s.name for s in protocol.instructions)]
+    for kind in kinds:
+        yield Feature(f"since {kind}", _since(kind), f"with {kind} {{}} frames before it", 6)
+    for one in kinds:
+        for other in kinds:
+            if one < other:
+                yield Feature(f"{one}/{other}", _later(one, other), "{}", 5)
+
+
+def _due(exchange: Exchange) -> str | None:
+    if exchange.previous is None:
+        return None
+    same = exchange.accepted & exchange.previous.accepted
+    return "the answer due is that of before" if same else "another answer is due than before"
+
+
+def _previous_fault(exchange: Exchange) -> str | None:
+    if exchange.previous is None:
+        return None
+    return "a faulty frame" if exchange.previous.step.faulty else "a valid frame"
+
+
+def _count(counter: str) -> Of:
+    def of(exchange: Exchange) -> Value:
+        value: int = getattr(exchange.history, counter)
+        return value
+
+    return of
+
+
+def _since(kind: str) -> Of:
+    def of(exchange: Exchange) -> Value:
+        last = exchange.history.last.get(kind)
+        return None if last is None else exchange.history.frames - last
+
+    return of
+
+
+def _later(one: str, other: str) -> Of:
+    def of(exchange: Exchange) -> Value:
+        last = exchange.history.last
+        first, second = last.get(one, -1), last.get(other, -1)
+        if first == second:
+            return None
+        late, early = (one, other) if first > second else (other, one)
+        return f"{late} was sent since {early}"
+
+    return of

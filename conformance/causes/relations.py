@@ -1,0 +1,224 @@
+"""How a wrong value relates to the right one: what a device does instead of what it should.
+
+A relation predicts the wrong value. Where it predicts the right one, a right exchange says nothing
+about it: a setting that is ignored shows only where it would change something.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from bilprov.conformance.causes.exchanges import ANSWER, MOTION, Bag, Exchange, seen_motion
+from bilprov.conformance.oracle.state_model import ExpectedState
+
+Value = int | str | None
+Predict = Callable[[Exchange], Value]
+
+
+@dataclass(frozen=True, slots=True)
+class Relation:
+    """What goes wrong in one facet, in words, and the value that it predicts for an exchange.
+
+    `how` is that of the deviations. Where `predict` is None the value can be any.
+    """
+
+    facet: str
+    how: str
+    words: str
+    predict: Predict | None = None
+
+    def explains(self, bag: Bag) -> bool:
+        """Return whether a bag's deviation is of this kind."""
+        return any(self.fits(bag, exchange) for exchange in bag.exchanges)
+
+    def fits(self, bag: Bag, exchange: Exchange) -> bool:
+        """Return whether the deviation is of this kind, if this exchange has caused it."""
+        return self.predict is None or self.predict(exchange) == bag.deviation.seen
+
+    def shows(self, exchange: Exchange, watched: int) -> bool:
+        """Return whether a right exchange speaks against it: it would have shown there.
+
+        `watched` is how long (ns) it takes to show.
+        """
+        if self.facet not in exchange.right or exchange.watched < watched:
+            return False
+        return self.differs(exchange)
+
+    def differs(self, exchange: Exchange) -> bool:
+        """Return whether the value that it predicts for an exchange is not the right one."""
+        if self.predict is None:
+            return True
+        predicted = self.predict(exchange)
+        if predicted is None:
+            return False
+        if self.facet == ANSWER:
+            return predicted not in exchange.accepted
+        return predicted != value_after(self.facet, exchange)
+
+
+@dataclass(slots=True)
+class Effect:
+    """What goes wrong in one facet, the bags that show it and the right exchanges against it."""
+
+    relation: Relation
+    bags: list[Bag]
+    against: list[Exchange]
+
+    @property
+    def groups(self) -> list[tuple[Exchange, ...]]:
+        """The exchanges of each bag that may have caused it."""
+        fits = self.relation.fits
+        return [
+            tuple(e for e in bag.exchanges if fits(bag, e)) or bag.exchanges for bag in self.bags
+        ]
+
+    @property
+    def keeps_moving(self) -> bool:
+        """Whether the device moves where it must stand: what matters most."""
+        return self.relation.facet == MOTION and any(
+            bag.deviation.expected == "stopped" and bag.deviation.seen != "stopped"
+            for bag in self.bags
+        )
+
+
+def value_after(facet: str, exchange: Exchange) -> Value:
+    """Return the right value of a facet after an exchange, None where it is not known."""
+    return _value(facet, exchange.after)
+
+
+def value_before(facet: str, exchange: Exchange) -> Value:
+    """Return the value of a facet before an exchange, None where it is not known."""
+    return _value(facet, exchange.before)
+
+
+def _value(facet: str, expected: ExpectedState) -> Value:
+    if facet == MOTION:
+        unknown = expected.unknown & {"motion", "speed"}
+        return None if unknown else expected.state.visible_motion.value
+    return None if facet in expected.unknown else getattr(expected.state, facet)
+
+
+def relations(bags: Sequence[Bag]) -> list[tuple[Relation, list[Bag]]]:
+    """Return the fewest relations that explain these bags (of one facet and one `how`)."""
+    found = []
+    left = list(bags)
+    while left:
+        facet, how = left[0].deviation[:2]
+        candidates = _of_answers(how, left) if facet == ANSWER else _of_values(facet, how, left)
+        scored = [(relation, [b for b in left if relation.explains(b)]) for relation in candidates]
+        best = max(scored, key=lambda pair: len(pair[1]))
+        if len(best[1]) < max(2, len(left) / 20) and len(left) > 1:
+            best = Relation(facet, how, "is wrong" if facet != ANSWER else "answers wrongly"), left
+        found.append(best)
+        explained = set(map(id, best[1]))
+        left = [bag for bag in left if id(bag) not in explained]
+    return found
+
+
+def _of_answers(how: str, bags: Iterable[Bag]) -> list[Relation]:
+    if how != "other":
+        words = {
+            "silent": "gives no answer",
+            "extra": "answers more than once",
+            "late": "answers late",
+        }
+        return [Relation(ANSWER, how, words[how])]
+    codes = Counter(bag.deviation.seen for bag in bags).most_common(4)
+    return [
+        *_other_codes(bags),
+        *(Relation(ANSWER, how, f"answers {code:#04x}", lambda e, c=code: c) for code, _ in codes),  # type: ignore[misc]
+        Relation(ANSWER, how, "answers what was due to the frame before", _due_before),
+    ]
+
+
+def _other_codes(bags: Iterable[Bag]) -> Iterator[Relation]:
+    """A code of its own instead of each that is due, where several are exchanged for others."""
+    pairs = Counter((bag.deviation.expected, bag.deviation.seen) for bag in bags)
+    instead = {due: code for (due, code), _ in reversed(pairs.most_common())}
+    if len(set(instead.values())) < 2:
+        return
+
+    def predict(exchange: Exchange) -> Value:
+        due = [code for code in exchange.accepted if code in instead]
+        return instead[due[0]] if due else None
+
+    yield Relation(ANSWER, "other", "exchanges codes", predict)
+
+
+def _due_before(exchange: Exchange) -> Value:
+    before = exchange.previous
+    return next(iter(before.accepted), None) if before and len(before.accepted) == 1 else None
+
+
+def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
+    def before(exchange: Exchange) -> Value:
+        return value_before(facet, exchange)
+
+    def last_seen(exchange: Exchange) -> Value:
+        look = exchange.last_seen
+        if look is None:
+            return None
+        return seen_motion(look) if facet == MOTION else getattr(look, facet)
+
+    found = [
+        Relation(facet, how, "stays as it was", before),
+        Relation(facet, how, "stays as it was", last_seen),
+    ]
+    seen = Counter(bag.deviation.seen for bag in bags).most_common(3)
+    if facet == MOTION:
+        return found + [Relation(facet, how, f"is {v}", _moving_as(v)) for v, _ in seen]
+    found += [Relation(facet, how, f"is {value}", lambda e, v=value: v) for value, _ in seen]  # type: ignore[misc]
+    return found + [
+        Relation(facet, how, words, _changed(facet, change)) for words, change in _changes(bags)
+    ]
+
+
+def _changed(facet: str, change: Callable[[int], int]) -> Predict:
+    """Predict the right value, changed."""
+
+    def predict(exchange: Exchange) -> Value:
+        value = value_after(facet, exchange)
+        return change(value) if isinstance(value, int) else None
+
+    return predict
+
+
+def _changes(bags: Iterable[Bag]) -> Iterator[tuple[str, Callable[[int], int]]]:
+    """What may have been done to the right values of these bags, in words; the simplest first."""
+    pairs = [(bag.deviation.expected, bag.deviation.seen) for bag in bags]
+    numbers = [(v, s) for v, s in pairs if isinstance(v, int) and isinstance(s, int)]
+    width = max((max(abs(v), abs(s)).bit_length() for v, s in numbers), default=0)
+    for bit in range(width):
+        yield f"lacks bit {bit}", lambda v, b=bit: _sized(v, abs(v) & ~(1 << b))  # type: ignore[misc]
+        yield f"has bit {bit}", lambda v, b=bit: _sized(v, abs(v) | 1 << b)  # type: ignore[misc]
+    yield "has its bits in the opposite order", lambda v: _sized(v, _mirrored(abs(v), width))
+    for most, _ in Counter(abs(s) for _, s in numbers).most_common(2):
+        yield f"is {most} at most", lambda v, n=most: max(-n, min(v, n))  # type: ignore[misc]
+    yield "has the other sign", lambda v: -v
+    for offset, _ in Counter(s - v for v, s in numbers).most_common(3):
+        yield f"is off by {offset:+d}", lambda v, k=offset: v + k  # type: ignore[misc]
+    for total, _ in Counter(s + v for v, s in numbers).most_common(2):
+        yield f"is {total} minus the value", lambda v, n=total: n - v  # type: ignore[misc]
+    yield "is half", lambda v: int(v / 2)
+    yield "is doubled", lambda v: 2 * v
+
+
+def _moving_as(motion: Value) -> Predict:
+    """Predict a motion wherever the speed lets one be seen."""
+
+    def predict(exchange: Exchange) -> Value:
+        if "speed" in exchange.after.unknown:
+            return None
+        return motion if exchange.after.state.speed else "stopped"
+
+    return predict
+
+
+def _mirrored(value: int, width: int) -> int:
+    return int(f"{value:0{width}b}"[::-1], 2)
+
+
+def _sized(value: int, size: int) -> int:
+    return -size if value < 0 else size

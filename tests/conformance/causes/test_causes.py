@@ -1,0 +1,158 @@
+"""The causes of a run's failures: what they name and take in, and the line that shows them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from bilprov.analyzer.client.homing import home_once
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import Procedure, followed
+from bilprov.captures.schemas import MS
+from bilprov.conformance.api import Options, conform
+from bilprov.conformance.causes.causes import Cause, find_causes
+from bilprov.conformance.causes.exchanges import Exchanges, Timing
+from bilprov.conformance.causes.features import features
+from bilprov.conformance.causes.reproduction import Finder, shown_by, shows
+from bilprov.conformance.causes.rules import matches
+from bilprov.conformance.causes.trace import Trace
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.state_model import Model
+from bilprov.conformance.report.run_report import Report
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
+
+SMOKE = Options(level="smoke")
+
+# A fault, the worst axis, what its one cause says goes wrong, and when.
+NAMED = [
+    ("ok-to-unknown-id", "answer", "answers 00 OK instead of 01 BAD_HEADER", "unknown ID"),
+    ("always-0", "answer", "00 OK instead of 04 TOO_FEW_DATA", "a faulty frame"),
+    ("codes-reversed", "answer", "02 BAD_DATA instead of 03 TOO_MANY_DATA", "a faulty frame"),
+    ("double-answer", "answer", "answers more than once", "any frame"),
+    ("no-stop-on-bad-data", "stop", "does not stop", "bad data"),
+    ("restarts-by-itself", "stop", "moves again, by itself", "a faulty frame"),
+    ("rotateleft-does-nothing", "state", "is stopped", "RotateLeft"),
+    ("speed-bit-0-lost", "state", "speed lacks bit 0", "Speed"),
+    ("speed-is-signed", "state", "speed is 256 minus the value", "Speed, with speed 131 or more"),
+    ("every-16th-fault-missed", "stop", "does not stop", "at one in 16 of the faults"),
+    ("sent-ahead-fault-does-not-stop", "stop", "does not stop", "a faulty frame, sent ahead"),
+    (
+        "no-stop-on-unknown-id-while-forward",
+        "stop",
+        "does not stop",
+        "unknown ID, while motion is forward",
+    ),
+]
+
+
+def report_of(protocol: Protocol, fault: Fault) -> Report:
+    return conform(Simulator(protocol, fault), grammar=protocol, options=SMOKE)
+
+
+@pytest.mark.parametrize(("name", "axis", "what", "when"), NAMED, ids=[row[0] for row in NAMED])
+def test_one_cause_names_what_goes_wrong_and_when(
+    protocol: Protocol, name: str, axis: str, what: str, when: str
+) -> None:
+    report = report_of(protocol, fault_bank(protocol)[name])
+    [cause] = report.causes
+    assert cause.axis == axis
+    assert what in cause.sentence
+    assert cause.when.startswith(when) or when in cause.when
+    failed = {result.id for result in report.results if result.verdict.label == "fail"}
+    assert set(cause.cases) <= failed
+    assert report.unexplained == len(failed - set(cause.cases)) <= 1
+    assert cause.tried
+
+
+def test_a_device_that_conforms_has_no_causes(protocol: Protocol) -> None:
+    report = conform(Simulator(protocol), options=SMOKE)
+    assert report.causes == ()
+    assert report.unexplained == 0
+
+
+def test_what_keeps_it_moving_stands_before_a_wrong_led(protocol: Protocol) -> None:
+    bank = fault_bank(protocol)
+    led, drives_on = bank["led-b-stuck-off"], bank["no-stop-on-bad-data"]
+    assert led.react
+    assert drives_on.react
+
+    def both(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        assert led.react
+        assert drives_on.react
+        return drives_on.react(device, event, led.react(device, event, reaction))
+
+    report = report_of(protocol, replace(led, react=both))
+    axes = [cause.axis for cause in report.causes]
+    assert axes[:2] == ["stop", "state"]
+    assert "bad data" in report.causes[0].when
+    assert "LED" in report.causes[1].when
+
+
+def test_causes_follow_the_grammar(horn: Protocol) -> None:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        refused = horn.answers[Outcome.BAD_DATA].code
+        loud = event.judgement.name == "Horn" and event.judgement.frame[1:] == b"\x03"
+        return replace(reaction, answers=((0, refused),)) if loud else reaction
+
+    fault = replace(fault_bank(horn)["always-0"], react=react)
+    [cause] = report_of(horn, fault).causes
+    assert cause.when == "Horn, with sound 3"
+    assert cause.send == ("91 03",)
+
+
+class Recorded:
+    """The trace of a run against a faulty device, and the causes found in it."""
+
+    def __init__(self, protocol: Protocol, fault: Fault) -> None:
+        trace = Trace()
+        report = conform(Simulator(protocol, fault), options=SMOKE, listener=trace)
+        timing = protocol.timing
+        self.timing = Timing(
+            int(timing.truncation_timeout * MS), 86_806, int(timing.answer_longest * MS)
+        )
+        self.exchanges = Exchanges(Model(protocol, Choices()), trace.events, self.timing)
+        failed = {result.id for result in report.results if result.verdict.label == "fail"}
+        self.causes: list[Cause] = find_causes(
+            features(protocol), self.exchanges.all, self.exchanges.bags, failed
+        )
+
+
+@pytest.mark.parametrize("name", ["no-stop-once-it-has-rotated", "speed-ignored-after-left"])
+def test_a_cause_takes_in_nothing_that_contradicts_it(protocol: Protocol, name: str) -> None:
+    recorded = Recorded(protocol, fault_bank(protocol)[name])
+    assert recorded.causes
+    for cause in recorded.causes:
+        against = [e for effect in cause.effects for e in effect.against]
+        assert against
+        assert not [e for e in against if matches(cause.rule, e)]
+
+
+@pytest.mark.parametrize("name", ["no-stop-on-bad-data", "speed-bit-0-lost", "double-answer"])
+def test_its_line_shows_it_on_a_fresh_device_and_not_on_a_right_one(
+    protocol: Protocol, name: str
+) -> None:
+    fault = fault_bank(protocol)[name]
+    recorded = Recorded(protocol, fault)
+    cause = recorded.causes[0]
+    line = Finder(protocol, recorded.timing).line(cause)
+
+    def shown_on(device: Simulator) -> bool:
+        trace = Trace()
+
+        def attempt() -> Procedure[None]:
+            yield from home_once(protocol)
+            yield from followed(shown_by(line, recorded.timing, looks=True), trace)
+
+        drive(attempt(), VirtualLink(device, recorded.timing.byte_time))
+        exchanges = Exchanges(Model(protocol, Choices()), trace.events, recorded.timing)
+        return shows(cause, exchanges)
+
+    assert shown_on(Simulator(protocol, fault))
+    assert not shown_on(Simulator(protocol))
+    assert line.frames <= 3
