@@ -30,6 +30,14 @@ DROPPED = {
 }
 """A sentence for each former command that has no new name."""
 
+DROPPED_OPTIONS = {
+    "--budget": (
+        "conform --budget is gone: what a slow line cannot hold is left out by itself, and --only "
+        "or --level smoke make any run shorter"
+    ),
+}
+"""A sentence for each former option."""
+
 
 def former_name(name: str, arguments: Sequence[str] = ()) -> str:
     """A sentence with what a command is called now, and its arguments; "" if it is no former name.

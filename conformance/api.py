@@ -12,10 +12,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import (
     Pace,
     before_the_cases,
-    dropped,
-    emptied,
     seconds,
-    within,
 )
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import (
@@ -64,10 +61,9 @@ class Options:
     later than the grammar's longest fails. `silence` is how long the line is listened to after an
     answer, `truncation_timeout` the pause that ends a frame (measured if None). `level` names the
     suite's level, `soak` how many faults more are sent at its end. `allow` are the choices
-    (NAME=VALUE) that would fail otherwise. `budget` (s) keeps the cases that add most a second,
-    `profile` is the text of a device's profile, "" for none. `extra` is how many states more than
-    the Protocol's machine a device may have that the level `complete` still finds. `first` are the
-    ids of cases that are run before the others.
+    (NAME=VALUE) that would fail otherwise. `profile` is the text of a device's profile, "" for
+    none. `extra` is how many states more than the Protocol's machine a device may have that the
+    level `complete` still finds. `first` are the ids of cases that are run before the others.
     """
 
     only: tuple[str, ...] = ()
@@ -80,19 +76,15 @@ class Options:
     level: str = "standard"
     soak: int = 0
     allow: tuple[str, ...] = ()
-    budget: float | None = None
     profile: str = ""
     extra: int = 0
     first: tuple[str, ...] = ()
 
 
-def select_cases(
-    grammar: Grammar, options: Options, line: LineSettings | None = None
-) -> tuple[AnyCase, ...]:
+def select_cases(grammar: Grammar, options: Options) -> tuple[AnyCase, ...]:
     """The cases of a run, besides those that open every run.
 
-    `line` are the line's settings, which decide what a budget holds; the grammar's own
-    if None. Raises ValueError when `only` matches none of these cases and none of the opening ones,
+    Raises ValueError when `only` matches none of these cases and none of the opening ones,
     and for a glob with characters that no id has.
     """
     for glob in options.only:
@@ -116,9 +108,7 @@ def select_cases(
         wanted = matching(options.only)
         chosen = tuple(case for case in cases if wanted(case.id))
         named = set(options.only) - {case.id for case in chosen}
-        if any(
-            ident.startswith(f"{RANDOM_GROUP}/") for ident in named
-        ):  # of a budget, or of a soak
+        if any(ident.startswith(f"{RANDOM_GROUP}/") for ident in named):  # of a soak
             more = more_random(grammar, options.level, options.seed, options.soak)
             chosen += tuple(case for case in more if case.id in named)
         if not chosen and not any(wanted(case.id) for case in opening_and_reading_cases(grammar)):
@@ -128,21 +118,6 @@ def select_cases(
             )
         cases = chosen
 
-    def cost(case: AnyCase) -> float:
-        return estimated_seconds(grammar, [case], options, line)
-
-    if options.budget is not None:
-        left = options.budget - before_the_cases(Pace(grammar.timing.truncation_timeout / 1000))
-        chosen = within(grammar, cases, left, cost)
-        if len(chosen) == len(cases) and not options.only:
-            left -= sum(map(cost, chosen))
-            more = more_random(grammar, options.level, options.seed, options.soak)
-            for case in more:
-                left -= cost(case)
-                if left < 0:
-                    break
-                chosen += (case,)
-        cases = chosen
     early = frozenset(options.first)
     return tuple(sorted(cases, key=lambda case: case.id not in early)) if early else cases
 
@@ -162,12 +137,10 @@ def planned(grammar: Grammar, options: Options, cases: Sequence[AnyCase]) -> int
     return len(opening) + len(cases) - (known and truncation_timeout(grammar) is not None)
 
 
-def suite_ids(
-    grammar: Grammar, options: Options, line: LineSettings | None = None
-) -> tuple[str, ...]:
+def suite_ids(grammar: Grammar, options: Options) -> tuple[str, ...]:
     """The ids of every case that a run has with these options if nothing is left out."""
     whole = replace(options, only=())
-    cases = (*opening_and_reading_cases(grammar), *select_cases(grammar, whole, line))
+    cases = (*opening_and_reading_cases(grammar), *select_cases(grammar, whole))
     return (*(case.id for case in cases), *CONDITIONAL_CASES)
 
 
@@ -236,7 +209,7 @@ def run_suite(
     if explains:
         everyone = (*everyone, trace)
     link = ObservedLink(target.connect, everyone)
-    cases = select_cases(grammar, options, target.line)
+    cases = select_cases(grammar, options)
     for listener in everyone:
         listener.begins(grammar, options, target.environment)
 
@@ -293,7 +266,6 @@ def run_suite(
         measure=asked,
         discover=not options.profile,
         spare=skip,
-        left_out=_left_out(grammar, options, target.line),
         afterwards=explainer.try_again if explains and retries_causes else None,
     )
     try:
@@ -312,7 +284,6 @@ def run_suite(
             notices=tuple(run.notices),
             timing=meter.report(run.waiting.timeouts),
             causes=explainer.causes() if explains else (),
-            dropped=_dropped(grammar, options, cases, target.line),
         )
         for listener in everyone:
             listener.reported(report)
@@ -328,8 +299,6 @@ def _timers(target: Target, options: Options) -> Timers:
     deadline = options.deadline or target.protocol.timing.answer_deadline
     timers = timers_of(target.environment, target.protocol).due_within(int(deadline * MS))
     timers = replace(timers, idle=LEVELS[options.level].idle * MS)
-    if options.budget is not None and timers.run_budget is not None:
-        timers = replace(timers, run_budget=int(options.budget * 1e9))
     if options.silence:
         timers = replace(timers, silence=int(options.silence * MS))
     return timers
@@ -341,23 +310,6 @@ def _profile(grammar: Grammar, options: Options) -> Profile:
     if options.profile:
         return profile_from(grammar, options.profile, allowed)
     return Profile(choices=Choices(allowed=allowed))
-
-
-def _dropped(
-    grammar: Grammar, options: Options, cases: Sequence[AnyCase], line: LineSettings
-) -> dict[str, int]:
-    """How many cases of each group the budget has left out."""
-    if options.budget is None:
-        return {}
-    return dropped(select_cases(grammar, replace(options, budget=None), line), cases)
-
-
-def _left_out(grammar: Grammar, options: Options, line: LineSettings) -> tuple[str, ...]:
-    """The groups of which the budget has left no case."""
-    if options.budget is None:
-        return ()
-    whole = select_cases(grammar, replace(options, budget=None), line)
-    return emptied(whole, select_cases(grammar, options, line))
 
 
 def estimated_seconds(

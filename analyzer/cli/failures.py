@@ -18,6 +18,7 @@ import click
 from click import exceptions
 
 from bilprov.analyzer.cli.settings import as_set, is_setting
+from bilprov.analyzer.former_names import DROPPED_OPTIONS
 from bilprov.spec.errors import UserError, one_line
 
 _AGAIN = 0.05  # s
@@ -91,6 +92,8 @@ def plain_words(text: str) -> str:
 
 def _usage(error: click.ClickException) -> str:
     """Convert click's message to one sentence that also says what to do next."""
+    if isinstance(error, exceptions.NoSuchOption) and error.option_name in DROPPED_OPTIONS:
+        return DROPPED_OPTIONS[error.option_name]
     text = error.message if isinstance(error, _NO_SUCH) else error.format_message()
     text = plain_words(text)
     if (

@@ -6,7 +6,6 @@ An estimate counts bytes on the wire, silences, time-outs and looks.
 from __future__ import annotations
 
 import heapq
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -88,18 +87,6 @@ def within(
             met |= told[ident]
             left -= cost[ident]
     return tuple(case for case in cases if case.id in chosen)
-
-
-def dropped(cases: Sequence[AnyCase], chosen: Sequence[AnyCase]) -> dict[str, int]:
-    """How many cases of each group were left out."""
-    kept = {case.id for case in chosen}
-    return dict(Counter(group(case.id) for case in cases if case.id not in kept))
-
-
-def emptied(cases: Sequence[AnyCase], chosen: Sequence[AnyCase]) -> tuple[str, ...]:
-    """The groups of which no case was chosen, in order."""
-    left = {group(case.id) for case in chosen}
-    return tuple(name for name in dict.fromkeys(group(c.id) for c in cases) if name not in left)
 
 
 def group(ident: str) -> str:

@@ -50,7 +50,7 @@ from bilprov.spec.protocol import Protocol
 AnyCase = Case | SequenceCase
 
 _SOAKED = 1000  # faults of a soak for each random sequence in it
-_MOST_MORE = 2000  # random sequences with which a budget is filled
+_MOST_MORE = 2000  # random sequences beyond a level, of a soak
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ def _proving(proof: Proof) -> Make:
 
 
 RANDOM_GROUP = f"{ARRAY}/{RANDOM}"
-"""The random sequences, of which a soak and a budget have more than their level."""
+"""The random sequences, of which a soak has more than its level."""
 
 
 # In the order in which the sequences run. What a tour covers depends on the tours before it.
@@ -225,7 +225,7 @@ def level_cases(
 def more_random(
     protocol: Protocol, name: str, seed: int, soaked: int = 0
 ) -> Iterator[SequenceCase]:
-    """The random sequences after those of a level and its soak, with which a budget is filled."""
+    """The random sequences after those of a level and its soak."""
     held = next(row.amount(LEVELS[name]) for row in GENERATORS if row.group == RANDOM_GROUP)
     return islice(random_sequences(protocol, seed, held + _of_soak(soaked) + 1), _MOST_MORE)
 

@@ -15,7 +15,6 @@ CONDITIONAL_CASES = (
     "power-on/first-fault",
     "motion/settings",
     "leave/stopped",
-    "level/left-out",
     "reading/version",
     "reading/led-id",
     "reading/led-upper-bits",

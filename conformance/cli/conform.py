@@ -110,12 +110,6 @@ _milliseconds = partial(option, metavar="MS", type=milliseconds)
 class TimeOptions:
     """How long the run and its parts take."""
 
-    budget: float | None = option(
-        metavar="S",
-        type=Finite(1, 86_400),
-        help="Drop the cases that add least per second, and list them; fill the time left with "
-        "random ones.",
-    )
     deadline: float | None = _milliseconds(
         help="How soon an answer is due: later is slow, and non-strict."
     )
@@ -204,13 +198,13 @@ def conform(options: ConformOptions) -> int:
         if options.cases.extra and options.cases.level != COMPLETE.name:
             raise ValueError(f"--extra {options.cases.extra} is for --level {COMPLETE.name}")
         suite = options.suite(profile)
-        cases = select_cases(protocol, suite, settings)
+        cases = select_cases(protocol, suite)
         last = last_run(protocol, name.text)
         if options.cases.last_failed or options.cases.failed_first:
             asked = {case.id for case in _asked(protocol, suite, cases)}
             suite, order = ordered(suite, last, asked, alone=options.cases.last_failed)
             note(order)
-            cases = select_cases(protocol, suite, settings)
+            cases = select_cases(protocol, suite)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     if options.cases.listing:
@@ -224,9 +218,7 @@ def conform(options: ConformOptions) -> int:
     fresh = known.profile_path if not profile else None
     outputs = outputs_of(options.reports.outputs)
     require_writable(outputs)
-    expected = expected_file(
-        protocol, suite, known.expect_failures, settings, update=known.update_expected
-    )
+    expected = expected_file(protocol, suite, known.expect_failures, update=known.update_expected)
     opened = robot.opened(protocol, name, settings, reconnect=options.reconnect or 0.0)
     report, broken = _tested(opened, replace(options, robot=robot), suite, cases)
     onto_stdout = onto_standard_output(outputs)

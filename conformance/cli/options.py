@@ -18,7 +18,6 @@ from bilprov.analyzer.files import read_bounded
 from bilprov.conformance.cli import completion
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.transport.line_settings import LineSettings
     from bilprov.conformance.api import Options
     from bilprov.conformance.dut.fault import Fault
     from bilprov.conformance.report.expected_file import ExpectedFile
@@ -88,7 +87,6 @@ def expected_file(
     protocol: Protocol,
     options: Options,
     path: str | None,
-    line: LineSettings,
     *,
     update: bool = False,
 ) -> ExpectedFile | None:
@@ -107,9 +105,9 @@ def expected_file(
 
     def known() -> dict[str, None]:
         levels = (replace(options, level=level.name) for level in (DEEP, COMPLETE))
-        return dict.fromkeys(ident for one in levels for ident in suite_ids(protocol, one, line))
+        return dict.fromkeys(ident for one in levels for ident in suite_ids(protocol, one))
 
-    suite = dict.fromkeys(suite_ids(protocol, options, line))
+    suite = dict.fromkeys(suite_ids(protocol, options))
     return ExpectedFile(path, known, suite, update=update)
 
 

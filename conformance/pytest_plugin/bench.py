@@ -59,7 +59,7 @@ class SuiteThread(RunListener):
         self.options = options
         self._name = target_named(target)
         self.report: Report | None = None
-        cases = select_cases(protocol, options, settings)
+        cases = select_cases(protocol, options)
         self.order = {
             case.id: at for at, case in enumerate((*opening_and_reading_cases(protocol), *cases))
         }

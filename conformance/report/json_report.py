@@ -28,7 +28,7 @@ from bilprov.spec.errors import UserError
 NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
 # The values that a Report and its JSON have in common, and those whose "" is null in the JSON.
 _SAME = (
-    *("kit", "device", "link", "options", "seed", "exit", "timing", "dropped", "profile"),
+    *("kit", "device", "link", "options", "seed", "exit", "timing", "profile"),
     *("took_s", "versions", "unseen", "notices", "causes"),
 )
 _NULLED = ("unusable", "ended", "ended_by", "proof", "begun", "host")

@@ -35,8 +35,8 @@ class Report(msgspec.Struct, frozen=True):
     the probe failed) or `user`. `profile` holds what was measured (ms), `coverage` pairs of how
     many and out of how many, `kit` the version that judged. `comparison` is that with a file of
     expected failures, if there is one. `again` has each case's command to reproduce it, for a
-    report that was read from a file. `timing` says where the time went (see `meter`), `dropped` how
-    many cases of each group a budget has left out, `proof` what the level `complete` has proven.
+    report that was read from a file. `timing` says where the time went (see `meter`), `proof` what
+    the level `complete` has proven.
     `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took, `host` the machine's
     name, `versions` those of Python, its platform and libraries: each "", None or empty where it is
     not known. `unseen` says what the probe did not show, and from which look on, `notices` what
@@ -60,7 +60,6 @@ class Report(msgspec.Struct, frozen=True):
     comparison: Comparison | None = None
     again: dict[str, str] = {}
     timing: dict[str, float] = {}
-    dropped: dict[str, int] = {}
     proof: str = ""
     begun: str = ""
     took_s: float | None = None

@@ -108,7 +108,7 @@ class Head(msgspec.Struct, kw_only=True):
 
     `verdict` and `exit` sum up, `counts` has each verdict. `ended_by` is `error`, `user`, `time`
     (it took three times what was announced) or null.
-    `timing` says where the time went, `dropped` what a budget has left out, `profile` what was
+    `timing` says where the time went, `profile` what was
     measured (ms) and what the device chose where the document is silent. `proof` is what the level
     `complete` has proven, null at other levels. `begun` is when the run began (ISO 8601, UTC),
     `took_s` how long it took (real time, s), `host` the machine's name, each null where it is not
@@ -132,7 +132,6 @@ class Head(msgspec.Struct, kw_only=True):
     counts: dict[str, Count]
     coverage: dict[str, Covered]
     timing: dict[str, int | float] = {}
-    dropped: dict[str, int] = {}
     profile: dict[str, Any]
     proof: str | None = None
     expected_failures: ExpectedFailures | None = None
@@ -161,7 +160,6 @@ class _Options(msgspec.Struct):
     strict: bool = False
     soak: _Bounded = 0
     allow: list[str] = []
-    budget: Seconds | None = None
 
 
 Setting = Annotated[int, msgspec.Meta(ge=-1_000_000_000, le=1_000_000_000)]

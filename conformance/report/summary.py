@@ -131,9 +131,6 @@ def _facts(report: Report) -> Iterator[str]:
     chosen = {p: w for p, w in readings.items() if w != default_of(p)}
     if chosen:
         yield "other readings of the document: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
-    if report.dropped:
-        left = ", ".join(f"{count} of {name}" for name, count in report.dropped.items())
-        yield f"left out for the budget of {report.options.get('budget') or 0:g} s: {left}"
     if timing.keys() >= _TIMED and report.link["kind"] == "port":
         yield (
             f"{timing['ratio']:.2f} times the minimum time: "

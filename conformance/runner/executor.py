@@ -13,13 +13,12 @@ from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected, fo
 from bilprov.conformance.cases.budget import (
     Pace,
     before_the_cases,
-    emptied,
+    group,
     pauses_after_faults,
     seconds,
     waits_in_vain,
     within,
 )
-from bilprov.conformance.cases.case import runner_case
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.attempt import Attempt
@@ -41,7 +40,7 @@ SkipPolicy = Callable[[str, Sequence[CaseResult]], bool]
 
 
 def is_slow(takes: float) -> bool:
-    """Whether an answer or a look that takes so long (s) makes the run's budget count."""
+    """Whether an answer or a look that takes so long (s) limits the run's cases."""
     return takes >= _SLOW
 
 
@@ -50,9 +49,8 @@ class Runner:
 
     `measure` has the truncation time-out measured even if no case needs it, `discover` has the
     device's choices found out. `spare` is called before each case with its id and the results so
-    far, and returns whether to skip it. `left_out` are the groups of which a budget left no case.
-    `afterwards` is done when all are judged, if the line still works.
-    `unusable` says why the line could not be used at all,
+    far, and returns whether to skip it. `afterwards` is done when all are judged, if the line still
+    works. `unusable` says why the line could not be used at all,
     `ended` what ended the run early.
     """
 
@@ -65,11 +63,9 @@ class Runner:
         measure: bool = False,
         discover: bool = True,
         spare: SkipPolicy | None = None,
-        left_out: Sequence[str] = (),
         afterwards: Callable[[], Procedure[None]] | None = None,
     ) -> None:
         self._spare = spare
-        self._left_out = tuple(left_out)
         self._afterwards = afterwards
         self.run = run
         self.unusable = ""
@@ -132,7 +128,6 @@ class Runner:
             yield from settle_failures(run)
             self._fit()
             self._tell_longer()
-            self._require_each_group()
             while self._left and not self._enough():
                 case = self._left[0]
                 if self._spare and self._spare(case.id, run.results):
@@ -195,8 +190,8 @@ class Runner:
         if whole is not None and cases > whole / 1e9:
             more = self._probes() + whole / 1e9
             about = (
-                f"the cases would take {cases:.0f} s and get {whole / 1e9:.0f} s: --budget S "
-                "gives them more"
+                f"the cases would take {cases:.0f} s and get {whole / 1e9:.0f} s: those that add "
+                "least are left out"
             )
         run.limit.announce(more)
         if not told:
@@ -273,30 +268,22 @@ class Runner:
         return seconds(self.run.protocol, case, self._pace())
 
     def _fit(self) -> None:
-        """Skip the cases for which a slow device or probe leaves no time in the run's budget."""
+        """Skip the cases for which a slow device or probe leaves no time.
+
+        A group that loses every case was not tested: those of its cases are inconclusive.
+        """
         run, pace = self.run, self._pace()
         whole = run.timers.run_budget
         if whole is None or not is_slow(max(pace.answer, pace.look)):
             return
         kept = {c.id for c in within(run.protocol, self._left, whole / 1e9, self._cost)}
-        why = (
-            f"{self._slow_words(pace)}: {whole / 1e9:.0f} s are too short for every case; "
-            "--budget S gives them more"
-        )
+        why = f"{self._slow_words(pace)}: {whole / 1e9:.0f} s are too short for every case"
+        tested = {group(ident) for ident in kept}
         for case in [case for case in self._left if case.id not in kept]:
-            run.conclude(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", why)})
-        whole_suite, self._left = self._left, [case for case in self._left if case.id in kept]
-        self._left_out += emptied(whole_suite, self._left)
-
-    def _require_each_group(self) -> None:
-        """Conclude that a run does not show conformance where a budget left no case of a group."""
-        if not self._left_out:
-            return
-        clause, requirement = self.run.protocol.clauses.instructions, "each group has a case"
-        case = runner_case(self.run.protocol, "level/left-out", clause, requirement, b"")
-        names = ", ".join(self._left_out)
-        reason = f"left out for the budget: {names}; this run does not show conformance"
-        self.run.conclude(case, {"answer": Axis(Verdict.INCONCLUSIVE, "", "not run", reason)})
+            skipped = group(case.id) in tested
+            verdict = Verdict.SKIPPED if skipped else Verdict.INCONCLUSIVE
+            run.conclude(case, {"answer": Axis(verdict, "", "not run", why)})
+        self._left = [case for case in self._left if case.id in kept]
 
     def _charged(self) -> bool:
         """Whether a case already has the verdict that the kit, the port or the probe failed."""

@@ -68,7 +68,7 @@ def profile(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     if not keys:
         return tag("p", "Nothing was measured.", class_="dim")
     lines: dict[str, list[Any]] = {}
-    for name in ("proof", "timing", "dropped"):
+    for name in ("proof", "timing"):
         told_of = [getattr(report, name) for report in reports]
         if any(told_of):
             lines[name] = [_value(value) for value in told_of]

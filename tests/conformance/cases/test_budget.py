@@ -7,7 +7,7 @@ import pytest
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.link import Link, LinkListener
 from bilprov.analyzer.taps.impairment import Noise
-from bilprov.conformance.api import Options, conform, estimated, run_suite, select_cases
+from bilprov.conformance.api import Options, estimated, run_suite, select_cases
 from bilprov.conformance.dut.link import Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target
@@ -50,19 +50,3 @@ def test_a_run_takes_as_long_as_was_said(
 
     assert report.exit == (3 if few else 0)
     assert 0.8 < said / (links[0].now / 1e9) < 1.2
-
-
-def test_a_budget_that_leaves_a_group_without_a_case_shows_no_conformance(
-    protocol: Protocol,
-) -> None:
-    report = conform(grammar=protocol, options=Options(level="smoke", budget=1))
-    (left_out,) = [result for result in report.results if result.id == "level/left-out"]
-    assert left_out.reason.startswith("left out for the budget: valid, ")
-    assert left_out.reason.endswith("this run does not show conformance")
-    assert report.exit == 3
-
-
-def test_a_budget_that_leaves_a_case_of_each_group_is_no_hindrance(protocol: Protocol) -> None:
-    report = conform(grammar=protocol, options=Options(level="smoke", budget=5))
-    assert report.dropped
-    assert report.exit == 0

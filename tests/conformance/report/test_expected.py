@@ -10,7 +10,6 @@ import msgspec
 import pytest
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.conformance import api
 from bilprov.conformance.api import Options, suite_ids
 from bilprov.conformance.cli.options import expected_file
@@ -264,15 +263,14 @@ def test_what_could_not_be_judged_is_never_hidden(tmp_path: Path) -> None:
 def test_one_file_serves_every_level(
     tmp_path: Path, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(api, "suite_ids", lambda _, options, line: (f"{options.level}/1",))
+    monkeypatch.setattr(api, "suite_ids", lambda _, options: (f"{options.level}/1",))
     file = tmp_path / "f"
     file.write_text("deep/1 : answer\ncomplete/1 : answer\n")
-    line = line_settings(protocol, None, None, None)
 
-    assert expected_file(protocol, Options(level="smoke"), str(file), line) is not None
+    assert expected_file(protocol, Options(level="smoke"), str(file)) is not None
     file.write_text("valid/1 : answer\n")
     with pytest.raises(ExpectedError, match="no case matches 'valid/1'"):
-        expected_file(protocol, Options(level="smoke"), str(file), line)
+        expected_file(protocol, Options(level="smoke"), str(file))
 
 
 @pytest.mark.sample(0)

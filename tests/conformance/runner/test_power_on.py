@@ -7,6 +7,7 @@ import pytest
 from bilprov.analyzer.client.link import drive
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, select_cases
+from bilprov.conformance.cases.budget import group
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
@@ -247,15 +248,22 @@ def test_a_slow_device_is_told_with_its_time_and_an_estimate_before_the_cases(
     }
 
 
-def test_a_slow_device_that_the_budget_does_not_hold_is_told_so(protocol: Protocol) -> None:
+def test_a_slow_device_that_takes_too_long_is_told_so_and_no_group_left_out_passes(
+    protocol: Protocol,
+) -> None:
     told: list[str] = []
     slow = Simulator(protocol, variants(protocol)["R-answer-deadline=150-ms"].fault)
-    config = RunConfig(protocol, Timers(run_budget=20_000 * MS), ALL_SEEING)
-    cases = cases_of(protocol, *FEW.only)
-    drive(Runner(Run(config, note=told.append), cases).execute(), CountingLink(slow), lambda: False)
+    config = RunConfig(protocol, Timers(run_budget=5_000 * MS), ALL_SEEING)
+    run = Run(config, note=told.append)
+    drive(Runner(run, cases_of(protocol, "*")).execute(), CountingLink(slow), lambda: False)
 
     (sentence,) = told
-    assert sentence.endswith(" s and get 20 s: --budget S gives them more")
+    assert sentence.endswith(" s and get 5 s: those that add least are left out")
+    left_out = [r for r in run.results if "5 s are too short for every case" in r.reason]
+    judged = {group(r.id) for r in run.results if r not in left_out}
+    alone = [r for r in left_out if group(r.id) not in judged]
+    assert {r.verdict for r in alone} == {Verdict.INCONCLUSIVE}
+    assert {r.verdict for r in left_out if r not in alone} == {Verdict.SKIPPED}
 
 
 def test_nothing_is_told_of_a_device_that_answers_in_time(protocol: Protocol) -> None:
