@@ -148,8 +148,9 @@ class _SequenceRun:
             found = yield from look_after(trial, taken[-1], before)
             self._looks += 1
             self._whole += not found and run.sight.missed == missed
-            if not found and run.profile.stop_latency:
-                trial.hear((yield from listen(None, 2 * run.profile.stop_latency)))
+        stops = taken[-1].faulty or taken[-1].frame_effect.stops
+        if not found and run.profile.stop_latency and (looks or stops):
+            trial.hear((yield from listen(None, 2 * run.profile.stop_latency)))
         if not found and burst.idle_ms:
             found = yield from watch_idle(trial, taken[-1], burst.idle_ms * MS, looks=looks)
         return found
