@@ -14,8 +14,7 @@ from bilprov.conformance.cases.steps import (
     FrameClass,
     Step,
     code_of,
-    truncated_frame,
-    unused_id_frame,
+    framed,
 )
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
@@ -55,8 +54,7 @@ def adapt_to_device(protocol: Protocol, choices: Choices, step: S) -> S:
     data = step.frame[1:]
     led = led_instruction(protocol)
     if choices.differs("R-version") and led is not None and identity == led.id:
-        make = truncated_frame if step.truncated else unused_id_frame
-        step = _as_unused(protocol, make(protocol, protocol.unused_ids[0], length, data), step)
+        step = _as_unused(protocol, framed(protocol, protocol.unused_ids[0], length, data), step)
     elif choices.differs("R-led-id"):
         step = replace(step, frame=on_the_wire(protocol, choices, step.frame))
         identity = protocol.headers[step.frame[0]][0]
@@ -65,9 +63,8 @@ def adapt_to_device(protocol: Protocol, choices: Choices, step: S) -> S:
         step.kind is FrameClass.TRUNCATED and spec is None
     )
     if unused_id and choices.word("R-drain-unused") == "run" and length:
-        only = unused_id_frame(
-            protocol, protocol.unused_ids[0], length, data[:length].ljust(length, b"\0")
-        )
+        whole = data[:length].ljust(length, b"\0")
+        only = framed(protocol, protocol.unused_ids[0], length, whole)
         return replace(_as_unused(protocol, only, step), frame=step.frame[:1], truncated=False)
     bad = step.faulty and not step.truncated and spec is not None and length == spec.length
     if bad and spec is not None and choices.differs("R-led-upper-bits"):

@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from bilprov.conformance.cases.field_prefixes import FieldPrefixes
-from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.cases.steps import Step, framed
 from bilprov.conformance.machines.mealy import Mealy, Output, explore, input_classes, minimal
 from bilprov.spec.motion import Effect, State
 from bilprov.spec.protocol import Protocol
@@ -148,7 +148,7 @@ class _Frames:
         if isinstance(position, _Faulty):
             return _End(position.truncated)
         identity, length = self._protocol.headers[position.header]
-        return _End(_code(truncated_frame(self._protocol, identity, length, b"")))
+        return _End(_code(framed(self._protocol, identity, length, b"")))
 
     def _begun(self, header: int) -> _Faulty | _Data:
         protocol = self._protocol
@@ -158,8 +158,8 @@ class _Frames:
             position = _Data(header, 0, ())
             self._examples[position] = b""
             return position
-        whole = complete_frame(protocol, header, bytes(length))
-        cut = truncated_frame(protocol, identity, length, b"") if length else whole
+        whole = framed(protocol, identity, length, bytes(length))
+        cut = framed(protocol, identity, length, b"")
         return _Faulty(_code(whole), _code(cut), length)
 
     def _more(self, position: _Data, byte: int) -> _Data:
@@ -178,7 +178,7 @@ class _Frames:
             return None
         if position not in self._ends:
             frame = self._examples[position]
-            step = complete_frame(self._protocol, position.header, frame)
+            step = framed(self._protocol, *self._protocol.headers[position.header], frame)
             effect = step.frame_effect
             signs = ((name, (v > 0) - (v < 0)) for name, v in effect.values.items())
             self._ends[position] = _End(_code(step), effect.effect, tuple(signs))

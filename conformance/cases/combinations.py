@@ -22,14 +22,10 @@ from bilprov.conformance.cases.covering_array import (
     feasible_combinations,
 )
 from bilprov.conformance.cases.frame_source import Inputs
+from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.steps import (
-    Step,
-    complete_frame,
-    valid_frame,
-    valid_frames,
-)
-from bilprov.spec.by_effect import frames_to, moving_motions, setting
+from bilprov.conformance.cases.steps import Step, framed, frames_of, step_of
+from bilprov.spec.by_effect import moving_motions, setting
 from bilprov.spec.motion import Motion, State, rotates
 from bilprov.spec.protocol import Protocol
 
@@ -229,7 +225,7 @@ def random_sequences(protocol: Protocol, seed: int, first: int = 1) -> Iterator[
     They go on from wherever the frames before have led. Each depends on its number and the seed,
     and on no other sequence.
     """
-    valid = [valid_frames(protocol, spec.name) for spec in protocol.instructions]
+    valid = [list(frames_of(protocol, spec.name)) for spec in protocol.instructions]
     for number in count(first):
         draw = random.Random(f"random sequence {seed} {number}")
         bursts = []
@@ -246,7 +242,7 @@ def _any_frame(protocol: Protocol, valid: Sequence[Sequence[Step]], draw: random
         return draw.choice(draw.choice(valid))
     header = draw.randrange(len(protocol.headers))
     data = bytes(draw.choice(draw.choice(BYTE_CLASSES)) for _ in range(protocol.lengths[header]))
-    return complete_frame(protocol, header, data)
+    return step_of(protocol, bytes([header]) + data)
 
 
 def _seeded(protocol: Protocol, name: str, what: str, bursts: list[Burst]) -> SequenceCase:
@@ -287,7 +283,9 @@ class Combinations:
             if self._way == PIPELINED:
                 yield Burst((*before, step))
                 continue
-            yield from (Burst((one,), looks=one is before[-1]) for one in before)
+            *lead, last = before
+            yield from (Burst((one,), looks=False) for one in lead)
+            yield Burst((last,))
             split = self._way == SPLIT
             yield Burst((step,), (self._draw.randrange(1, len(step.frame)),) if split else ())
 
@@ -307,8 +305,8 @@ class Combinations:
         steps = []
         # Steering while it rotates may make a curve of it (R-steer-rotating).
         if state.motion is Motion.STOPPED or rotates(motion):
-            steps.append(valid_frame(protocol, protocol.stop, {}))
-        steps += (complete_frame(protocol, f[0], f[1:]) for f in frames_to(protocol, state))
+            steps.append(step_of(protocol, bytes([protocol.pad_byte])))
+        steps += steps_to(protocol, state)
         if fault:
             steps.append(self._inputs.next(space.faults[fault - 1]))
             return steps, protocol.on_fault.motion or state.motion
@@ -322,5 +320,4 @@ class Combinations:
         for at, factor in ((0, _FIRST), (1, _SECOND), (shape.length - 1, _LAST)):
             if row[factor]:
                 data[at] = self._draw.choice(BYTE_CLASSES[row[factor] - 1])
-        header = protocol.header_bytes[identity, shape.length]
-        return complete_frame(protocol, header, bytes(data))
+        return framed(protocol, identity, shape.length, bytes(data))

@@ -17,17 +17,16 @@ from typing import Any, NamedTuple, TypeVar
 
 from bilprov.conformance.cases.combinations import MARKED, state_classes
 from bilprov.conformance.cases.frame_source import Inputs
+from bilprov.conformance.cases.preamble import state_after, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import (
     FrameClass,
     Step,
-    bad_data_frames,
-    complete_frame,
-    truncated_frame,
-    valid_frame,
-    valid_frames,
+    framed,
+    frames_of,
+    step_of,
 )
-from bilprov.spec.by_effect import frames_to, moving_motions
+from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.motion import Motion, State, rotates
 from bilprov.spec.protocol import Protocol
 
@@ -210,9 +209,7 @@ def _complete(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Contex
     """
     kinds, moving = inputs.kinds, (*inputs.settings, *inputs.movers) or inputs.kinds
     unused, longest = protocol.unused_ids, protocol.data_lengths[-1]
-    for header, (identity, length) in enumerate(protocol.headers):
-        if not _faulty(protocol, identity, length):
-            continue
+    for identity, length in _faulty_headers(protocol):
         spec = protocol.by_id.get(identity)
         # How many headers with data share the values: of one ID, or of one length of unused IDs.
         if spec is None:
@@ -224,14 +221,16 @@ def _complete(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Contex
         place = identity + length
         for number, kind in enumerate(kinds):
             data = _marked(length, place + number + turn)
-            yield _Context(kind, complete_frame(protocol, header, data))
+            yield _Context(kind, framed(protocol, identity, length, data))
         for visit in range(visits):
             data = _rotating(length, visit + visits * (place + turn))
             kind = moving[(visit + place + turn) % len(moving)]
-            yield _Context(kind, complete_frame(protocol, header, data))
+            yield _Context(kind, framed(protocol, identity, length, data))
     for spec in protocol.instructions:
-        steps = valid_frames(protocol, spec.name)
-        marked = [s for s in (*steps, *bad_data_frames(protocol, spec.name)) if _is_marked(s)]
+        steps = list(frames_of(protocol, spec.name))
+        bad = frames_of(protocol, FrameClass.BAD_DATA)
+        own = (s for s in bad if protocol.headers[s.frame[0]][0] == spec.id)
+        marked = [s for s in (*steps, *own) if _is_marked(s)]
         yield from (_Context(kind, step) for kind in kinds for step in marked)
         for number, step in enumerate(steps):
             yield _Context(kinds[(number + turn) % len(kinds)], step)
@@ -251,29 +250,23 @@ def _cut(protocol: Protocol, draw: random.Random) -> Iterator[Step]:
             turn = met[group] = met.get(group, draw.randrange(len(MARKED))) + 1
             # Others of the 256 values now and then.
             data = draw.randbytes(arrived) if turn % 3 == 0 else _marked(arrived, turn - turn // 3)
-            yield truncated_frame(protocol, identity, announced, data)
+            yield framed(protocol, identity, announced, data)
 
 
 def _after_cuts(protocol: Protocol, draw: random.Random) -> list[Step]:
     """The frames that follow truncated ones: each marked valid one, then each faulty header."""
-    valid = [
-        step
-        for spec in protocol.instructions
-        for step in valid_frames(protocol, spec.name)
-        if _is_marked(step)
-    ]
+    valid = list(filter(_is_marked, frames_of(protocol, FrameClass.VALID)))
     faulty = [
-        complete_frame(protocol, header, _marked(length, identity + length))
-        for header, (identity, length) in enumerate(protocol.headers)
-        if _faulty(protocol, identity, length)
+        framed(protocol, identity, length, _marked(length, identity + length))
+        for identity, length in _faulty_headers(protocol)
     ]
     return [*draw.sample(valid, len(valid)), *draw.sample(faulty, len(faulty))]
 
 
-def _faulty(protocol: Protocol, identity: int, length: int) -> bool:
-    """Whether a header is faulty whatever its data."""
-    spec = protocol.by_id.get(identity)
-    return spec is None or spec.length != length
+def _faulty_headers(protocol: Protocol) -> list[tuple[int, int]]:
+    """The headers (ID, length) that are faulty whatever their data."""
+    own = {(spec.id, spec.length) for spec in protocol.instructions}
+    return [header for header in protocol.headers if header not in own]
 
 
 def _is_marked(step: Step) -> bool:
@@ -330,16 +323,14 @@ class _Walk:
                 wanted = replace(wanted, **self._any_settings())
             # Steering while it rotates may make a curve of it (R-steer-rotating).
             if rotates(state.motion):
-                steps.append(self.took(valid_frame(protocol, protocol.stop, {})))
-            some = frames_to(protocol, wanted, known)
-            steps += (self.took(complete_frame(protocol, f[0], f[1:])) for f in some)
+                steps.append(self.took(step_of(protocol, bytes([protocol.pad_byte]))))
+            steps += map(self.took, steps_to(protocol, wanted, known))
         return (*steps, self.took(self.inputs.next(kind)))
 
     def took(self, step: Step) -> Step:
         """Go on past a step, and return it."""
-        effect = step.frame_effect.effect or self._protocol.on_fault
-        state = self._state or self._protocol.power_on
-        self._state = effect.apply(state, dict(step.frame_effect.values))
+        before = self._state or self._protocol.power_on
+        self._state = state_after(self._protocol, before, step)
         return step
 
     def _any_settings(self) -> dict[str, Any]:

@@ -22,13 +22,12 @@ from bilprov.conformance.cases.combinations import (
     total,
 )
 from bilprov.conformance.cases.covering_array import Row
-from bilprov.conformance.cases.frame_source import TOO_FEW, TOO_MANY
 from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.cases.preamble import state_after
 from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase
-from bilprov.conformance.cases.steps import FrameClass, Step
+from bilprov.conformance.cases.steps import FrameClass, Step, kind_of, one_of_each
 from bilprov.spec.by_effect import moves, moving_motions
-from bilprov.spec.codec import bad_data
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 Fact = tuple[str, object]
@@ -42,24 +41,6 @@ PAIRS = "pairs in a row"
 TRIPLES = "pairs in a row x kinds of motion"
 WAYS = "instructions and faults x deliveries"
 COMBINED = {2: "combinations of two", STRENGTH: "combinations of three"}
-
-
-def kind_of(protocol: Protocol, step: Step) -> str:
-    """The kind that a step counts as: its instruction's name, or the class of its fault.
-
-    A wrong length is `too-many` or `too-few`.
-    """
-    identity, length = protocol.headers[step.frame[0]]
-    spec = protocol.by_id.get(identity)
-    if not step.faulty and spec is not None:
-        return spec.name
-    if step.truncated:
-        return FrameClass.TRUNCATED
-    if spec is None:
-        return FrameClass.UNUSED_ID
-    if length == spec.length:
-        return FrameClass.BAD_DATA
-    return TOO_MANY if length > spec.length else TOO_FEW
 
 
 def facts(protocol: Protocol, case: AnyCase) -> Iterator[Fact]:
@@ -87,7 +68,7 @@ def _sent(protocol: Protocol, step: Step, motion: Motion, way: str) -> Iterator[
 def _run(protocol: Protocol, sequence: SequenceCase) -> Iterator[Fact]:
     state, last = protocol.power_on, ""
     for step in sequence.setup:
-        state = _after(protocol, state, step)
+        state = state_after(protocol, state, step)
         last = kind_of(protocol, step)
     for burst in sequence.bursts:
         for step in burst.steps:
@@ -96,11 +77,7 @@ def _run(protocol: Protocol, sequence: SequenceCase) -> Iterator[Fact]:
             if last:
                 yield PAIRS, (last, kind)
                 yield TRIPLES, (last, kind, motion)
-            state, last = _after(protocol, state, step), kind
-
-
-def _after(protocol: Protocol, state: State, step: Step) -> State:
-    return (step.frame_effect.effect or protocol.on_fault).apply(state, step.frame_effect.values)
+            state, last = state_after(protocol, state, step), kind
 
 
 @lru_cache(maxsize=4)
@@ -108,15 +85,17 @@ def totals(protocol: Protocol) -> dict[str, int]:
     """How many facts of each kind there are."""
     lengths, specs = protocol.lengths, protocol.instructions
     motions = (Motion.STOPPED, *moving_motions(protocol))
-    faults = [FrameClass.TRUNCATED, TOO_MANY]
-    faults += [FrameClass.UNUSED_ID] if protocol.unused_ids else []
-    faults += [TOO_FEW] if any(spec.length for spec in specs) else []
-    faults += [FrameClass.BAD_DATA] if any(True for s in specs for _ in bad_data(s)) else []
-    kinds = len(specs) + len(faults)
+    # Every protocol can truncate a frame, if only one with an unused ID.
+    faults = len({FrameClass.TRUNCATED, *one_of_each(protocol)})
+    kinds = len(specs) + faults
     # After a motion the robot moves so, or stands still (speed 0); a setting leaves any motion on.
-    reached = sum(
-        2 if moves(s) else 1 if s.effect.motion is Motion.STOPPED else len(motions) for s in specs
-    ) + len(faults)
+    reached = (
+        sum(
+            2 if moves(s) else 1 if s.effect.motion is Motion.STOPPED else len(motions)
+            for s in specs
+        )
+        + faults
+    )
     return {
         HEADERS: len(protocol.headers),
         # These totals hold every value; where data are wide, a level sends only a sample of them.
@@ -173,4 +152,7 @@ def _rows(protocol: Protocol, cases: Iterable[SequenceCase]) -> Iterator[Row]:
                     row = space.row(state, last, step, way)
                     if row:
                         yield row
-                state, last = _after(protocol, state, step), kind_of(protocol, step) * step.faulty
+                state, last = (
+                    state_after(protocol, state, step),
+                    kind_of(protocol, step) * step.faulty,
+                )

@@ -35,8 +35,7 @@ class CoveringArray:
 
     `feasible` says whether values chosen so far can be completed to a row; it must be exact, so
     that a row is never begun in vain. `dear` are (factor, value) pairs that stand in no more rows
-    than needed; of `tries` ways to complete a row the one that covers most is taken. `rows` hold
-    every feasible combination of `strength` factors.
+    than needed; `rows` hold every feasible combination of `strength` factors.
     """
 
     def __init__(
@@ -47,7 +46,6 @@ class CoveringArray:
         draw: random.Random,
         *,
         dear: Container[tuple[int, int]] = (),
-        tries: int = 1,
     ) -> None:
         self._sizes = tuple(sizes)
         self._feasible = feasible
@@ -59,15 +57,14 @@ class CoveringArray:
         self._first = tuple(sum(self._sizes[:index]) for index in range(len(self._sizes)))
         wanted = list(feasible_combinations(sizes, strength, feasible))
         draw.shuffle(wanted)
-        self.rows = tuple(self._rows(wanted, tries))
+        self.rows = tuple(self._rows(wanted))
 
-    def _rows(self, wanted: Sequence[tuple[tuple[int, int], ...]], tries: int) -> Iterator[Row]:
+    def _rows(self, wanted: Sequence[tuple[tuple[int, int], ...]]) -> Iterator[Row]:
         first = self._first
         for pairs in wanted:
             if tuple(first[factor] + value for factor, value in pairs) in self._covered:
                 continue
-            rows = (self._completed(dict(pairs)) for _ in range(tries))
-            row = max(rows, key=self._new) if tries > 1 else next(rows)
+            row = self._completed(dict(pairs))
             self._covered.update(self._held(row))
             yield row
 
@@ -75,10 +72,6 @@ class CoveringArray:
         """The combinations that a row holds."""
         numbers = (base + value for base, value in zip(self._first, row, strict=True))
         return combinations(numbers, self._strength)
-
-    def _new(self, row: Row) -> int:
-        """How many combinations of a row are not covered yet."""
-        return sum(one not in self._covered for one in self._held(row))
 
     def _completed(self, chosen: dict[int, int]) -> Row:
         """A row with these values; the others are drawn."""

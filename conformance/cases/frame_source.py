@@ -7,22 +7,21 @@ of its values, so that each value is sent between ever other neighbours.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import cycle
 
 from bilprov.conformance.cases.steps import (
+    TOO_FEW,
+    TOO_MANY,
     FrameClass,
     Step,
-    bad_data_frames,
-    truncated_frame,
-    unused_id_frame,
-    valid_frames,
-    wrong_length_frame,
+    framed,
+    frames_of,
+    headers_of,
 )
 from bilprov.spec.by_effect import movers
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
-TOO_MANY, TOO_FEW = "too-many", "too-few"
 FILLS = 3
 """Number of ways to fill faulty frames: Stop bytes, a motion (seen if it is run), all bits set."""
 
@@ -43,17 +42,14 @@ class Inputs:
         self._supplies: dict[str, Iterator[Step]] = {}
         for spec in protocol.instructions:
             self._supplies[spec.name] = self._valid(spec)
-        lengths = protocol.data_lengths
-        self._add(FrameClass.UNUSED_ID, [(i, n) for i in protocol.unused_ids for n in lengths])
-        many = [(s.id, n) for s in protocol.instructions for n in lengths if n > s.length]
-        few = [(s.id, n) for s in protocol.instructions for n in lengths if n < s.length]
-        self._add(TOO_MANY, many)
-        self._add(TOO_FEW, few)
-        bad = [step for s in protocol.instructions for step in bad_data_frames(protocol, s.name)]
+        for kind in (FrameClass.UNUSED_ID, TOO_MANY, TOO_FEW):
+            if headers_of(protocol, kind):
+                self._supplies[kind] = self._whole(headers_of(protocol, kind))
+        bad = list(frames_of(protocol, FrameClass.BAD_DATA))
         if bad:
             self._supplies[FrameClass.BAD_DATA] = cycle(self._draw.sample(bad, len(bad)))
         self.kinds = tuple(self._supplies)
-        cuts = list(self._cuts())
+        cuts = list(frames_of(protocol, FrameClass.TRUNCATED, self.fill))
         self._supplies[FrameClass.TRUNCATED] = cycle(self._draw.sample(cuts, len(cuts)))
         self.valid_kinds = tuple(spec.name for spec in protocol.instructions)
         self.faulty_kinds = tuple(k for k in self.kinds if k not in self.valid_kinds)
@@ -76,7 +72,7 @@ class Inputs:
         return bytes((turn + _STEP * place) % 256 for place in range(length))
 
     def _valid(self, spec: InstructionSpec) -> Iterator[Step]:
-        steps = valid_frames(self._protocol, spec.name)
+        steps = list(frames_of(self._protocol, spec.name))
         limits = {f.name: (f.low, f.high) for f in spec.fields}
         ends = [
             step
@@ -90,24 +86,10 @@ class Inputs:
                 if index % 6 == 5 and len(steps) > 2 * len(ends):
                     yield self._draw.choice(ends)
 
-    def _add(self, kind: str, headers: list[tuple[int, int]]) -> None:
-        if headers:
-            self._supplies[kind] = self._whole(headers)
-
-    def _whole(self, headers: list[tuple[int, int]]) -> Iterator[Step]:
-        protocol = self._protocol
+    def _whole(self, headers: Sequence[tuple[int, int, int]]) -> Iterator[Step]:
         while True:
-            for identity, length in self._draw.sample(headers, len(headers)):
-                spec, data = protocol.by_id.get(identity), self.fill(length)
-                if spec is None:
-                    yield unused_id_frame(protocol, identity, length, data)
-                else:
-                    yield wrong_length_frame(protocol, spec, length, data)
-
-    def _cuts(self) -> Iterator[Step]:
-        for identity, length in self._protocol.headers:
-            for arrived in range(length):
-                yield truncated_frame(self._protocol, identity, length, self.fill(arrived))
+            for identity, length, _ in self._draw.sample(headers, len(headers)):
+                yield framed(self._protocol, identity, length, self.fill(length))
 
 
 def fill(protocol: Protocol, length: int, turn: int) -> bytes:

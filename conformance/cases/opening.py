@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.cases.preamble import state_after
+from bilprov.conformance.cases.steps import kind_of, step_of
 from bilprov.conformance.oracle.verdicts import Accepted, Verdict
 from bilprov.spec.by_effect import link_check as frames_of_link_check
 from bilprov.spec.by_effect import moves
-from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 
 
@@ -35,7 +36,7 @@ def link_check(protocol: Protocol, taken: int | None = None) -> tuple[Case, ...]
     The setting must not move the robot. `taken` is an unused ID to leave out.
     """
     setting, unused, short = frames_of_link_check(protocol, taken)
-    name = judge(protocol, setting).name
+    name = kind_of(protocol, step_of(protocol, setting))
     cases = [_answered(protocol, f"power-on/{name}", "a setting does not move it", setting)]
     if unused:
         cases.append(_answered(protocol, "link/unused-id", "an unused ID is refused", unused))
@@ -77,10 +78,7 @@ def _answered(
     protocol: Protocol, ident: str, requirement: str, frame: bytes, reading: str = ""
 ) -> Case:
     """A case of one frame, with the answer and the state that are due for it after power-on."""
-    judgement = judge(protocol, frame)
-    after = protocol.power_on
-    if judgement.valid and judgement.instruction:
-        after = judgement.instruction.effect.apply(after, dict(judgement.fields))
-    case = runner_case(protocol, ident, judgement.clause, requirement, frame, reading)
-    accepted = (Accepted((judgement.response.code,)),)
-    return replace(case, accepted=accepted, expected=after)
+    step = step_of(protocol, frame)
+    case = runner_case(protocol, ident, step.clause, requirement, frame, reading)
+    after = state_after(protocol, protocol.power_on, step)
+    return replace(case, accepted=step.accepted[:1], expected=after)

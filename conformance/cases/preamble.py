@@ -1,12 +1,9 @@
-"""The states in which cases begin, and what the frames of the preamble do."""
+"""The states in which cases begin, the steps that lead there, and where each step leads."""
 
 from __future__ import annotations
 
-from functools import lru_cache
-
-from bilprov.conformance.oracle.state_model import FrameEffect
-from bilprov.spec.by_effect import reached
-from bilprov.spec.codec import judge
+from bilprov.conformance.cases.steps import Step, step_of
+from bilprov.spec.by_effect import frames_to, reached
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
@@ -21,10 +18,11 @@ def full_state(protocol: Protocol, mover: InstructionSpec) -> State:
     return reached(protocol, State(mover.effect.motion or Motion.STOPPED, **ends))
 
 
-@lru_cache(maxsize=1 << 12)
-def frame_effect_of(protocol: Protocol, frame: bytes) -> FrameEffect:
-    """The effect of a valid frame."""
-    judged = judge(protocol, frame)
-    assert judged.valid
-    assert judged.instruction is not None
-    return FrameEffect(judged.instruction.effect, dict(judged.fields))
+def steps_to(protocol: Protocol, state: State, known: State | None = None) -> tuple[Step, ...]:
+    """The fewest instructions that bring a robot to a state, see `frames_to`."""
+    return tuple(step_of(protocol, frame) for frame in frames_to(protocol, state, known))
+
+
+def state_after(protocol: Protocol, state: State, step: Step) -> State:
+    """The reference's state after a step."""
+    return (step.frame_effect.effect or protocol.on_fault).apply(state, step.frame_effect.values)

@@ -17,7 +17,7 @@ from itertools import cycle
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.byte_machine import ByteMachine, byte_machine
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.conformance.machines.mealy import Output
 from bilprov.conformance.machines.wp_method import Reset, Suite, most_words, wp_suite
 from bilprov.spec.by_effect import setting
@@ -158,13 +158,12 @@ class _Frames:
         self._variables = [name for name in machine.variables if name in protocol.limits]
         self._pad = bytes([protocol.pad_byte])
         self._idle = silence(protocol)
-        self._steps: dict[bytes, Step] = {}
 
     def bursts(self, words: Iterable[tuple[bytes, frozenset[int]]]) -> list[Burst]:
         """The words, each with the places in it after which no answer may come, and the resets."""
         made = [self._reset(b"", ())]
         for word, places in words:
-            made += [Burst((self._whole(frame),)) for frame in self._settings()]
+            made += [Burst((step_of(self._protocol, frame),)) for frame in self._settings()]
             made += self._written(made.pop(), word, places)
         return made
 
@@ -177,11 +176,10 @@ class _Frames:
                 if end in places:
                     pauses.append(len(held))
                 if len(held) > self._protocol.lengths[held[0]]:
-                    made.append(self._burst((self._whole(held),), pauses))
+                    made.append(self._burst((step_of(self._protocol, held),), pauses))
                     held, pauses = b"", []
             elif held:
-                identity, length = self._protocol.headers[held[0]]
-                made.append(Burst((truncated_frame(self._protocol, identity, length, held[1:]),)))
+                made.append(Burst((step_of(self._protocol, held),)))
                 held, pauses = b"", []
             else:
                 made[-1] = replace(made[-1], idle_ms=made[-1].idle_ms + self._idle)
@@ -191,8 +189,10 @@ class _Frames:
         """The reset, the first bytes of which complete a frame that has begun."""
         count = self._protocol.longest_frame
         missing = 1 + self._protocol.lengths[held[0]] - len(held) if held else 0
-        begun = (self._whole(held + self._pad * missing),) if held else ()
-        return self._burst((*begun, *[self._whole(self._pad)] * (count - missing)), pauses)
+        begun = (step_of(self._protocol, held + self._pad * missing),) if held else ()
+        return self._burst(
+            (*begun, *[step_of(self._protocol, self._pad)] * (count - missing)), pauses
+        )
 
     def _burst(self, steps: tuple[Step, ...], pauses: Sequence[int]) -> Burst:
         if not pauses:
@@ -206,9 +206,3 @@ class _Frames:
             _, high = self._protocol.limits[name]
             value = self._draw.randint(1, high) if name == "speed" else 0
             yield setting(self._protocol, name, value) or _first_setting(self._protocol, name)
-
-    def _whole(self, frame: bytes) -> Step:
-        """The step of a complete frame."""
-        if frame not in self._steps:
-            self._steps[frame] = complete_frame(self._protocol, frame[0], frame[1:])
-        return self._steps[frame]

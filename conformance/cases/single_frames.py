@@ -9,17 +9,18 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import cycle
+from itertools import chain, cycle
 
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.preamble import state_after
 from bilprov.conformance.cases.steps import (
+    TOO_FEW,
+    TOO_MANY,
     FrameClass,
     Step,
-    bad_data_frames,
-    truncated_frame,
-    unused_id_frame,
-    valid_frames,
-    wrong_length_frame,
+    frames_of,
+    kind_of,
+    one_of_each,
 )
 from bilprov.conformance.cases.wheel_sweeps import evenly
 from bilprov.spec.by_effect import after, fitted, movers, moving_motions, reached
@@ -85,10 +86,7 @@ def all_cases(protocol: Protocol, seed: int, *, every_cut: bool) -> tuple[Case, 
     setups = _Setups(protocol, seed)
     found = [
         *_valid(protocol, setups),
-        *_unused_ids(protocol, setups),
-        *_wrong_lengths(protocol, setups),
-        *_bad_data(protocol, setups),
-        *_truncated(protocol, setups, every_cut=every_cut),
+        *_faults(protocol, setups, every_cut=every_cut),
         *_recovery(protocol, setups),
     ]
     return tuple(_mark_thorough(found))
@@ -107,121 +105,94 @@ def _mark_thorough(found: list[Case]) -> Iterator[Case]:
 
 
 def _valid(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
-    for spec in protocol.instructions:
-        for step in valid_frames(protocol, spec.name):
-            values = step.frame_effect.values
-            for _ in range(3):
-                setup = setups.next()
-                if spec.effect.apply(setup, values) != setup:
-                    break  # an instruction that changes nothing could not be observed
-            tail = "".join(f"/{value}" for value in values.values())
-            yield Case.of(
-                step,
-                id=f"{FrameClass.VALID}/{spec.name}{tail}",
-                requirement=f"{spec.name}: {spec.prose}",
-                setup=setup,
-                expected=spec.effect.apply(setup, values),
-                stop=spec.effect.motion is Motion.STOPPED,
-            )
+    for step in frames_of(protocol, FrameClass.VALID):
+        spec = protocol.by_id[protocol.headers[step.frame[0]][0]]
+        for _ in range(3):
+            setup = setups.next()
+            expected = state_after(protocol, setup, step)
+            if expected != setup:
+                break  # an instruction that changes nothing could not be observed
+        values = "".join(f"/{value}" for value in step.frame_effect.values.values())
+        yield Case.of(
+            step,
+            id=f"{FrameClass.VALID}/{spec.name}{values}",
+            requirement=f"{spec.name}: {spec.prose}",
+            setup=setup,
+            expected=expected,
+            stop=step.frame_effect.stops,
+        )
 
 
-def _faulty(protocol: Protocol, setup: State, ident: str, step: Step, requirement: str) -> Case:
+def _faults(protocol: Protocol, setups: _Setups, *, every_cut: bool) -> Iterator[Case]:
+    """Every faulty frame; what comes after a header that is faulty are Stop bytes."""
+    # Two rotations: too few is rare, and must be tested in each kind of motion too.
+    motions = {kind: cycle(_motions(protocol)) for kind in (TOO_MANY, TOO_FEW)}
+    classes = (FrameClass.UNUSED_ID, FrameClass.WRONG_LENGTH, FrameClass.BAD_DATA)
+    for step in chain.from_iterable(frames_of(protocol, kind) for kind in classes):
+        kind = kind_of(protocol, step)
+        setup = setups.next(next(motions[kind]) if kind in motions else None)
+        yield replace(_faulty(protocol, setup, step), short=kind == TOO_FEW)
+    for step in frames_of(protocol, FrameClass.TRUNCATED):
+        if every_cut or _is_sampled(protocol, step):
+            yield _faulty(protocol, setups.next(), step)
+
+
+def _is_sampled(protocol: Protocol, cut: Step) -> bool:
+    """Whether a truncation is one of those that stand for all: of each ID, at a place that rotates.
+
+    Of valid headers every truncation is.
+    """
+    identity, length = protocol.headers[cut.frame[0]]
+    spec = protocol.by_id.get(identity)
+    if spec is not None and length == spec.length:
+        return True
+    of_id = length == 1 + identity % protocol.data_lengths[-1]
+    return of_id and len(cut.frame) - 1 == identity % length
+
+
+def _faulty(protocol: Protocol, setup: State, step: Step) -> Case:
+    ident, what = _words(protocol, step)
     code = step.accepted[0].codes[0]
     return Case.of(
         step,
         id=f"{step.kind}/{ident}",
-        requirement=f"{requirement}: {protocol.codes[code].name}, and the robot stops",
+        requirement=f"{what}: {protocol.codes[code].name}, and the robot stops",
         setup=setup,
         expected=protocol.on_fault.apply(setup),
         stop=True,
     )
 
 
-def _unused_ids(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
-    for identity in protocol.unused_ids:
-        for length in protocol.data_lengths:
-            step = unused_id_frame(protocol, identity, length, bytes([protocol.pad_byte]) * length)
-            what = f"ID {identity} is unused"
-            yield _faulty(protocol, setups.next(), f"{identity}/{length}", step, what)
-
-
-def _wrong_lengths(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
-    # Two rotations: too few is rare, and must be tested in each kind of motion too.
-    motions = {many: cycle(_motions(protocol)) for many in (True, False)}
-    for spec in protocol.instructions:
-        for length in protocol.data_lengths:
-            if length == spec.length:
-                continue
-            many = length > spec.length
-            step = wrong_length_frame(protocol, spec, length, bytes([protocol.pad_byte]) * length)
-            setup = setups.next(next(motions[many]))
-            what = f"{spec.name} takes {spec.length} data bytes, not {length}"
-            case = _faulty(protocol, setup, f"{spec.name}/{length}", step, what)
-            yield replace(case, short=not many)
-
-
-def _bad_data(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
-    for spec in protocol.instructions:
-        for step in bad_data_frames(protocol, spec.name):
-            data = step.frame[1:]
-            raw = int.from_bytes(data, "big")
-            what = f"{spec.name} does not take the data {spaced(data)}"
-            yield _faulty(protocol, setups.next(), f"{spec.name}/{raw}", step, what)
-
-
-def _truncated(protocol: Protocol, setups: _Setups, *, every_cut: bool) -> Iterator[Case]:
-    most = protocol.data_lengths[-1]
-    for identity, length in protocol.headers:
-        spec = protocol.by_id.get(identity)
+def _words(protocol: Protocol, step: Step) -> tuple[str, str]:
+    """The rest of the id of a faulty frame's case, and what is wrong with the frame."""
+    identity, length = protocol.headers[step.frame[0]]
+    spec, data = protocol.by_id.get(identity), step.frame[1:]
+    name = spec.name if spec else str(identity)
+    if step.truncated:
         own = spec is not None and length == spec.length
-        cuts = range(length)
-        if not every_cut and not own:
-            place = identity % max(1, length)
-            cuts = range(place, place + 1) if length == 1 + identity % most else range(0)
-        for arrived in cuts:
-            step = truncated_frame(protocol, identity, length, bytes([protocol.pad_byte]) * arrived)
-            name = spec.name if spec else str(identity)
-            ident = f"{name}/{arrived}" if own else f"{name}/{length}/{arrived}"
-            what = f"{arrived} of {length} data bytes arrive, then silence"
-            yield _faulty(protocol, setups.next(), ident, step, what)
+        ident = f"{name}/{len(data)}" if own else f"{name}/{length}/{len(data)}"
+        return ident, f"{len(data)} of {length} data bytes arrive, then silence"
+    if spec is None:
+        return f"{name}/{length}", f"ID {identity} is unused"
+    if length != spec.length:
+        return f"{name}/{length}", f"{name} takes {spec.length} data bytes, not {length}"
+    return f"{name}/{int.from_bytes(data, 'big')}", f"{name} does not take the data {spaced(data)}"
 
 
 def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     """After each class of fault, in each kind of motion, the next valid instruction works."""
-    for name, step in _one_of_each(protocol).items():
+    for name, step in one_of_each(protocol).items():
         for spec in movers(protocol):
             setup = setups.next(spec.effect.motion)
             then = fitted(protocol, spec, setup)
-            what = f"after a fault ({name}) {spec.name} works again"
-            case = _faulty(protocol, setup, f"{name}/{spec.name}", step, what)
+            case = _faulty(protocol, setup, step)
+            _, words = case.requirement.split(":", 1)
             yield replace(
                 case,
                 id=f"{FrameClass.RECOVERY}/{name}/{spec.name}",
+                requirement=f"after a fault ({name}) {spec.name} works again:{words}",
                 clause=protocol.clauses.safety,
                 kind=FrameClass.RECOVERY,
                 then=then,
                 after_then=after(spec, then, protocol.on_fault.apply(setup)),
             )
-
-
-def _one_of_each(protocol: Protocol) -> dict[str, Step]:
-    """One faulty frame of each class."""
-    fill = bytes([protocol.pad_byte])
-    faults = {}
-    if protocol.unused_ids:
-        faults[str(FrameClass.UNUSED_ID)] = unused_id_frame(
-            protocol, protocol.unused_ids[0], 0, b""
-        )
-    many = protocol.stop.length + 1
-    faults["too-many"] = wrong_length_frame(protocol, protocol.stop, many, fill * many)
-    carrying = next((s for s in protocol.instructions if s.length), None)
-    if carrying:
-        few = carrying.length - 1
-        faults["too-few"] = wrong_length_frame(protocol, carrying, few, fill * few)
-        faults[str(FrameClass.TRUNCATED)] = truncated_frame(
-            protocol, carrying.id, carrying.length, b""
-        )
-    bad = [step for s in protocol.instructions for step in bad_data_frames(protocol, s.name)[:1]]
-    if bad:
-        faults[str(FrameClass.BAD_DATA)] = bad[0]
-    return faults

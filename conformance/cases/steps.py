@@ -1,12 +1,13 @@
 """Test steps: single frames with their bytes, accepted answers and effects.
 
-Each function that makes a step states the rule that it stands for (table 1, table 2, the safety
-rule) and the other readings that the document leaves open; it never calls `spec.codec.judge`.
+`step_of` states the rule of each class of frames (table 1, table 2, the safety rule) and the other
+readings that the document leaves open; it never calls `spec.codec.judge`. `frames_of` is the one
+list of frames by class.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import lru_cache
@@ -14,7 +15,7 @@ from functools import lru_cache
 from bilprov.conformance.oracle.choices import verdict_of
 from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
 from bilprov.conformance.oracle.verdicts import Accepted
-from bilprov.spec.codec import all_data, bad_data, build, raw_frame
+from bilprov.spec.codec import all_data, bad_data, raw_frame
 from bilprov.spec.fields import Outcome
 from bilprov.spec.open_points import other_answers
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -55,6 +56,12 @@ class Step:
         return self.frame_effect.effect is None
 
 
+TOO_MANY, TOO_FEW = "too-many", "too-few"
+"""The kinds of frames with a wrong length."""
+FAULTS = (FrameClass.UNUSED_ID, TOO_MANY, TOO_FEW, FrameClass.TRUNCATED, FrameClass.BAD_DATA)
+"""The kinds of faulty frames. A valid frame's kind is its instruction's name."""
+
+
 def code_of(protocol: Protocol, outcome: Outcome) -> int:
     """The response code of an outcome."""
     return protocol.answers[outcome].code
@@ -69,95 +76,127 @@ def _others(protocol: Protocol, point: str) -> tuple[Accepted, ...]:
     )
 
 
-def valid_frame(protocol: Protocol, spec: InstructionSpec, values: Mapping[str, int]) -> Step:
-    """A valid instruction with these field values."""
-    frame = build(protocol, spec.name, values)
-    accepted = (Accepted((code_of(protocol, Outcome.VALID),)),)
-    clause = protocol.clauses.instructions
-    return Step(frame, FrameClass.VALID, accepted, FrameEffect(spec.effect, dict(values)), clause)
+def framed(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
+    """The frame of a header and its data, of which fewer than `length` bytes may come."""
+    return step_of(protocol, raw_frame(protocol, identity, length, data))
 
 
-@lru_cache(maxsize=1 << 6)
-def valid_frames(protocol: Protocol, name: str) -> tuple[Step, ...]:
-    """The instruction with valid data, over the whole range of each field."""
-    spec = protocol.by_name[name]
-    return tuple(valid_frame(protocol, spec, spec.decode(data)) for data in all_data(spec))
-
-
-@lru_cache(maxsize=1 << 6)
-def bad_data_frames(protocol: Protocol, name: str) -> tuple[Step, ...]:
-    """The instruction with data of the right length, one field of which is out of its range."""
-    spec = protocol.by_name[name]
-    return tuple(bad_data_frame(protocol, spec, data) for data in bad_data(spec))
-
-
-@lru_cache(maxsize=1 << 12)
-def unused_id_frame(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
-    """An unused ID with `length` data bytes, all of which follow."""
-    point = "R-unused-length" if length else ""
-    return Step(
-        raw_frame(protocol, identity, length, data),
-        FrameClass.UNUSED_ID,
-        (Accepted((code_of(protocol, Outcome.UNKNOWN_ID),)), *_others(protocol, point)),
-        FAULT,
-        protocol.clauses.instructions,
-        point,
-        point,
-    )
-
-
-@lru_cache(maxsize=1 << 12)
-def wrong_length_frame(protocol: Protocol, spec: InstructionSpec, length: int, data: bytes) -> Step:
-    """A known instruction that announces another length than its own; all `length` bytes follow."""
-    many = length > spec.length
-    outcome = Outcome.TOO_MANY if many else Outcome.TOO_FEW
-    # Data out of range *and* too many: judging the data first is a legal other reading.
-    point = "R-competing-errors" if many and not spec.in_range(data) else ""
-    return Step(
-        raw_frame(protocol, spec.id, length, data),
-        FrameClass.WRONG_LENGTH,
-        (Accepted((code_of(protocol, outcome),)), *_others(protocol, point)),
-        FAULT,
-        protocol.clauses.responses,
-        point,
-        point or "R-known-length",
-    )
-
-
-def bad_data_frame(protocol: Protocol, spec: InstructionSpec, data: bytes) -> Step:
-    """A known instruction of the right length with data out of range."""
-    reading = next((f.reading for f in spec.fields if f.reading), "")
-    return Step(
-        raw_frame(protocol, spec.id, spec.length, data),
-        FrameClass.BAD_DATA,
-        (Accepted((code_of(protocol, Outcome.BAD_DATA),)),),
-        FAULT,
-        protocol.clauses.instructions,
-        reading if reading in POINTS else "",
-        reading,
-    )
-
-
-@lru_cache(maxsize=1 << 13)
-def truncated_frame(protocol: Protocol, identity: int, length: int, data: bytes) -> Step:
-    """A frame of which only `data` arrive, fewer bytes than the `length` it announces."""
-    spec = protocol.by_id.get(identity)
+@lru_cache(maxsize=1 << 15)
+def step_of(protocol: Protocol, frame: bytes) -> Step:
+    """A frame as a step of whatever class it is; one shorter than it announces is truncated."""
+    identity, length = protocol.headers[frame[0]]
+    spec, data = protocol.by_id.get(identity), frame[1:]
+    if len(data) < length:
+        return _truncated(protocol, frame, spec, length)
     if spec is None:
-        outcome, point = Outcome.UNKNOWN_ID, "R-truncated-unused"
-    elif length > spec.length:
-        outcome, point = Outcome.TOO_FEW, "R-truncated-long"
+        point = "R-unused-length" if length else ""
+        return _faulty(protocol, frame, FrameClass.UNUSED_ID, Outcome.UNKNOWN_ID, point)
+    if length != spec.length:
+        outcome = Outcome.TOO_MANY if length > spec.length else Outcome.TOO_FEW
+        # Data out of range *and* too many: judging the data first is a legal other reading.
+        point = "" if length < spec.length or spec.in_range(data) else "R-competing-errors"
+        reading = point or "R-known-length"
+        return _faulty(protocol, frame, FrameClass.WRONG_LENGTH, outcome, point, reading)
+    if not spec.in_range(data):
+        reading = next((f.reading for f in spec.fields if f.reading), "")
+        point = reading if reading in POINTS else ""
+        return _faulty(protocol, frame, FrameClass.BAD_DATA, Outcome.BAD_DATA, point, reading)
+    accepted = (Accepted((code_of(protocol, Outcome.VALID),)),)
+    effect = FrameEffect(spec.effect, spec.decode(data))
+    return Step(frame, FrameClass.VALID, accepted, effect, protocol.clauses.instructions)
+
+
+def _truncated(protocol: Protocol, frame: bytes, spec: InstructionSpec | None, length: int) -> Step:
+    """A frame of which fewer bytes arrive than it announces."""
+    outcome = Outcome.TOO_FEW if spec else Outcome.UNKNOWN_ID
+    if spec is None:
+        point = "R-truncated-unused"
     else:
-        outcome, point = Outcome.TOO_FEW, "R-truncated-known"
-    return Step(
-        raw_frame(protocol, identity, length, data),
-        FrameClass.TRUNCATED,
-        (Accepted((code_of(protocol, outcome),)), *_others(protocol, point)),
-        FAULT,
-        protocol.clauses.responses if spec else protocol.clauses.instructions,
-        point,
-        point,
-        truncated=True,
-    )
+        point = "R-truncated-long" if length > spec.length else "R-truncated-known"
+    return _faulty(protocol, frame, FrameClass.TRUNCATED, outcome, point)
+
+
+def _faulty(
+    protocol: Protocol,
+    frame: bytes,
+    kind: FrameClass,
+    outcome: Outcome,
+    point: str,
+    reading: str = "",
+) -> Step:
+    """A faulty frame: the answer of its outcome, and those of other choices of the point."""
+    other = (Accepted((code_of(protocol, outcome),)), *_others(protocol, point))
+    of_responses = outcome in (Outcome.TOO_MANY, Outcome.TOO_FEW)
+    clause = protocol.clauses.responses if of_responses else protocol.clauses.instructions
+    cut = kind is FrameClass.TRUNCATED
+    return Step(frame, kind, other, FAULT, clause, point, reading or point, truncated=cut)
+
+
+@lru_cache(maxsize=1 << 6)
+def headers_of(protocol: Protocol, kind: str) -> tuple[tuple[int, int, int], ...]:
+    """The headers that make a frame one of this class of faults, whatever its data.
+
+    Each is an ID, the number of data bytes that it announces and how many of them come.
+    """
+    lengths, specs = protocol.data_lengths, protocol.instructions
+    if kind == FrameClass.UNUSED_ID:
+        return tuple((identity, n, n) for identity in protocol.unused_ids for n in lengths)
+    if kind == FrameClass.TRUNCATED:
+        return tuple((identity, n, come) for identity, n in protocol.headers for come in range(n))
+    wrong = ((s, n) for s in specs for n in lengths if n != s.length)
+    many = {FrameClass.WRONG_LENGTH: (True, False), TOO_MANY: (True,), TOO_FEW: (False,)}
+    return tuple((s.id, n, n) for s, n in wrong if (n > s.length) in many[kind])
+
+
+def frames_of(
+    protocol: Protocol, kind: str, fill: Callable[[int], bytes] | None = None
+) -> Iterator[Step]:
+    """Every frame of a kind: of an instruction by its name, of any, or of a class of faults.
+
+    Where the data do not count, `fill` gives that many bytes of them, Stop bytes without it. Wide
+    fields are sampled, see `spec.codec`.
+    """
+    specs = [protocol.by_name[kind]] if kind in protocol.by_name else protocol.instructions
+    if kind in (FrameClass.VALID, *protocol.by_name):
+        yield from (framed(protocol, s.id, s.length, data) for s in specs for data in all_data(s))
+    elif kind == FrameClass.BAD_DATA:
+        yield from (framed(protocol, s.id, s.length, data) for s in specs for data in bad_data(s))
+    else:
+        for identity, length, come in headers_of(protocol, kind):
+            data = fill(come) if fill else bytes([protocol.pad_byte]) * come
+            yield framed(protocol, identity, length, data)
+
+
+def kind_of(protocol: Protocol, step: Step) -> str:
+    """The kind that a step counts as: its instruction's name, or the class of its fault.
+
+    A wrong length is `too-many` or `too-few`.
+    """
+    identity, length = protocol.headers[step.frame[0]]
+    spec = protocol.by_id.get(identity)
+    if not step.faulty and spec is not None:
+        return spec.name
+    if step.truncated:
+        return FrameClass.TRUNCATED
+    if spec is None:
+        return FrameClass.UNUSED_ID
+    if length == spec.length:
+        return FrameClass.BAD_DATA
+    return TOO_MANY if length > spec.length else TOO_FEW
+
+
+def one_of_each(protocol: Protocol) -> dict[str, Step]:
+    """A faulty frame of each class that the protocol has, by its kind.
+
+    The truncated one, and that with too few data, are of an instruction with data.
+    """
+    carrying = next((s for s in protocol.instructions if s.length), None)
+    found = {kind: next(frames_of(protocol, kind), None) for kind in FAULTS}
+    if carrying is None:
+        del found[FrameClass.TRUNCATED]
+    else:
+        found[FrameClass.TRUNCATED] = framed(protocol, carrying.id, carrying.length, b"")
+    return {kind: step for kind, step in found.items() if step}
 
 
 def open_frames(protocol: Protocol) -> dict[str, Step]:
@@ -167,31 +206,16 @@ def open_frames(protocol: Protocol) -> dict[str, Step]:
     longest = protocol.data_lengths[-1]
     if protocol.unused_ids:
         length = min(2, longest)
-        steps.append(unused_id_frame(protocol, protocol.unused_ids[0], length, fill * length))
-    shorter = (s for s in protocol.instructions if s.length < longest)
-    first_bad = next(((s, d) for s in shorter for d in bad_data(s)), None)
-    if first_bad:
-        spec, data = first_bad
-        steps.append(wrong_length_frame(protocol, spec, spec.length + 1, data + fill))
+        steps.append(framed(protocol, protocol.unused_ids[0], length, fill * length))
+    bad = frames_of(protocol, FrameClass.BAD_DATA)
+    for frame in (one.frame for one in bad if len(one.frame) <= longest):
+        identity, length = protocol.headers[frame[0]]
+        steps.append(framed(protocol, identity, length + 1, frame[1:] + fill))
+        break
     carrying = next((s for s in protocol.instructions if s.length), None)
     if carrying:
-        steps.append(truncated_frame(protocol, carrying.id, carrying.length, b""))
-        if carrying.length < longest:
-            steps.append(truncated_frame(protocol, carrying.id, carrying.length + 1, b""))
+        lengths = range(carrying.length, min(carrying.length + 1, longest) + 1)
+        steps += (framed(protocol, carrying.id, length, b"") for length in lengths)
     if protocol.unused_ids:
-        steps.append(truncated_frame(protocol, protocol.unused_ids[0], 1, b""))
+        steps.append(framed(protocol, protocol.unused_ids[0], 1, b""))
     return {step.point: step for step in steps}
-
-
-@lru_cache(maxsize=1 << 14)
-def complete_frame(protocol: Protocol, header: int, data: bytes) -> Step:
-    """A header byte with all the data that it announces, as a step of whatever class it is."""
-    identity, length = protocol.headers[header]
-    spec = protocol.by_id.get(identity)
-    if spec is None:
-        return unused_id_frame(protocol, identity, length, data)
-    if length != spec.length:
-        return wrong_length_frame(protocol, spec, length, data)
-    if spec.in_range(data):
-        return valid_frame(protocol, spec, spec.decode(data))
-    return bad_data_frame(protocol, spec, data)

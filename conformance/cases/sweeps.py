@@ -7,15 +7,10 @@ from itertools import cycle, islice
 from typing import TypeVar
 
 from bilprov.conformance.cases.frame_source import FILLS, Inputs, fill
+from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.steps import (
-    Step,
-    bad_data_frames,
-    complete_frame,
-    valid_frame,
-    valid_frames,
-)
-from bilprov.spec.by_effect import frames_to, moving_motions, moving_to, setting
+from bilprov.conformance.cases.steps import FrameClass, Step, framed, frames_of, step_of
+from bilprov.spec.by_effect import moving_motions, moving_to, setting
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
@@ -31,7 +26,7 @@ def data_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
         for spec in protocol.instructions:
             if spec.effect.sets("motion") or not spec.fields:
                 continue
-            bursts = [Burst((step,)) for step in valid_frames(protocol, spec.name)]
+            bursts = [Burst((step,)) for step in frames_of(protocol, spec.name)]
             what = f"{spec.name} takes every value while the robot moves ({motion.value})"
             name = f"sequence/data/{spec.name}-{motion.value}"
             yield from _sequences(protocol, name, what, motion, bursts)
@@ -42,7 +37,8 @@ def bad_data_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
     for motion in moving_motions(protocol):
         go = _moving(protocol, motion)
         for spec in protocol.instructions:
-            steps = bad_data_frames(protocol, spec.name)
+            bad = frames_of(protocol, FrameClass.BAD_DATA)
+            steps = [s for s in bad if protocol.headers[s.frame[0]][0] == spec.id]
             if steps:
                 what = f"{spec.name} refuses what is out of range, and stops ({motion.value})"
                 name = f"sequence/bad-data/{spec.name}-{motion.value}"
@@ -53,23 +49,20 @@ def header_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
     """Every header with all the data it announces, filled in three ways, while the robot moves."""
     motions = moving_motions(protocol)
     frame = setting(protocol, "speed", _speed(protocol))
-    again = complete_frame(protocol, frame[0], frame[1:]) if frame else None
+    again = step_of(protocol, frame) if frame else None
     for turn in range(FILLS):
-        for number, headers in enumerate(_chunks(range(len(protocol.headers)), 32)):
+        for number, headers in enumerate(_chunks(enumerate(protocol.headers), 32)):
             motion = motions[(turn + number) % len(motions)] if motions else Motion.STOPPED
             go = _moving(protocol, motion)
-            lengths = protocol.lengths
-            steps = [complete_frame(protocol, h, fill(protocol, lengths[h], turn)) for h in headers]
+            steps = [framed(protocol, i, n, fill(protocol, n, turn)) for _, (i, n) in headers]
             what = "every header with the data it announces gets its answer, and stops if faulty"
-            name = f"sequence/headers/{headers[0]:02x}-{turn + 1}"
+            name = f"sequence/headers/{headers[0][0]:02x}-{turn + 1}"
             yield _sequence(protocol, name, what, motion, list(_driven(go, steps, again)))
 
 
 def dense(protocol: Protocol) -> SequenceCase:
     """A sequence of long rows of instructions without data, one answer a byte, to fill buffers."""
-    steps = cycle(
-        valid_frame(protocol, spec, {}) for spec in protocol.instructions if not spec.length
-    )
+    steps = cycle(framed(protocol, s.id, 0, b"") for s in protocol.instructions if not s.length)
     bursts = [Burst(tuple(islice(steps, _ROW))) for _ in range(_ROWS)]
     what = f"{_ROW} instructions sent at once, each as short as its answer, are all answered"
     return _sequence(protocol, "pipelined/dense", what, Motion.STOPPED, bursts)
@@ -127,7 +120,7 @@ def _driven(go: Step, steps: Sequence[Step], again: Step | None = None) -> Itera
 def _moving(protocol: Protocol, motion: Motion) -> Step:
     """The frame that sets a robot into a motion, the stop for the motion `stopped`."""
     frame = moving_to(protocol, State(motion, _speed(protocol))) or bytes([protocol.pad_byte])
-    return complete_frame(protocol, frame[0], frame[1:])
+    return step_of(protocol, frame)
 
 
 def _speed(protocol: Protocol) -> int:
@@ -154,5 +147,5 @@ def _sequence(
 ) -> SequenceCase:
     _, led = protocol.limits.get("led", (0, 0))
     state = State(motion=motion, speed=_speed(protocol), steering=0, led=led)
-    setup = tuple(complete_frame(protocol, f[0], f[1:]) for f in frames_to(protocol, state))
+    setup = steps_to(protocol, state)
     return SequenceCase(name, protocol.clauses.instructions, what, setup, tuple(bursts))

@@ -11,9 +11,9 @@ import random
 from dataclasses import dataclass
 
 from bilprov.conformance.cases.frame_source import Inputs
+from bilprov.conformance.cases.preamble import state_after, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.steps import FrameClass, Step, complete_frame
-from bilprov.spec.by_effect import frames_to
+from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
@@ -104,8 +104,7 @@ class Tours:
             steering=0,
             led=self._draw.randint(*self._leds),
         )
-        steps = tuple(complete_frame(protocol, f[0], f[1:]) for f in frames_to(protocol, state))
-        return steps, _Where(state)
+        return steps_to(protocol, state), _Where(state)
 
     def _next(self, where: _Where) -> Step:
         return self._go(where, self._kind(where))
@@ -113,10 +112,9 @@ class Tours:
     def _go(self, where: _Where, kind: str) -> Step:
         """The next frame of that kind; the position moves on past it."""
         step = self._inputs.next(kind)
-        effect = step.frame_effect.effect or self._protocol.on_fault
         for met in self._kinds_met(where):
             met.add(kind)
-        where.state = effect.apply(where.state, dict(step.frame_effect.values))
+        where.state = state_after(self._protocol, where.state, step)
         where.before, where.last = where.last, kind
         return step
 

@@ -6,8 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.cases.preamble import frame_effect_of
-from bilprov.conformance.cases.steps import Step
+from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.alphabet import alphabet, reset
 from bilprov.conformance.learning.output import FACETS, Output, output_of
@@ -37,7 +36,7 @@ def reference_machine(model: Model, steps: Sequence[Step]) -> Mealy[Output]:
     protocol = model.protocol
     start = model.homed(model.found())
     for frame in reset(protocol):
-        start = model.after(start, frame_effect_of(protocol, frame))
+        start = model.after(start, step_of(protocol, frame).frame_effect)
 
     def step(before: ExpectedState, letter: int) -> tuple[ExpectedState, Output]:
         one = steps[letter]

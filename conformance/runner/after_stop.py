@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.preamble import frame_effect_of
-from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.cases.steps import FrameClass, step_of
 from bilprov.conformance.oracle.judge import differences, judge_state
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words
@@ -69,7 +68,7 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     for frame in settings:
         name = judge(run.protocol, frame).describe()
         yield from _step(trial, run.wire(frame), name)
-        trial.expected = run.model.after(trial.expected, frame_effect_of(run.protocol, frame))
+        trial.expected = run.model.after(trial.expected, step_of(run.protocol, frame).frame_effect)
         if looks:
             seen = yield from observe()
             if seen.look.moving:
@@ -78,7 +77,7 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     frame = moving_to(run.protocol, case.setup)
     if frame and case.setup.moving and case.kind is not FrameClass.VALID:
         yield from _step(trial, frame, judge(run.protocol, frame).name)
-        trial.expected = run.model.after(trial.expected, frame_effect_of(run.protocol, frame))
+        trial.expected = run.model.after(trial.expected, step_of(run.protocol, frame).frame_effect)
         if looks:
             yield from _moves_again(trial, frame)
 
@@ -87,7 +86,7 @@ def recovery(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     """Check that the valid instruction right after a fault is answered and takes effect."""
     run = trial.run
     yield from _step(trial, case.then, judge(run.protocol, case.then).name)
-    trial.expected = run.model.after(trial.expected, frame_effect_of(run.protocol, case.then))
+    trial.expected = run.model.after(trial.expected, step_of(run.protocol, case.then).frame_effect)
     if looks and run.config.observable:
         yield from _moves_again(trial, case.then)
 

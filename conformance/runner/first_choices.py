@@ -10,8 +10,8 @@ from __future__ import annotations
 from bilprov.analyzer.client.operations import Procedure, Received, listen, send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import runner_case
-from bilprov.conformance.cases.preamble import frame_effect_of, full_state
-from bilprov.conformance.cases.steps import code_of
+from bilprov.conformance.cases.preamble import full_state
+from bilprov.conformance.cases.steps import code_of, step_of
 from bilprov.conformance.oracle.judge import differences
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words
@@ -79,7 +79,7 @@ def _drives_on(run: Run, full: State) -> Procedure[bool]:
     seen = yield from watch(run, moving=True, patience=run.timers.deadline)
     if heard.codes != (code_of(run.protocol, Outcome.VALID),) or not seen.look.moving:
         return False
-    _settle(run, frame_effect_of(run.protocol, frame).effect, full, seen.look)
+    _settle(run, step_of(run.protocol, frame).frame_effect.effect, full, seen.look)
     return True
 
 

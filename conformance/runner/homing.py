@@ -22,7 +22,7 @@ from bilprov.analyzer.client.operations import (
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
-from bilprov.conformance.cases.preamble import frame_effect_of
+from bilprov.conformance.cases.steps import step_of
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
@@ -250,7 +250,7 @@ def set_up(run: Run, state: State) -> Procedure[SetUp]:
     answered = 0
     for frame in frames:
         sent = yield from send(run.wire(frame))
-        expected = run.model.after(expected, frame_effect_of(run.protocol, frame))
+        expected = run.model.after(expected, step_of(run.protocol, frame).frame_effect)
         heard = yield from run.waiting.answers(1)
         answered += len(heard.answers)
         run.answered(run.wire(frame), heard, sent)

@@ -14,8 +14,8 @@ import msgspec
 
 from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.cases.steps import complete_frame
 from bilprov.conformance.cases.wheel_sweeps import WheelSweep
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
@@ -26,7 +26,6 @@ from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.slow_preambles import was_too_slow
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.conformance.runner.wheel_sweep import sweep_wheels
-from bilprov.spec.by_effect import frames_to
 from bilprov.spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2
@@ -123,8 +122,7 @@ def _shortened(
     if run.counters.minimised >= LONGEST_MINIMISED:
         return up_to(case, mismatch)
     run.counters.minimised += 1
-    frames = () if case.setup else frames_to(run.protocol, run.protocol.power_on)
-    begun = case.setup or tuple(complete_frame(run.protocol, f[0], f[1:]) for f in frames)
+    begun = case.setup or steps_to(run.protocol, run.protocol.power_on)
     behind = replace(case, setup=begun)
     short = yield from minimise(behind, first, mismatch, lambda shorter: _retry(run, shorter))
     return short if case.setup else replace(short, setup=())

@@ -8,7 +8,7 @@ from typing import Any
 from bilprov.analyzer.client.link import drive
 from bilprov.analyzer.client.operations import Procedure, followed
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.oracle.profile import Profile
@@ -28,11 +28,7 @@ SAFETY, INSTRUCTIONS, RESPONSES = "section 2", "section 3, table 1", "section 4,
 
 def step(protocol: Protocol, hexed: str) -> Step:
     """A frame in hex as a step; one that is shorter than it announces is cut."""
-    frame = bytes.fromhex(hexed)
-    identity, length = protocol.headers[frame[0]]
-    if len(frame) - 1 < length:
-        return truncated_frame(protocol, identity, length, frame[1:])
-    return complete_frame(protocol, frame[0], frame[1:])
+    return step_of(protocol, bytes.fromhex(hexed))
 
 
 def burst(protocol: Protocol, *frames: str, **more: Any) -> Burst:

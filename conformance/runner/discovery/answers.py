@@ -8,13 +8,14 @@ from bilprov.analyzer.client.operations import Procedure, Received, listen, send
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.adaptation import adapt_to_device, led_instruction
 from bilprov.conformance.cases.steps import (
+    TOO_FEW,
+    FrameClass,
     Step,
-    bad_data_frame,
     code_of,
+    framed,
+    one_of_each,
     open_frames,
-    unused_id_frame,
-    valid_frame,
-    wrong_length_frame,
+    step_of,
 )
 from bilprov.conformance.oracle.judge import matching
 from bilprov.conformance.oracle.wording import answer_words
@@ -22,7 +23,7 @@ from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import setting
-from bilprov.spec.codec import bad_data
+from bilprov.spec.codec import bad_data, build
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, Behaviour
@@ -34,29 +35,20 @@ def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:
     fill = bytes([protocol.pad_byte])
     some, frames = _setting(protocol), open_frames(protocol)
     length = min(2, protocol.data_lengths[-1])
-    many = wrong_length_frame(protocol, protocol.stop, length, fill * length)
+    many = framed(protocol, protocol.stop.id, length, fill * length)
     yield _burst("R-drain-known", (many, some))
+    faults = one_of_each(protocol)
     if protocol.unused_ids:
-        nobody = protocol.unused_ids[0]
         drained = frames.pop("R-unused-length")
         yield _burst("R-drain-unused", (drained, some))
-        lone = unused_id_frame(protocol, nobody, 0, b"")
-        yield _burst("R-pipelining unused-id", (lone, some, some))
+        yield _burst("R-pipelining unused-id", (faults[FrameClass.UNUSED_ID], some, some))
         yield _chosen(drained)
-    first_bad = next(((s, d) for s in protocol.instructions for d in bad_data(s)), None)
-    carrying = next((s for s in protocol.instructions if s.length), None)
-    if carrying:
-        few = wrong_length_frame(
-            protocol, carrying, carrying.length - 1, fill * (carrying.length - 1)
-        )
-        yield _burst("R-pipelining too-few", (few, some, some))
-    if first_bad:
-        spec, data = first_bad
-        bad = bad_data_frame(protocol, spec, data)
-        yield _burst("R-pipelining bad-data", (bad, some, some))
+    for kind in (TOO_FEW, FrameClass.BAD_DATA):
+        if kind in faults:
+            yield _burst(f"R-pipelining {kind}", (faults[kind], some, some))
     yield from map(_chosen, frames.values())
     if protocol.data_lengths[-1] > 2:
-        slow = wrong_length_frame(protocol, protocol.stop, 3, fill * 3)
+        slow = framed(protocol, protocol.stop.id, 3, fill * 3)
         yield Experiment(
             "answer-point",
             ("R-answer-point",),
@@ -78,9 +70,8 @@ def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:
 def _setting(protocol: Protocol) -> Step:
     """A valid instruction that moves nothing: a setting, else the stop."""
     low, high = protocol.limits.get("speed", (0, 0))
-    frame = setting(protocol, "speed", (low + high) // 2)
-    spec = protocol.by_id[protocol.headers[frame[0]][0]] if frame else protocol.stop
-    return valid_frame(protocol, spec, spec.decode(frame[1:]))
+    frame = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.pad_byte])
+    return step_of(protocol, frame)
 
 
 def _exchange(run: Run, data: bytes, due: int, patience: int = 0) -> Procedure[Received]:
@@ -231,7 +222,7 @@ def _led_experiments(protocol: Protocol) -> Iterator[Experiment]:
     led = led_instruction(protocol)
     if led is None:
         return
-    step = valid_frame(protocol, led, {f.name: f.high for f in led.fields})
+    step = step_of(protocol, build(protocol, led.name, {f.name: f.high for f in led.fields}))
     ok, refused = code_of(protocol, Outcome.VALID), code_of(protocol, Outcome.UNKNOWN_ID)
 
     def moved(run: Run) -> Procedure[Finding]:
@@ -254,7 +245,7 @@ def _led_experiments(protocol: Protocol) -> Iterator[Experiment]:
     yield Experiment("led-id", ("R-led-id",), requirement, moved, step.frame, option="led-id")
     data = next(iter(bad_data(led)), None)
     if data is not None:
-        wrong = bad_data_frame(protocol, led, data)
+        wrong = framed(protocol, led.id, led.length, data)
         yield _allowed("R-led-upper-bits", wrong, requirement, "refused, or ignored")
 
 

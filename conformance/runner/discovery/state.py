@@ -9,7 +9,7 @@ from functools import partial
 from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.preamble import full_state
-from bilprov.conformance.cases.steps import unused_id_frame, wrong_length_frame
+from bilprov.conformance.cases.steps import one_of_each
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import set_up, watch
@@ -54,12 +54,7 @@ def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
         partial(_after, first=first, frame=stop, points=points),
         stop[0],
     )
-    fill = bytes([protocol.pad_byte])
-    fault = (
-        unused_id_frame(protocol, protocol.unused_ids[0], 0, b"")
-        if protocol.unused_ids
-        else wrong_length_frame(protocol, protocol.stop, 1, fill)
-    ).frame
+    fault = next(iter(one_of_each(protocol).values())).frame
     points = _points(protocol, None, full)
     yield _probe(
         "after-fault",

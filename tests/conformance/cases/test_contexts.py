@@ -10,10 +10,9 @@ import pytest
 
 from bilprov.conformance.cases.combinations import MARKED
 from bilprov.conformance.cases.contexts import after_each_kind, left_alone, truncations
-from bilprov.conformance.cases.coverage import kind_of
 from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.cases.steps import FrameClass, Step, valid_frames
+from bilprov.conformance.cases.steps import FrameClass, Step, frames_of, kind_of
 from bilprov.spec.protocol import Protocol
 
 
@@ -109,7 +108,7 @@ def test_cuts_hold_marked_values_and_stand_before_and_after_what_they_should(
     kinds = Inputs(protocol, 1).kinds
     assert before == {(first, second) for first in kinds for second in kinds}
     assert {(known, length) for known in (True, False) for length in (1, 2, 3)} <= one_after_another
-    valid = (step for spec in protocol.instructions for step in valid_frames(protocol, spec.name))
+    valid = frames_of(protocol, FrameClass.VALID)
     assert {step.frame for step in valid if set(step.frame[1:]) <= set(MARKED)} <= after
     for (_, size, _), found in values.items():
         assert size == 6 or set(MARKED) <= found

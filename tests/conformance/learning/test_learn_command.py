@@ -51,7 +51,7 @@ def test_the_shortest_difference_is_told_first_as_a_line_to_paste(
     assert first[1] == "     due: 03 TOO_MANY_DATA; stopped, led 0"
     assert first[2] == "     got: 00 OK; stopped, led 0"
     line = first[3].strip()
-    assert line == "bilprov send PORT 'Speed 0' 'Right 0' 'LED 0' 'Speed 255' Forward 0100"
+    assert line == "bilprov send PORT 'Speed 0' 'LED 0' 'Right 0' 'Speed 255' Forward 0100"
     assert report["differences"][0]["reproduce"] == line
     assert said.splitlines()[-1] == "not the Protocol's machine"
 

@@ -193,7 +193,7 @@ def ends_the_reset(event: Event) -> bool:
     """The last setting before a sequence, after which nothing has changed."""
     now, before = event.judgement.frame, event.previous
     rests = not event.before.moving and not event.before.steering
-    return rests and now == b"\x81\0" and before is not None and before.frame == b"\x41\0"
+    return rests and now == b"\x41\0" and before is not None and before.frame == b"\x81\0"
 
 
 def at_times(condition: Condition, change: React, turns: Container[int]) -> Fault:

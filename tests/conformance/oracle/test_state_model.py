@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.cases.steps import step_of
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import (
     FAULT,
@@ -25,14 +25,6 @@ DRIVING = State(Motion.FORWARD, speed=200, steering=40, led=5)
 TURNING = replace(DRIVING, motion=Motion.ROTATE_LEFT)
 RESTED = State(Motion.STOPPED, speed=200, steering=40, led=5)
 STANDING = State(Motion.BACKWARD, speed=0, steering=40, led=5)
-
-
-def as_step(protocol: Protocol, frame: bytes) -> Step:
-    """A frame as a step; one that is shorter than it announces was cut."""
-    identity, length = protocol.headers[frame[0]]
-    if len(frame) - 1 < length:
-        return truncated_frame(protocol, identity, length, frame[1:])
-    return complete_frame(protocol, frame[0], frame[1:])
 
 
 def done(protocol: Protocol, name: str, *values: int) -> FrameEffect:
@@ -68,7 +60,7 @@ def test_by_default_the_model_does_what_the_document_says(
     model, expected_state = model_of(protocol), ExpectedState(protocol.power_on)
 
     for typed in sequence.steps:
-        step = as_step(protocol, typed.frame)
+        step = step_of(protocol, typed.frame)
         expected_state = model.after(expected_state, step.frame_effect)
         state = expected_state.state
         seen = RobotState(str(state.motion), state.speed, state.steering, state.led, state.moving)
@@ -86,7 +78,7 @@ def test_a_choice_that_is_the_default_changes_nothing(protocol: Protocol) -> Non
     for sequence in SEQUENCES:
         told = known = ExpectedState(protocol.power_on)
         for typed in sequence.steps:
-            frame_effect = as_step(protocol, typed.frame).frame_effect
+            frame_effect = step_of(protocol, typed.frame).frame_effect
             told, known = (
                 defaults.after(told, frame_effect),
                 model_of(protocol).after(known, frame_effect),
