@@ -9,16 +9,16 @@ well. Some frames are followed by a silence.
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count, cycle, product
 from math import ceil
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from bilprov.conformance.cases.combinations import MARKED, state_classes
 from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.preamble import state_after, steps_to
-from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks
 from bilprov.conformance.cases.steps import (
     FrameClass,
     Step,
@@ -42,9 +42,6 @@ _LONG, _SHORT, _PAUSE, _BRIEF = 122, 62, 31, 16
 _REST = 310  # ms for which it drives before a fault comes: what falls asleep does so within 300
 _TIMES = 2  # that each value of a byte stands in a place, in two states
 _ODD = 83  # from one value of a byte to the next: no value is met twice before all are
-
-
-T = TypeVar("T")
 
 
 class _Context(NamedTuple):
@@ -81,7 +78,7 @@ def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[Seque
         walk = _Walk(protocol, draw, Inputs(protocol, seed + turn))
         contexts = list(_complete(protocol, walk.inputs, turn))
         draw.shuffle(contexts)
-        for some, number in zip(_chunks(contexts, _CONTEXTS), numbers, strict=False):
+        for some, number in zip(chunks(contexts, _CONTEXTS), numbers, strict=False):
             walk.begin()
             bursts: list[Burst] = []
             for context in some:
@@ -110,7 +107,7 @@ def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceC
         kinds = walk.inputs.kinds
         pairs = cycle(draw.sample(list(product(kinds, kinds)), len(kinds) ** 2))
         following = cycle(_after_cuts(protocol, draw))
-        for some, number in zip(_chunks(cuts, _CUTS), numbers, strict=False):
+        for some, number in zip(chunks(cuts, _CUTS), numbers, strict=False):
             walk.begin()
             bursts: list[Burst] = []
             for place, cut in enumerate(some, 1):
@@ -148,7 +145,7 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
         # A silence while it moves, and one while it stands, are each ended by all kinds in turn.
         ends = [cycle(draw.sample(inputs.kinds, len(inputs.kinds))) for _ in range(2)]
         watched = inputs.kinds if turn else (protocol.stop.name, *inputs.faulty_kinds)
-        for some, number in zip(_chunks(contexts, _ALONE), numbers, strict=False):
+        for some, number in zip(chunks(contexts, _ALONE), numbers, strict=False):
             walk.begin()
             bursts: list[Burst] = []
             for one in some:
@@ -341,7 +338,3 @@ class _Walk:
                 moving = [v for v in values if name != "speed" or len(v) > 1 or v[0] != 0]
                 found[name] = self._draw.choice(self._draw.choice(moving or values))
         return found
-
-
-def _chunks(values: Sequence[T], size: int) -> Iterator[Sequence[T]]:
-    return (values[start : start + size] for start in range(0, len(values), size))

@@ -7,10 +7,14 @@ has shown.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
+from typing import TypeVar
 
 from bilprov.conformance.cases.steps import Step
+
+T = TypeVar("T")
 
 DELIVERIES = ("waited", "pipelined", "split", "left alone")
 """The ways in which a burst that ends with a complete frame is delivered."""
@@ -89,3 +93,10 @@ class SequenceCase:
         """Every step in order."""
         for burst in self.bursts:
             yield from burst.steps
+
+
+def chunks(values: Iterable[T], size: int) -> Iterator[tuple[T, ...]]:
+    """Yield the values in groups of so many; the last may be smaller."""
+    left = iter(values)
+    while chunk := tuple(islice(left, size)):
+        yield chunk

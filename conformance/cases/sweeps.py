@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import cycle, islice
-from typing import TypeVar
 
 from bilprov.conformance.cases.frame_source import FILLS, Inputs, fill
 from bilprov.conformance.cases.preamble import steps_to
-from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks
 from bilprov.conformance.cases.steps import FrameClass, Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, moving_to, setting
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
-
-T = TypeVar("T")
 
 _LENGTH = 64  # bursts of a sequence
 _ROW, _ROWS = 150, 4  # instructions sent at once: more than a ring of 128 bytes holds
@@ -51,7 +48,7 @@ def header_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
     frame = setting(protocol, "speed", _speed(protocol))
     again = step_of(protocol, frame) if frame else None
     for turn in range(FILLS):
-        for number, headers in enumerate(_chunks(enumerate(protocol.headers), 32)):
+        for number, headers in enumerate(chunks(enumerate(protocol.headers), 32)):
             motion = motions[(turn + number) % len(motions)] if motions else Motion.STOPPED
             go = _moving(protocol, motion)
             steps = [framed(protocol, i, n, fill(protocol, n, turn)) for _, (i, n) in headers]
@@ -90,7 +87,7 @@ def soak(protocol: Protocol, seed: int, count: int) -> Iterator[SequenceCase]:
     most = 16
     singles = (burst.steps for burst in _faults(protocol, seed, count))
     pairs = (one + other for one, other in zip(singles, singles, strict=False))
-    for number, sequence in enumerate(_chunks(_chunks(pairs, most // 2), _LENGTH)):
+    for number, sequence in enumerate(chunks(chunks(pairs, most // 2), _LENGTH)):
         bursts = [Burst(tuple(s for pair in chunk for s in pair)) for chunk in sequence]
         what = f"{count} faults and as many valid frames change nothing"
         yield _sequence(protocol, f"pipelined/soak/{number:04}", what, Motion.STOPPED, bursts)
@@ -129,16 +126,10 @@ def _speed(protocol: Protocol) -> int:
     return fast - fast // 8
 
 
-def _chunks(values: Iterable[T], size: int) -> Iterator[tuple[T, ...]]:
-    left = iter(values)
-    while chunk := tuple(islice(left, size)):
-        yield chunk
-
-
 def _sequences(
     protocol: Protocol, name: str, what: str, motion: Motion, bursts: Sequence[Burst]
 ) -> Iterator[SequenceCase]:
-    for number, some in enumerate(_chunks(bursts, _LENGTH)):
+    for number, some in enumerate(chunks(bursts, _LENGTH)):
         yield _sequence(protocol, f"{name}/{number + 1}", what, motion, some)
 
 

@@ -5,14 +5,13 @@ Which instruction sweeps what follows from its effect; a wide field is swept in 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.oracle.state_model import NOTHING
 from bilprov.conformance.oracle.wheel_curve import READING
-from bilprov.spec.by_effect import movers, setters
+from bilprov.spec.by_effect import movers, setting
 from bilprov.spec.codec import build
 from bilprov.spec.motion import Moment, State, moment_of
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -55,23 +54,27 @@ def wheel_sweeps(protocol: Protocol) -> tuple[WheelSweep, ...]:
     """
     short = (s for s in movers(protocol) if not s.fields)
     drive = next((s for s in short if moment_of(s.effect) is Moment.DRIVE), None)
-    if drive is None:
+    speeds = _settings(protocol, "speed", 1)
+    if drive is None or not speeds:
         return ()
-    # One that sets another variable too would change what is compared.
-    alone = [spec for spec in setters(protocol) if len(spec.effect.assignments) == 1]
-    speeds = [values for spec in alone for values in _sides(protocol, spec, "speed")]
-    if not speeds:
-        return ()
-    found: dict[str, WheelSweep] = {}
-    fast = speeds[0][-1][0]
-    for spec in alone:
-        for values in _sides(protocol, spec, "steering"):
-            sweep = _sweep(protocol, drive, "steering", values, fast)
-            found.setdefault(sweep.id, sweep)
     # The lowest that moves it: the wheels need not slow down before they are looked at.
-    slow = next(value for value, _ in speeds[0] if value)
-    sweep = _sweep(protocol, drive, "speed", speeds[0], slow)
-    return (*found.values(), sweep)
+    slow, fast = next(value for value, _ in speeds if value), speeds[-1][0]
+    sides = filter(None, (_settings(protocol, "steering", side) for side in (1, -1)))
+    found = [_sweep(protocol, drive, "steering", values, fast) for values in sides]
+    return (*found, _sweep(protocol, drive, "speed", speeds, slow))
+
+
+def _settings(protocol: Protocol, variable: str, side: int) -> list[tuple[int, bytes]]:
+    """The values of a variable on one side of 0, with the frames that set them.
+
+    None where an instruction sets another variable too, which would change what is compared.
+    """
+    low, high = protocol.limits.get(variable, (0, 0))
+    low, high = (max(low, 0), high) if side > 0 else (low, min(high, 0))
+    values = sorted(evenly(low, high, MOST_SETTINGS), key=abs) if low < high else []
+    found = [(value, frame) for value in values if (frame := setting(protocol, variable, value))]
+    specs = {protocol.by_id[protocol.headers[frame[0]][0]] for _, frame in found}
+    return found if all(len(spec.effect.assignments) == 1 for spec in specs) else []
 
 
 def _sweep(
@@ -101,32 +104,6 @@ def _sweep(
         settings=tuple(settings),
         mover=build(protocol, drive.name),
     )
-
-
-def _sides(
-    protocol: Protocol, spec: InstructionSpec, variable: str
-) -> Iterator[list[tuple[int, bytes]]]:
-    """The values that an instruction gives a variable, with its frames: positive, negative."""
-    for name, source in spec.effect.assignments:
-        if name != variable or not isinstance(source, tuple):
-            continue
-        field, factor = source
-        part = next(f for f in spec.fields if f.name == field)
-        rest = {f.name: f.low for f in spec.fields}
-        for side in (1, -1) if variable == "steering" else (1,):
-            # The field's values that steer to this side, or nowhere.
-            low, high = part.low, part.high
-            if side * factor > 0:
-                low = max(low, 0)
-            else:
-                high = min(high, 0)
-            if low > high or low == high == 0:
-                continue
-            values = sorted((n * factor for n in evenly(low, high, MOST_SETTINGS)), key=abs)
-            yield [
-                (value, build(protocol, spec.name, rest | {field: value // factor}))
-                for value in values
-            ]
 
 
 def evenly(low: int, high: int, most: int) -> list[int]:
