@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.cases.steps import Step, complete_frame, truncated_frame
+from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.conformance.causes.trace import (
     Begun,
     Concluded,
@@ -194,7 +194,7 @@ class Exchanges:
             self._held += bytes([byte])
             self._held_end = at
             if len(self._held) > self._model.protocol.lengths[self._held[0]]:
-                self._frame(truncated=False)
+                self._frame()
 
     def _settled(self, now: int) -> bool:
         """Whether the frames of the burst were waited for."""
@@ -203,16 +203,13 @@ class Exchanges:
 
     def _silent_until(self, now: int) -> None:
         if self._held and now - self._held_end >= self._timeout:
-            self._frame(truncated=True)
+            self._frame()
 
-    def _frame(self, *, truncated: bool) -> None:
+    def _frame(self) -> None:
         protocol, data = self._model.protocol, self._held
         self._held = b""
         judgement = judge(protocol, data)
-        if truncated:
-            step = truncated_frame(protocol, judgement.id, judgement.length, data[1:])
-        else:
-            step = complete_frame(protocol, data[0], data[1:])
+        step = step_of(protocol, data)
         exchange = Exchange(
             self._case,
             judgement,
