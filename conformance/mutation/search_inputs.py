@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.steps import TOO_MANY, FrameClass, one_of_each
 from bilprov.conformance.dut.fault import Event, Fault
 from bilprov.conformance.mutation.triggers import Trigger
 from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
@@ -16,6 +17,7 @@ from bilprov.spec.protocol import InstructionSpec, Protocol
 _QUIET = 170 * MS
 _SPLIT = 3 * MS
 _RUNS = (16, 250)  # how many stops, or faults, are sent in a row
+_REPEATED = (FrameClass.UNUSED_ID, TOO_MANY, FrameClass.BAD_DATA)
 _VALUES = ("value", "speed", "steering", "led")
 _EXAMPLES = 3  # frames of a trigger that are inputs of their own
 _HEADERS_AND_BYTES = ("id", "length", "size", "excess", "first-byte", "second-byte", "last-byte")
@@ -59,7 +61,8 @@ def alphabet(protocol: Protocol, given: Sequence[int | bytes] = ()) -> tuple[Sym
     for cut in (*_cut(protocol), *(frame for frame in frames if frame not in whole)):
         symbol = _symbol(protocol, cut, "cut short", waited, byte)
         found.append(symbol._replace(after=timeout + timeout // 4))
-    for frame in (bytes([protocol.pad_byte]), *_one_of_each_fault(protocol)):
+    repeated = [step.frame for kind, step in one_of_each(protocol).items() if kind in _REPEATED]
+    for frame in (bytes([protocol.pad_byte]), *repeated):
         for count in _RUNS:
             run = _symbol(protocol, frame, f"{count} times", waited, byte)
             found.append(run._replace(bytes=run.bytes * count))
@@ -75,20 +78,6 @@ def _cut(protocol: Protocol) -> Iterator[bytes]:
         for length in sorted({max(1, known.length if known else 1), protocol.data_lengths[-1]}):
             for arrived in {0, length - 1}:
                 yield raw_frame(protocol, identity, length, bytes([protocol.pad_byte]) * arrived)
-
-
-def _one_of_each_fault(protocol: Protocol) -> Iterator[bytes]:
-    """Yield one frame of each fault: an unused ID, too many data bytes, bad data."""
-    if protocol.unused_ids:
-        yield bytes([protocol.header_bytes[protocol.unused_ids[0], 0]])
-    stop = protocol.stop
-    yield raw_frame(
-        protocol, stop.id, stop.length + 1, bytes([protocol.pad_byte]) * (stop.length + 1)
-    )
-    for spec in protocol.instructions:
-        for data in list(bad_data(spec))[:1]:
-            yield raw_frame(protocol, spec.id, spec.length, data)
-            return
 
 
 def _symbol(protocol: Protocol, frame: bytes, how: str, first: int, between: int) -> Symbol:
