@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from bilprov.analyzer.client.link import Link, drive
-from bilprov.analyzer.client.operations import Ended, Procedure, send
+from bilprov.analyzer.client.operations import Procedure, send
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.target import Target
@@ -21,13 +21,10 @@ from bilprov.conformance.oracle.choices import Choices, verdict_of
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import timers_of
-from bilprov.conformance.oracle.verdicts import CaseResult, Label, Verdict, exit_code
-from bilprov.conformance.runner.discovery.discover import discover
-from bilprov.conformance.runner.first_choices import first_choices
-from bilprov.conformance.runner.homing import home, leave, see_motions, set_up, watch
-from bilprov.conformance.runner.power_on import calibrate, first_bytes
+from bilprov.conformance.oracle.verdicts import Label, Verdict, exit_code
+from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.homing import home, set_up, watch
 from bilprov.conformance.runner.run import Run, RunConfig
-from bilprov.conformance.runner.truncation_timeout import measure_timeout
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
@@ -133,56 +130,29 @@ def learn_target(
         lossless,
     )
     run = Run(config, Profile(choices=Choices()))
-    try:
-        link = target.connect(None)
-        works = True
+
+    def afterwards() -> Procedure[None]:
         try:
-            try:
-                unusable = drive(_opening(run), link, target.interrupted)
-            finally:
-                learned.beside = _failures(run.results)
-            if unusable:
-                raise Unusable(unusable)
+            yield from _measure_stop(run)
             _learn(run, link, target.interrupted, learned, progress)
         except (GaveUp, NotLearned) as why:
             learned.trouble = str(why)
-        except Ended as ended:
-            learned.trouble, learned.broken, works = str(ended), ended.error, ended.line_works
-        finally:
-            if works:
-                done = len(run.results)
-                ended_again = drive(leave(run), link, target.interrupted)
-                if ended_again and ended_again.error and not learned.trouble:
-                    learned.trouble, learned.broken = str(ended_again), True
-                learned.beside += _failures(run.results[done:])
+
+    try:
+        link = target.connect(None)
+        runner = Runner(run, (), afterwards=afterwards)
+        drive(runner.execute(), link, target.interrupted)
     except BaseException:
         target.halt()
         raise
+    if runner.unusable:
+        raise Unusable(runner.unusable)
+    ended = runner.ended
+    if ended and not learned.trouble and (ended.error or learned.machine is None):
+        learned.trouble, learned.broken = str(ended), ended.error
+    failed = (one for one in run.results if one.verdict is Verdict.FAIL)
+    learned.beside = tuple((one.id, one.reason) for one in failed)
     return learned
-
-
-def _failures(results: Sequence[CaseResult]) -> tuple[tuple[str, str], ...]:
-    """The cases that failed, with their reasons."""
-    return tuple((one.id, one.reason) for one in results if one.verdict is Verdict.FAIL)
-
-
-def _opening(run: Run) -> Procedure[str]:
-    """What the suite does before its cases: the link check, measurements, the device's choices.
-
-    Returns why the line cannot be used, "" if it can.
-    """
-    unusable = yield from first_bytes(run)
-    if unusable:
-        return unusable
-    yield from first_choices(run)
-    yield from home(run)
-    yield from calibrate(run)
-    yield from home(run)
-    yield from see_motions(run)
-    yield from measure_timeout(run)
-    yield from discover(run)
-    yield from _measure_stop(run)
-    return ""
 
 
 def _measure_stop(run: Run) -> Procedure[None]:
@@ -209,7 +179,7 @@ def _learn(
     progress: Callable[[int, int], None],
 ) -> None:
     """Learn the device, and fill in what came of it, however it ends."""
-    choices = run.profile.choices
+    choices, begun = run.profile.choices, len(run.results)
     learned.choices = tuple(
         (point, choices.word(point), verdict_of(point, choices.word(point)).label)
         for point in sorted(choices.others)
@@ -220,7 +190,6 @@ def _learn(
         sent=lambda frames: progress(learner.states, frames),
     )
     learner = Learner(system, reference, seed=learned.seed)
-    begun = len(run.results)
     try:
         learned.machine = machine = learner.learn()
         learned.differences, learned.more = tuple(learner.differences), learner.more
@@ -234,9 +203,7 @@ def _learn(
         learned.frames, learned.sequences = system.frames, system.sequences
         learned.repeated, learned.flaky = system.repeated, system.flaky
         run.strays.close(keeps_all=run.keeps_all)
-        between = run.results[begun:]
-        if learned.lossless:
-            learned.beside += _failures(between)
-        else:
+        if not learned.lossless:
             # In so many sequences noise makes as many strays as fail a run of the suite.
-            learned.flaky += len(between)
+            learned.flaky += len(run.results) - begun
+            del run.results[begun:]
