@@ -13,7 +13,7 @@ from bilprov.conformance.causes.rules import Rule, matches
 
 _LITERALS = 4
 """Conditions of one rule for everything that went wrong; with more it describes two causes."""
-_FEW, _FEW_SHARE = 3, 0.1
+_FEW, _FEW_SHARE = 4, 0.15
 """Cases, and their share of the widest cause's, that may be what another cause brings about."""
 _BACK = 64
 """Frames up to a deviation at which that other cause is looked for."""
@@ -73,9 +73,8 @@ def _without_leftovers(causes: Sequence[Cause]) -> list[Cause]:
     for cause in sorted(causes, key=lambda cause: -len(cause.cases)):
         few = max(_FEW, _FEW_SHARE * len(kept[0].cases)) if kept else 0
         bags = [bag for effect in cause.effects for bag in effect.bags]
-        brought_about = []
-        if len(cause.cases) <= few:
-            brought_about = [(bag, other) for bag in bags if (other := _brought_about(bag, kept))]
+        back = _BACK if len(cause.cases) <= few else 0
+        brought_about = [(bag, other) for bag in bags if (other := _brought_about(bag, kept, back))]
         if len(brought_about) < len(bags):
             kept.append(cause)
             continue
@@ -84,15 +83,25 @@ def _without_leftovers(causes: Sequence[Cause]) -> list[Cause]:
     return kept
 
 
-def _brought_about(bag: Bag, causes: Sequence[Cause]) -> Cause | None:
-    """The cause that shows at a frame up to this deviation, None where there is none."""
+def _brought_about(bag: Bag, causes: Sequence[Cause], back: int) -> Cause | None:
+    """The cause that shows at a frame up to this deviation, None where there is none.
+
+    It shows in the same way at one of the frames that may have caused it, at one that was sent
+    ahead of these, or at one of the `back` frames before.
+    """
+    for cause in causes:
+        facets = {effect.relation.facet for effect in cause.effects}
+        if bag.deviation.facet in facets and any(cause.foresees(e) for e in bag.exchanges):
+            return cause
+    case = bag.exchanges[-1].case
     exchange: Exchange | None = bag.exchanges[-1]
-    for _ in range(_BACK):
-        if exchange is None or exchange.case != bag.exchanges[-1].case:
-            return None
+    while exchange is not None and exchange.case == case:
         for cause in causes:
             if cause.foresees(exchange):
                 return cause
+        back -= 1
+        if back < 0 and not exchange.ahead:
+            break
         exchange = exchange.previous
     return None
 
@@ -141,19 +150,21 @@ def _explains(rule: Rule, effect: Effect) -> bool:
 def _one_rule(features: Sequence[Feature], effects: Sequence[Effect]) -> Rule | None:
     groups = [group for effect in effects for group in effect.groups]
     against = list({id(e): e for effect in effects for e in effect.against}.values())
-    for share in (1.0, 0.97):
-        for most in TIERS:
-            rule = one_rule([f for f in features if f.cost <= most], groups, against, share)
-            if rule is not None and len(rule) <= _LITERALS:
-                return rule
+    for tiers in (TIERS[:-1], TIERS[-1:]):
+        for share in (1.0, 0.97):
+            for most in tiers:
+                rule = one_rule([f for f in features if f.cost <= most], groups, against, share)
+                if rule is not None and len(rule) <= _LITERALS:
+                    return rule
     return None
 
 
 def _causes(features: Sequence[Feature], effect: Effect) -> list[Cause]:
     """The causes of one effect: one where one rule explains it, else as few as cover it."""
-    rule = _one_rule(features, [effect])
-    if rule is not None:
-        return [Cause(rule, [effect])]
+    for likely in (effect.at_setters(), effect):
+        rule = _one_rule(features, [likely])
+        if rule is not None:
+            return [Cause(rule, [likely])]
     causes, left = [], list(effect.bags)
     for rule in rules([f for f in features if f.cost <= TIERS[-2]], effect.groups, effect.against):
         whole = Effect(effect.relation, left, effect.against)

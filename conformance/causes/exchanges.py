@@ -97,11 +97,21 @@ class Exchange:
         return max((length for _, length in self.pauses), default=0)
 
     @property
+    def answered(self) -> int:
+        """When its last answer came after its end (ns), 0 where none did."""
+        return self.codes[-1][0] - self.end if self.codes else 0
+
+    @property
     def kind(self) -> str:
         """The instruction's name of a valid frame, else its outcome; `truncated` for a cut one."""
         if self.step.truncated:
             return "truncated"
         return self.judgement.name if self.judgement.valid else self.judgement.outcome.value
+
+    def sets(self, facet: str) -> bool:
+        """Return whether it is an instruction that sets this variable of the state."""
+        effect = self.step.frame_effect.effect
+        return effect is not None and effect.sets(facet)
 
 
 class Bag(NamedTuple):
@@ -267,6 +277,9 @@ class Exchanges:
                 self._expected = replace(self._expected, unknown=frozenset(VARIABLES))
             if exchange is burst[-1] or not _repeats(exchange):
                 self.all.append(exchange)
+        if guilty and len(burst) > 1:
+            for exchange in burst:
+                exchange.right.discard(ANSWER)  # whose answer is whose is not certain
         if self._lost:
             self._unseen.clear()
         elif looks:

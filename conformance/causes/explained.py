@@ -24,16 +24,18 @@ if TYPE_CHECKING:
 
 _TRIED = 5
 """Causes that are tried again."""
+_SHORT = 8
+"""Frames up to which a line is not shortened by trying."""
 _WHILE = 10_000_000_000
 """For how long (ns) causes are tried again."""
 
 
 @dataclass(slots=True)
 class _Explanation:
-    """A cause, the line that shows it, and whether it did again (None where it was not tried)."""
+    """A cause, lines to try, and whether the first shows it (None where it was not tried)."""
 
     found: Found
-    line: Line
+    lines: list[Line]
     shown: bool | None = None
 
 
@@ -43,36 +45,52 @@ class Explainer:
     def __init__(self, run: Run, trace: Trace, byte_time: int) -> None:
         self._run = run
         self._trace = trace
-        self._timing = Timing(run.waiting.timeout, byte_time, run.timers.longest)
+        self._byte_time = byte_time
         self._explanations: list[_Explanation] | None = None
+
+    @property
+    def _timing(self) -> Timing:
+        return Timing(self._run.waiting.timeout, self._byte_time, self._run.timers.longest)
 
     def try_again(self) -> Procedure[None]:
         """Try the line of each of the first causes again.
 
         The device was just switched on where that can be done; it is always homed first.
         """
-        run, begun = self._run, self._trace.now
+        begun = self._trace.now
         for explanation in self._found()[:_TRIED]:
-            if self._trace.now - begun > _WHILE:
-                return
-            try:
-                if run.config.power:
-                    yield from power_cycle()
-                    yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
-                yield from home(run)
-                explanation.shown = yield from self._shows(explanation)
-                yield from home(run)
-            except GaveUp:
-                return
+            for line in explanation.lines:
+                if self._trace.now - begun > _WHILE:
+                    return
+                try:
+                    explanation.shown = yield from self._shows(explanation.found, line)
+                except GaveUp:
+                    return
+                if explanation.shown:
+                    explanation.lines = [(yield from self._halved(explanation.found, line, begun))]
+                    break
 
-    def _shows(self, explanation: _Explanation) -> Procedure[bool]:
-        """Send the line once; return whether the cause shows."""
+    def _halved(self, found: Found, line: Line, begun: int) -> Procedure[Line]:
+        """The line, or the last part of it that still shows the cause; a long one has many."""
+        while line.frames > _SHORT and self._trace.now - begun < _WHILE:
+            if line.together or not (yield from self._shows(found, line.half)):
+                break
+            line = line.half
+        return line
+
+    def _shows(self, found: Found, line: Line) -> Procedure[bool]:
+        """Bring the device to rest and send the line; return whether the cause shows."""
         run, trace = self._run, Trace()
-        watched = max(e.watched for e in explanation.found.exchanges)
-        sent = shown_by(explanation.line, self._timing, watched, looks=run.config.observable)
+        if run.config.power:
+            yield from power_cycle()
+            yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
+        yield from home(run)
+        watched = max(max(e.watched, e.answered) for e in found.exchanges)
+        sent = shown_by(line, self._timing, watched, looks=run.config.observable)
         yield from followed(sent, trace)
+        yield from home(run)
         exchanges = Exchanges(run.model, trace.events, self._timing)
-        return bool(exchanges.all) and shows(explanation.found, exchanges)
+        return bool(exchanges.all) and shows(found, exchanges)
 
     def causes(self) -> tuple[Cause, ...]:
         """Return the causes of the run's failures, those that keep the device moving first."""
@@ -97,7 +115,7 @@ class Explainer:
         found = [cause for cause in found if not failed.isdisjoint(cause.cases)]
         found.sort(key=lambda cause: (_rank(cause), -len(cause.cases)))
         finder = Finder(run.protocol, self._timing)
-        return [_Explanation(cause, finder.line(cause)) for cause in found]
+        return [_Explanation(cause, finder.lines(cause)) for cause in found]
 
     def _cause(self, explanation: _Explanation, failed: dict[str, str], judged: int) -> Cause:
         found, shown = explanation.found, explanation.shown
@@ -117,7 +135,7 @@ class Explainer:
             clause=failed[cases[0]],
             cases=cases,
             others=others,
-            send=explanation.line.words,
+            send=explanation.lines[0].words,
             tried=shown is not None,
         )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bilprov.conformance.causes.exchanges import ANSWER, MOTION, Bag, Exchange, seen_motion
 from bilprov.conformance.oracle.state_model import ExpectedState
@@ -65,14 +65,25 @@ class Effect:
     relation: Relation
     bags: list[Bag]
     against: list[Exchange]
+    only_setters: bool = False
 
     @property
     def groups(self) -> list[tuple[Exchange, ...]]:
         """The exchanges of each bag that may have caused it."""
-        fits = self.relation.fits
-        return [
-            tuple(e for e in bag.exchanges if fits(bag, e)) or bag.exchanges for bag in self.bags
-        ]
+        return [self._group(bag) for bag in self.bags]
+
+    def _group(self, bag: Bag) -> tuple[Exchange, ...]:
+        fitting = tuple(e for e in bag.exchanges if self.relation.fits(bag, e)) or bag.exchanges
+        if not self.only_setters:
+            return fitting
+        return tuple(e for e in fitting if e.sets(self.relation.facet)) or fitting
+
+    def at_setters(self) -> Effect:
+        """The effect, caused by frames that set the facet in which it shows, where there are any.
+
+        It is the likeliest explanation of a wrong setting.
+        """
+        return replace(self, only_setters=True)
 
     @property
     def keeps_moving(self) -> bool:
@@ -159,7 +170,7 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     def last_seen(exchange: Exchange) -> Value:
         look = exchange.last_seen
         if look is None:
-            return None
+            return before(exchange)
         return seen_motion(look) if facet == MOTION else getattr(look, facet)
 
     found = [

@@ -18,6 +18,7 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.spec.by_effect import frames_to
+from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ _TRIES = 300
 """Lines that are tried on the simulator at most."""
 _LONGEST = 160
 """Frames of a line at most."""
+_COUNTED = 400
+"""Frames that only count, at most."""
 _SETTLED = 20 * MS
 """How long (ns) a device has for a change after its last answer, before it is looked at again."""
 _DELIVERY = {"ahead", "sent ahead", "split", "pause", "gap"}
@@ -48,6 +51,12 @@ class Line(NamedTuple):
     chunks: tuple[Chunk, ...]
     frames: int
     together: bool = False
+
+    @property
+    def half(self) -> Line:
+        """The last half of its frames."""
+        kept = self.chunks[len(self.chunks) // 2 :]
+        return Line(kept, len(kept), self.together)
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -87,11 +96,40 @@ class Finder:
         self._protocol = protocol
         self._timing = timing
 
-    def line(self, cause: Cause) -> Line:
-        """Return the shortest line found whose last frame the cause takes in.
+    def lines(self, cause: Cause) -> list[Line]:
+        """Return lines to try, in this order, until one shows the cause.
+
+        The first is the shortest at whose last frame the cause would show by all that is known of
+        it. The others come nearer to where it showed in the run.
+        """
+        clear = [e for e in cause.exchanges if not e.before.unknown and cause.foresees(e)]
+        simplest = _simplest(clear or cause.exchanges)[0]
+        found = [self._shortest(cause), self._counted(cause, simplest), self._as_met(simplest)]
+        return list(dict.fromkeys(line for line in found if line))
+
+    def _as_met(self, last: Exchange) -> Line:
+        """The frames of the case up to one at which it showed, by the times of the run."""
+        chain = [last]
+        while len(chain) < _LONGEST and chain[0].previous and chain[0].previous.case == last.case:
+            chain.insert(0, chain[0].previous)
+        return _line(chain, (), self._timing, together=any(one.ahead for one in chain))
+
+    def _counted(self, cause: Cause, last: Exchange) -> Line | None:
+        """As many frames as the cause depends on, None where it depends on no number."""
+        counted = [literal for literal in cause.rule if literal.feature.counts]
+        own = last.step.faulty and not last.step.truncated
+        filler = last.step.frame if own else _refused(self._protocol)
+        if not counted or filler is None:
+            return None
+        way = () if last.before.unknown else frames_to(self._protocol, last.before.state)
+        several = [filler] * min(last.history.frames, _COUNTED)
+        return _line([last], (*several, *way), self._timing, together=False)
+
+    def _shortest(self, cause: Cause) -> Line:
+        """The shortest line at whose last frame the cause would show.
 
         Where there is none (the cause depends on more than a line can hold), it is the shortest of
-        those that end in such a frame.
+        those that end in a frame of the cause.
         """
         lines = sorted(self._lines(cause), key=lambda one: (one.frames, len(one.chunks)))
         effects = tuple(cause.effects)
@@ -147,7 +185,7 @@ class Finder:
 def shows(cause: Cause, exchanges: Exchanges) -> bool:
     """Return whether the last of these exchanges deviates as the cause says."""
     return any(
-        bag.deviation[:2] == (effect.relation.facet, effect.relation.how)
+        bag.deviation.facet == effect.relation.facet
         and exchanges.all[-1] in bag.exchanges
         and effect.relation.explains(bag)
         for bag in exchanges.bags
@@ -159,6 +197,12 @@ def _shown(cause: Cause, effects: Sequence[Effect], exchange: Exchange) -> bool:
     """Whether these effects of a cause would all show at an exchange."""
     differ = all(effect.relation.differs(exchange) for effect in effects)
     return differ and matches(cause.rule, exchange)
+
+
+def _refused(protocol: Protocol) -> bytes | None:
+    """A faulty frame of a header alone, None where there is none."""
+    alone = (bytes([header]) for header, length in enumerate(protocol.lengths) if not length)
+    return next((frame for frame in alone if not judge(protocol, frame).valid), None)
 
 
 def _simplest(exchanges: Sequence[Exchange]) -> list[Exchange]:

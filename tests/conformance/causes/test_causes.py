@@ -140,7 +140,7 @@ def test_its_line_shows_it_on_a_fresh_device_and_not_on_a_right_one(
     fault = fault_bank(protocol)[name]
     recorded = Recorded(protocol, fault)
     cause = recorded.causes[0]
-    line = Finder(protocol, recorded.timing).line(cause)
+    line = Finder(protocol, recorded.timing).lines(cause)[0]
 
     def shown_on(device: Simulator) -> bool:
         trace = Trace()
