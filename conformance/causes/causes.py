@@ -15,6 +15,8 @@ _LITERALS = 4
 """Conditions of one rule for everything that went wrong; with more it describes two causes."""
 _FEW, _FEW_SHARE = 4, 0.15
 """Cases, and their share of the widest cause's, that may be what another cause brings about."""
+_THIN = 5
+"""What the condition of a cause may cost for each of its cases."""
 _BACK = 64
 """Frames up to a deviation at which that other cause is looked for."""
 TIERS = (1, 2, 4, 6)
@@ -68,6 +70,7 @@ def _without_leftovers(causes: Sequence[Cause]) -> list[Cause]:
     """The causes, without those of a few deviations that another one has brought about.
 
     That is so where a frame before them in the same case is one at which the other cause shows.
+    Beside others a long condition for a few cases is none either: it fits them by chance.
     """
     kept: list[Cause] = []
     for cause in sorted(causes, key=lambda cause: -len(cause.cases)):
@@ -76,7 +79,8 @@ def _without_leftovers(causes: Sequence[Cause]) -> list[Cause]:
         back = _BACK if len(cause.cases) <= few else 0
         brought_about = [(bag, other) for bag in bags if (other := _brought_about(bag, kept, back))]
         if len(brought_about) < len(bags):
-            kept.append(cause)
+            if not kept or _cost(cause.rule) < _THIN * len(cause.cases):
+                kept.append(cause)
             continue
         for bag, other in brought_about:
             other.consequences.append(bag)

@@ -68,8 +68,8 @@ class Exchange:
     as (how many bytes stand before it, how long), `gap` from the frame before to its header (None
     after power-on). `ahead` is how many frames before it were not answered yet. `before` and
     `after` are the states of a conforming device, `accepted` its answers, `watched` how long (ns)
-    it was then looked at, `last_seen` the last look before it. `right` are the facets that were
-    seen to be right, `deviations` those that were not.
+    it was then looked at, `looked` when for the first time (ns), `last_seen` is the look before it.
+    `right` are the facets that were seen to be right, `deviations` those that were not.
     """
 
     case: str
@@ -86,6 +86,7 @@ class Exchange:
     after: ExpectedState
     accepted: frozenset[int | None] = frozenset()
     watched: int = 0
+    looked: int | None = None
     last_seen: Look | None = None
     codes: tuple[tuple[int, int], ...] = ()
     right: set[str] = field(default_factory=set)
@@ -350,7 +351,9 @@ class Exchanges:
             wrong = [facet in deviating for deviating in found]
             if facet == MOTION and not any(wrong) and not self._expected.state.speed:
                 continue  # no motion shows at speed 0
-            candidates = (guilty,) if guilty else tuple(self._unseen.pop(facet, burst))
+            candidates = (guilty,) if guilty else self._visible(facet, burst)
+            for exchange in candidates:
+                exchange.looked = looks[0][0] - exchange.end
             deviation = None
             if all(wrong):
                 deviation = Deviation(facet, "wrong", *found[-1][facet])
@@ -361,13 +364,20 @@ class Exchanges:
                 if first - since > self._stop_longest:
                     deviation = Deviation(facet, "late", *found[0][facet])
             if deviation is None:
-                for exchange in () if guilty else candidates:
+                changed = wrong[0] and facet != MOTION  # too late, or as late as it may
+                for exchange in () if guilty or changed else candidates:
                     exchange.right.add(facet)
                 continue
             for exchange in candidates:
                 exchange.deviations[facet] = deviation
             self.bags.append(Bag(deviation, tuple(candidates)))
         self._resynchronise(looks[-1][1])
+
+    def _visible(self, facet: str, burst: list[Exchange]) -> tuple[Exchange, ...]:
+        """The frames of which a look shows what they made of a facet: no later one changes it."""
+        pending = self._unseen.pop(facet, burst)
+        wanted = value_of(facet, self._expected)
+        return tuple(e for e in pending if value_of(facet, e.after) == wanted) or tuple(pending)
 
     def _unknown_facets(self) -> set[str]:
         unknown = set(self._expected.unknown)
@@ -423,6 +433,14 @@ def _repeats(exchange: Exchange) -> bool:
         previous.step.frame == exchange.step.frame
         and previous.after == exchange.before == exchange.after
     )
+
+
+def value_of(facet: str, expected: ExpectedState) -> int | str | None:
+    """Return the value of a facet in a state, None where it is not known."""
+    if facet == MOTION:
+        unknown = expected.unknown & {"motion", "speed"}
+        return None if unknown else expected.state.visible_motion.value
+    return None if facet in expected.unknown else getattr(expected.state, facet)
 
 
 def _shown(look: Look) -> set[str]:

@@ -84,7 +84,8 @@ class Explainer:
         if run.config.power:
             yield from power_cycle()
             yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
-        yield from home(run)
+        yield from followed(home(run), trace)
+        trace.begin("")
         watched = max(max(e.watched, e.answered) for e in found.exchanges)
         sent = shown_by(line, self._timing, watched, looks=run.config.observable)
         yield from followed(sent, trace)

@@ -128,6 +128,12 @@ def _of_delivery() -> Iterator[Feature]:
     yield Feature("split", lambda e: "split" if e.pauses else "in one go", "{}", 2)
     yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} ms inside", 5)
     yield Feature(
+        "looked",
+        lambda e: None if e.looked is None else e.looked // MS,
+        "when it is looked at {} ms after it",
+        3,
+    )
+    yield Feature(
         "gap", lambda e: None if e.gap is None else e.gap // MS, "{} ms after the frame before", 5
     )
 

@@ -10,8 +10,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from bilprov.conformance.causes.exchanges import ANSWER, MOTION, Bag, Exchange, seen_motion
-from bilprov.conformance.oracle.state_model import ExpectedState
+from bilprov.conformance.causes.exchanges import (
+    ANSWER,
+    MOTION,
+    Bag,
+    Exchange,
+    seen_motion,
+    value_of,
+)
 
 Value = int | str | None
 Predict = Callable[[Exchange], Value]
@@ -96,19 +102,7 @@ class Effect:
 
 def value_after(facet: str, exchange: Exchange) -> Value:
     """Return the right value of a facet after an exchange, None where it is not known."""
-    return _value(facet, exchange.after)
-
-
-def value_before(facet: str, exchange: Exchange) -> Value:
-    """Return the value of a facet before an exchange, None where it is not known."""
-    return _value(facet, exchange.before)
-
-
-def _value(facet: str, expected: ExpectedState) -> Value:
-    if facet == MOTION:
-        unknown = expected.unknown & {"motion", "speed"}
-        return None if unknown else expected.state.visible_motion.value
-    return None if facet in expected.unknown else getattr(expected.state, facet)
+    return value_of(facet, exchange.after)
 
 
 def relations(bags: Sequence[Bag]) -> list[tuple[Relation, list[Bag]]]:
@@ -144,18 +138,31 @@ def _of_answers(how: str, bags: Iterable[Bag]) -> list[Relation]:
     ]
 
 
+def _instead(bags: Iterable[Bag]) -> dict[Value, Value]:
+    """The value seen most for each right one; empty where it is always the same value."""
+    pairs = Counter((bag.deviation.expected, bag.deviation.seen) for bag in bags)
+    found = {due: seen for (due, seen), _ in reversed(pairs.most_common())}
+    return found if len(set(found.values())) > 1 else {}
+
+
 def _other_codes(bags: Iterable[Bag]) -> Iterator[Relation]:
     """A code of its own instead of each that is due, where several are exchanged for others."""
-    pairs = Counter((bag.deviation.expected, bag.deviation.seen) for bag in bags)
-    instead = {due: code for (due, code), _ in reversed(pairs.most_common())}
-    if len(set(instead.values())) < 2:
-        return
+    instead = _instead(bags)
 
     def predict(exchange: Exchange) -> Value:
         due = [code for code in exchange.accepted if code in instead]
         return instead[due[0]] if due else None
 
-    yield Relation(ANSWER, "other", "exchanges codes", predict)
+    if instead:
+        yield Relation(ANSWER, "other", "exchanges codes", predict)
+
+
+def _other_motions(how: str, bags: Iterable[Bag]) -> Iterator[Relation]:
+    """A motion of its own instead of each that is right, where several are exchanged."""
+    instead = _instead(bags)
+    if instead:
+        words = ", ".join(f"{seen} instead of {due}" for due, seen in instead.items())
+        yield Relation(MOTION, how, f"is {words}", lambda e: instead.get(value_after(MOTION, e)))
 
 
 def _due_before(exchange: Exchange) -> Value:
@@ -165,7 +172,7 @@ def _due_before(exchange: Exchange) -> Value:
 
 def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     def before(exchange: Exchange) -> Value:
-        return value_before(facet, exchange)
+        return value_of(facet, exchange.before)
 
     def last_seen(exchange: Exchange) -> Value:
         look = exchange.last_seen
@@ -179,7 +186,8 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     ]
     seen = Counter(bag.deviation.seen for bag in bags).most_common(3)
     if facet == MOTION:
-        return found + [Relation(facet, how, f"is {v}", _moving_as(v)) for v, _ in seen]
+        found += [Relation(facet, how, f"is {v}", _moving_as(v)) for v, _ in seen]
+        return found + list(_other_motions(how, bags))
     found += [Relation(facet, how, f"is {value}", lambda e, v=value: v) for value, _ in seen]  # type: ignore[misc]
     return found + [
         Relation(facet, how, words, _changed(facet, change)) for words, change in _changes(bags)

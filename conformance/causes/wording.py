@@ -68,9 +68,11 @@ def _effect(protocol: Protocol, effect: Effect) -> str:
             return "stops late" if expected == {"stopped"} else "moves late"
         if effect.keeps_moving:
             return "moves again, by itself" if late else "does not stop"
-        seen = {str(bag.deviation.seen).replace("_", " ") for bag in effect.bags}
-        motion = "keeps its motion" if len(seen) > 1 else f"is {seen.pop()}"
-        return motion + late
+        seen = {str(bag.deviation.seen) for bag in effect.bags}
+        stays = relation.words.startswith("stays") and len(seen) > 1
+        motion = "keeps its motion" if stays else relation.words
+        motion = f"is {seen.pop()}" if len(seen) == 1 else motion
+        return motion.replace("_", " ") + late
     if relation.how == "late":
         return f"{deviation.facet} changes late"
     return f"{deviation.facet} {relation.words}{late}"
