@@ -7,7 +7,6 @@ from typing import Any
 
 from bilprov.analyzer.html.markup import Safe, bar, joined, tag, text
 from bilprov.conformance.oracle.choices import default_of
-from bilprov.conformance.report.html.wheels import wheel_curves
 from bilprov.conformance.report.run_report import Report, run_facts
 from bilprov.spec.readings import READINGS
 
@@ -75,7 +74,7 @@ def profile(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     for key in keys:
         if key not in ("readings", "wheels"):
             lines[_words(key)] = [_value(report.profile.get(key)) for report in reports]
-    return joined([_table(lines, told), wheel_curves(reports, told), _readings(reports, told)])
+    return joined([_table(lines, told), _readings(reports, told)])
 
 
 def _readings(reports: Sequence[Report], told: Sequence[str]) -> Safe:
