@@ -85,7 +85,7 @@ def noisy_run(trial: Trial, level: str = "standard") -> tuple[int, str]:
         return 2, f"{type(error).__name__}: {error}"
     bad = [r for r in report.results if r.verdict is Verdict.FAIL]
     told = [f"{r.id}: {next(a.reason for a in r.axes.values() if a.reason)}" for r in bad[:4]]
-    return report.exit, "; ".join(told) or report.unusable or report.ended_by
+    return report.exit, "; ".join(told) or report.unusable or report.ended_by or ""
 
 
 def simulated(seeds: Iterable[int], rates: Sequence[float] = (RATE,)) -> list[Trial]:

@@ -35,7 +35,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.profile import profile_from, profile_text
+from bilprov.conformance.oracle.profile import Figures, profile_from
 from bilprov.conformance.report.expected import ExpectedError
 from bilprov.conformance.report.expected_file import ExpectedFile
 from bilprov.conformance.report.html.page import as_html
@@ -228,9 +228,7 @@ def test_expected_failures_are_safe_or_refused(
 @example([], "a = " + "[" * 60_000)
 def test_a_profile_is_safe_or_refused(changes: list[tuple[str, Any]], text: str) -> None:
     protocol = load_protocol()
-    grammar = {"name": "a", "version": "b", "sha256": protocol.sha256}
-    told: dict[str, Any] = {"truncation_timeout_ms": 50.0, "flushes": True, "readings": {}}
-    good = profile_text(grammar, told)
+    good = Figures(truncation_timeout_ms=50.0, flushes=True, readings={}).toml(protocol)
     lines = [f"{json.dumps(key)} = {json.dumps(value)}\n" for key, value in changes]
     for name in ("watchdog_ms", "whole_frame", "led_id", f'readings."{next(iter(POINTS))}"'):
         for toml in (f"{name} = {text}\n{good}", f"{''.join(lines)}{good}", text):

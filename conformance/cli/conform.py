@@ -61,7 +61,6 @@ from bilprov.conformance.cli.outputs import (
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import PORT, Target, target_named
 from bilprov.conformance.oracle.choices import parse_allowed
-from bilprov.conformance.oracle.profile import profile_text
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.executor import is_slow
 from bilprov.conformance.runner.listeners.listener import RunListener
@@ -333,4 +332,4 @@ def _dated(report: Report, start: float) -> Report:
 
 def _profile(reports: Sequence[Report], protocol: Protocol) -> str:
     (report,) = reports
-    return profile_text(report.grammar, report.profile)
+    return report.profile.toml(protocol)

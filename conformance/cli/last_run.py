@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from bilprov.analyzer.files import read_bounded, write_whole
 from bilprov.analyzer.foreign import from_json
 from bilprov.captures.text import escape_controls, quantity
 from bilprov.conformance.api import Options
-from bilprov.conformance.oracle.verdicts import Label, Verdict
+from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
@@ -35,7 +35,7 @@ class LastRun(msgspec.Struct, frozen=True):
 
     device: str
     grammar: str
-    failed: dict[str, Label] = {}
+    failed: dict[str, Verdict] = {}
 
     def after(self, report: Report) -> LastRun:
         """What is known after another run.
@@ -46,7 +46,7 @@ class LastRun(msgspec.Struct, frozen=True):
         if report.unusable:
             return self
         judged = {result.id for result in report.results if result.verdict in _JUDGED}
-        if not (report.options["only"] or report.ended):
+        if not (report.options.only or report.ended):
             judged |= self.failed.keys() - {result.id for result in report.results}
         kept = {ident: verdict for ident, verdict in self.failed.items() if ident not in judged}
         return msgspec.structs.replace(self, failed=kept | failed_cases(report))
@@ -100,14 +100,13 @@ def ordered(
     return replace(suite, first=failed), f"first the cases that failed last ({len(failed)}{some})"
 
 
-def failed_cases(report: Report) -> dict[str, Label]:
+def failed_cases(report: Report) -> dict[str, Verdict]:
     """The cases that count as failed in a run, with their verdicts: none that is expected to."""
-    known: Iterable[str] = report.comparison.expected if report.comparison else ()
-    least = Verdict.NON_STRICT if report.options["strict"] else Verdict.FAIL
+    least = Verdict.NON_STRICT if report.options.strict else Verdict.FAIL
     return {
-        result.id: result.verdict.label
+        result.id: result.verdict
         for result in report.results
-        if result.verdict in (least, Verdict.FAIL) and result.id not in known
+        if result.verdict in (least, Verdict.FAIL) and not result.expected_failure
     }
 
 

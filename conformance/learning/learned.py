@@ -21,7 +21,7 @@ from bilprov.conformance.oracle.choices import Choices, verdict_of
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import timers_of
-from bilprov.conformance.oracle.verdicts import Label, Verdict, exit_code
+from bilprov.conformance.oracle.verdicts import Verdict, exit_code
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import home, set_up, watch
 from bilprov.conformance.runner.run import Run, RunConfig
@@ -55,7 +55,7 @@ class Learned:
     expected_states: int = 0
     differences: tuple[Difference, ...] = ()
     more: bool = False
-    choices: tuple[tuple[str, str, Label], ...] = ()
+    choices: tuple[tuple[str, str, str], ...] = ()
     beside: tuple[tuple[str, str], ...] = ()
     trouble: str = ""
     broken: bool = False

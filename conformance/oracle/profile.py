@@ -6,10 +6,13 @@ keep to it.
 
 from __future__ import annotations
 
+import statistics
 from collections import defaultdict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from bilprov.analyzer.client.operations import Received
 from bilprov.analyzer.foreign import from_toml
@@ -32,6 +35,8 @@ _FLAGS = {
     "whole_frame": "whole_frame",
 }
 
+
+Milliseconds = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
 
 _RECENT = 100  # answers to an instruction that tell how far its answers vary
 _FEWEST = 10  # that tell it
@@ -116,23 +121,77 @@ class Profile:
                 self.latencies.append(t - sent)
                 self.delayed(t - sent)
 
+    def figures(self) -> Figures:
+        """The profile as a report has it."""
+        times = [latency / MS for latency in self.latencies]
+        return Figures(
+            truncation_timeout_ms=_ms(self.truncation_timeout),
+            truncated_frames_answered=self.truncation_answered,
+            latency_median_ms=round(statistics.median(times), 3) if times else None,
+            latency_max_ms=round(max(times), 3) if times else None,
+            round_trip_ms=_ms(self.round_trip),
+            jitter_ms=_ms(self.jitter),
+            boot_ms=_ms(self.boot),
+            flushes=self.flushes,
+            flushes_for_ms=_ms(self.flushes_for),
+            whole_frame=self.whole_frame,
+            led_id=self.choices.led_id,
+            stop_latency_ms=_ms(self.stop_latency),
+            watchdog_ms=_ms(self.watchdog),
+            facets=tuple(sorted(self.facets)),
+            preamble_speed=self.preamble_speed,
+            all_but_two_answers_ms=_ms(self.all_but_two),
+            wheels=self.wheels,
+            readings={point: word for point, (word, _) in sorted(self.choices.shown.items())},
+        )
 
-def profile_text(grammar: Mapping[str, str], profile: Mapping[str, Any]) -> str:
-    """The file's text, from a report's `grammar` and `profile`."""
-    lines = [
-        "# A device's profile; give it to conform with --profile.",
-        f'grammar = "{grammar["name"]} {grammar["version"]}"',
-        f'sha256 = "{grammar["sha256"]}"',
-    ]
-    lines += [f"{name} = {profile[name]}" for name in _TIMES if profile.get(name)]
-    lines += [
-        f"{name} = {str(profile[name]).lower()}" for name in _FLAGS if profile.get(name) is not None
-    ]
-    if profile.get("led_id") is not None:
-        lines.append(f"led_id = {profile['led_id']}")
-    lines += ["", "[readings]"]
-    lines += [f'"{point}" = "{word}"' for point, word in profile["readings"].items()]
-    return "\n".join(lines) + "\n"
+
+def _ms(time: int | None) -> float | None:
+    return None if time is None else round(time / MS, 3)
+
+
+class Figures(msgspec.Struct, frozen=True, kw_only=True):
+    """The profile in a report: times in ms, null where something was not measured.
+
+    A key is missing in a report of an older kit, which did not measure it. `readings` has the
+    device's choice for each open point that it has shown.
+    """
+
+    truncation_timeout_ms: Annotated[float, msgspec.Meta(ge=0, le=1e6)] | None = None
+    truncated_frames_answered: bool | None = None
+    latency_median_ms: Milliseconds | None = None
+    latency_max_ms: Milliseconds | None = None
+    round_trip_ms: Milliseconds | None = None
+    jitter_ms: Milliseconds | None = None
+    boot_ms: Milliseconds | None = None
+    flushes: bool | None = None
+    flushes_for_ms: Milliseconds | None = None
+    whole_frame: bool | None = None
+    led_id: int | None = None
+    stop_latency_ms: Milliseconds | None = None
+    watchdog_ms: Milliseconds | None = None
+    facets: tuple[str, ...] | None = None
+    preamble_speed: int | None = None
+    all_but_two_answers_ms: Milliseconds | None = None
+    wheels: tuple[WheelCurve, ...] | None = None
+    readings: dict[str, str] | None = None
+
+    def toml(self, protocol: Protocol) -> str:
+        """The text of the file that can be given to a run."""
+        told = msgspec.structs.asdict(self)
+        lines = [
+            "# A device's profile; give it to conform with --profile.",
+            f'grammar = "{protocol.name} {protocol.version}"',
+            f'sha256 = "{protocol.sha256}"',
+        ]
+        lines += [f"{name} = {told[name]}" for name in _TIMES if told[name]]
+        flags = ((name, told[name]) for name in _FLAGS)
+        lines += [f"{name} = {str(flag).lower()}" for name, flag in flags if flag is not None]
+        if self.led_id is not None:
+            lines.append(f"led_id = {self.led_id}")
+        lines += ["", "[readings]"]
+        lines += [f'"{point}" = "{word}"' for point, word in (self.readings or {}).items()]
+        return "\n".join(lines) + "\n"
 
 
 def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Profile:

@@ -1,35 +1,51 @@
-"""Verdicts and the results that carry them. A verdict only gets worse."""
+"""Verdicts and the results that carry them. A verdict only gets worse.
+
+Results are written into a report's JSON as they are here: a field is a key, times are in seconds.
+What a file holds is checked against these types when it is read.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Literal, cast
+from enum import Enum
+from functools import total_ordering
+from typing import Annotated, Literal
 
 import msgspec
 
-Label = Literal["skipped", "pass", "informational", "non-strict", "inconclusive", "fail", "error"]
 WireKind = Literal["sent", "received", "look", "clipped"]
+Hex = Annotated[str, msgspec.Meta(pattern="^([0-9a-f]{2}( [0-9a-f]{2})*)?$")]
+Seconds = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Count = Annotated[int, msgspec.Meta(ge=0)]
+
+AXES = ("answer", "stop", "state")
+"""The axes that a case can have, in the order in which they are shown."""
 
 
-class Verdict(IntEnum):
+@total_ordering
+class Verdict(Enum):
     """Verdicts from best to worst; a case takes its worst axis's, a run its worst case's."""
 
-    SKIPPED = -1
-    PASS = 0
-    INFORMATIONAL = 1
-    NON_STRICT = 2
-    INCONCLUSIVE = 3
-    FAIL = 4
-    ERROR = 5
+    SKIPPED = "skipped"
+    PASS = "pass"
+    INFORMATIONAL = "informational"
+    NON_STRICT = "non-strict"
+    INCONCLUSIVE = "inconclusive"
+    FAIL = "fail"
+    ERROR = "error"
+
+    def __lt__(self, other: Verdict) -> bool:
+        """Whether this verdict is better than another."""
+        return _RANKS[self] < _RANKS[other]
 
     @property
-    def label(self) -> Label:
+    def label(self) -> str:
         """The verdict's name as it is written out: `non-strict`."""
-        return cast(Label, self.name.lower().replace("_", "-"))
+        return self.value
 
 
+_RANKS = {verdict: rank for rank, verdict in enumerate(Verdict)}
 LABELS: dict[str, Verdict] = {verdict.label: verdict for verdict in Verdict}
 
 
@@ -45,7 +61,12 @@ class Axis(msgspec.Struct, frozen=True):
     expected: str
     actual: str
     reason: str = ""
-    reading: str = ""
+    reading: str | None = None
+
+    def __post_init__(self) -> None:
+        """An empty reading is none."""
+        if not self.reading:
+            msgspec.structs.force_setattr(self, "reading", None)
 
     def flaky(self, tries: int) -> Axis:
         """This failed axis as inconclusive, because it did not fail again in so many tries."""
@@ -73,48 +94,67 @@ class Axis(msgspec.Struct, frozen=True):
         return msgspec.structs.replace(self, reason=reason)
 
 
-class AnswerByte(msgspec.Struct, frozen=True):
-    """One answer byte: its hex, and its time in ns since the case's stimulus had been sent."""
+NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
+"""What a report has for an axis that a case does not have."""
 
-    hex: str
-    t: int
+
+class AnswerByte(msgspec.Struct, frozen=True):
+    """One answer byte: its hex, and its time in s since the case's stimulus had been sent."""
+
+    hex: Hex
+    t: Seconds
 
 
 class WireEvent(msgspec.Struct, frozen=True, gc=False):
-    """One entry of a case's wire log: `t` is in ns since the log's first entry.
+    """One entry of a case's wire log: `t` is in s since the log's first entry.
 
     `kind` is `sent` or `received` (`hex` has the bytes, spaced), `look` (`look` has the probe's
     reading in words), or `clipped`, where the log leaves something out and `look` says how much.
     """
 
-    t: int
+    t: Annotated[float, msgspec.Meta(ge=0, le=1e9)]
     kind: WireKind
-    hex: str = ""
+    hex: Hex = ""
     look: str = ""
 
+    @property
+    def ns(self) -> int:
+        """The time in ns."""
+        return round(self.t * 1e9)
 
-class CaseResult(msgspec.Struct, frozen=True):
+
+class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     """The result of a judged case. `sent` and `received` are the stimulus's, without the set-up.
 
-    `clause` is the one that a failure violates, `planned` the one that the case was made for, ""
-    where they are the same. `log` is everything on the wire since the case began, set-up and homing
-    included; `reproduce` has the arguments of `bilprov send` that reproduce the failure, "" where
-    the case's id is enough. `frames` are how many frames it has under test. A seeded sequence that
-    was answered as it should be keeps this number alone: its id and the run's seed make it again.
+    `clause` is the one that a failure violates, `planned_clause` the one that the case was made for
+    and stands under, whether it passes or fails. `log` is everything on the wire since the case
+    began, set-up and homing included. `reproduce` is, in a report, the command that shows the
+    failure again; before that the arguments of `bilprov send`, "" where the case's id is enough.
+    `frames` are how many frames it has under test. A seeded sequence that was answered as it should
+    be keeps this number alone: its id and the run's seed make it again. The verdict of an
+    `expected_failure` stays `fail`.
     """
 
     id: str
     clause: str
+    planned_clause: str = ""
     requirement: str
     verdict: Verdict
     axes: dict[str, Axis]
-    reading: str
-    sent: tuple[str, ...]
+    reading: str | None
+    sent: tuple[Hex, ...]
     received: tuple[AnswerByte, ...]
-    log: tuple[WireEvent, ...] = ()
-    reproduce: str = ""
-    planned: str = ""
     frames: int = 0
+    reproduce: str = ""
+    expected_failure: bool = False
+    log: tuple[WireEvent, ...] = ()
+
+    def __post_init__(self) -> None:
+        """An empty reading is none; a case of no other clause stands under the one it violates."""
+        if not self.reading:
+            msgspec.structs.force_setattr(self, "reading", None)
+        if not self.planned_clause:
+            msgspec.structs.force_setattr(self, "planned_clause", self.clause)
 
     @property
     def counted(self) -> bool:
@@ -122,14 +162,14 @@ class CaseResult(msgspec.Struct, frozen=True):
         return bool(self.frames and not self.sent and self.verdict is not Verdict.SKIPPED)
 
     @property
+    def sends(self) -> bool:
+        """Whether the command that shows it again sends the frames, instead of running the case."""
+        return " send " in self.reproduce
+
+    @property
     def group(self) -> str:
         """The first part of the id."""
         return self.id.split("/")[0]
-
-    @property
-    def own_clause(self) -> str:
-        """The clause that the case stands under, whether it passes or fails."""
-        return self.planned or self.clause
 
     @property
     def reason(self) -> str:

@@ -137,7 +137,7 @@ def traits(curve: WheelCurve, others: Iterable[WheelCurve] = ()) -> tuple[Trait,
     found = [*_reversed(curve), *_unresolved(curve)]
     if not found:
         found = [*_flat(curve), *_unlike(curve), *_not_mirrored(curve, known)]
-    return tuple(sorted(found, key=lambda trait: -trait.kind.value))
+    return tuple(sorted(found, key=lambda trait: trait.kind.value, reverse=True))
 
 
 def _reversed(curve: WheelCurve) -> Iterator[Trait]:

@@ -144,7 +144,7 @@ class SuiteThread(RunListener):
         """Why a case has no result although the run has ended; "" if the run did not need it."""
         if ident in self._results or self.report is None:
             return ""
-        return self.report.unusable or self.report.ended
+        return self.report.unusable or self.report.ended or ""
 
     def finish(self) -> None:
         """Wait for the end of the run."""

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
 
-from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
-from bilprov.conformance.report.run_report import evidence, make_report, reproduce
+from bilprov.conformance.report.run_report import evidence, reproducer
 
 NAME = "conformance"
 
@@ -76,11 +74,10 @@ class CaseItem(pytest.Item):
 
     def _evidence(self, result: CaseResult) -> str:
         bench = self.parent.bench
-        options, link = asdict(bench.options), bench.environment.link
-        nothing = make_report(
-            bench.protocol, (), (), Profile(), options, device=bench.target, link=link
+        command = reproducer(
+            bench.protocol.origin, bench.target, bench.environment.link, bench.options
         )
-        rows = [*evidence(result), ("reproduce", reproduce(nothing, result))]
+        rows = [*evidence(result), ("reproduce", command(result))]
         lines = [f"{label:10}{words}" for label, words in rows]
         return "\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines])
 

@@ -18,9 +18,11 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 
+import msgspec
+
 from bilprov.captures.text import escape_controls, printable
 from bilprov.conformance.cases.selection import CONDITIONAL_CASES, LONGEST_GLOB, matching
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import CaseResult, Count, Verdict
 from bilprov.spec.errors import UserError
 
 _SEPARATOR = " : "
@@ -51,17 +53,16 @@ class Entry:
         return f"{self.glob}{_SEPARATOR}{failure}"
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(msgspec.Struct, frozen=True):
     """The result of comparing a run with the entries of `file`.
 
-    `expected` are the ids of the cases that fail only as entries say, `unexpected` how many others
-    fail, `stale` a sentence for each entry that no longer fails.
+    `expected` is how many cases fail only as entries say, `unexpected` how many others fail,
+    `stale` has a sentence for each entry that no longer fails.
     """
 
     file: str
-    expected: frozenset[str]
-    unexpected: int
+    expected: Count
+    unexpected: Count
     stale: tuple[str, ...]
 
 
@@ -133,8 +134,8 @@ def compare(
     suite: Collection[str],
     *,
     whole: bool = True,
-) -> Comparison:
-    """Compare a run's results with the entries.
+) -> tuple[Comparison, set[str]]:
+    """Compare a run's results with the entries; the ids are those that fail as expected.
 
     `suite` are the ids of all cases that a run of this kind has, also of those that this one left
     out (--only). `whole` says that the run went to its end: only then does the absence of
@@ -153,7 +154,7 @@ def compare(
                 f"{file}, line {entry.line}: {entry}: {what} "
                 "not fail any more; take the entry out, or run with --update-expected"
             )
-    return Comparison(file, frozenset(expected), unexpected, tuple(stale))
+    return Comparison(file, len(expected), unexpected, tuple(stale)), expected
 
 
 def updated(

@@ -68,8 +68,10 @@ class ExpectedFile:
                 self._text = change.text
                 self._write()
         entries = parse_expected(self._text, self._name)
-        comparison = compare(entries, self._name, report.results, self._suite, whole=whole)
-        return compared(report, comparison), change
+        comparison, expected = compare(
+            entries, self._name, report.results, self._suite, whole=whole
+        )
+        return compared(report, comparison, expected), change
 
     def _every_id(self) -> Collection[str]:
         """The ids that entries may fit: those of this run where they all do."""

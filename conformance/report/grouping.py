@@ -28,7 +28,7 @@ class Row(NamedTuple):
         An older report, without `planned_clause`, has it only where the case does not fail.
         """
         results = [result for result in self.results if result]
-        return min(results, key=lambda r: (not r.planned, r.verdict)).own_clause
+        return min(results, key=lambda result: result.verdict).planned_clause
 
     @property
     def group(self) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict
 from bilprov.conformance.report.conclusion import conclusion
 from bilprov.conformance.report.grouping import by_group
-from bilprov.conformance.report.run_report import AXES, Report, reproduce, run_facts
+from bilprov.conformance.report.run_report import Report, run_facts
 from bilprov.spec.protocol import Protocol
 
 _NOT_RUN = "run"
@@ -61,7 +61,7 @@ def _suite(root: Element, report: Report, name: str) -> Element:
         "conclusion": conclusion(report).plain,
         "seed": str(report.seed),
         "kit": report.kit,
-        "grammar": f"{grammar['name']} {grammar['version']} {grammar['sha256']}",
+        "grammar": f"{grammar.name} {grammar.version} {grammar.sha256}",
     }
     facts |= run_facts(report)
     for key, value in facts.items():
@@ -70,11 +70,11 @@ def _suite(root: Element, report: Report, name: str) -> Element:
 
 
 def _case(suite: Element, report: Report, result: CaseResult, before: str) -> None:
-    seconds = result.log[-1].t / 1e9 if result.log else 0
+    seconds = result.log[-1].t if result.log else 0
     case = SubElement(
         suite,
         "testcase",
-        classname=before + result.own_clause,
+        classname=before + result.planned_clause,
         name=result.id,
         time=f"{seconds:.6f}",
     )
@@ -86,7 +86,7 @@ def _case(suite: Element, report: Report, result: CaseResult, before: str) -> No
         return
     words = "\n".join(line for line in _lines(report, result))
     reason = result.reason or result.verdict.label
-    tag = outcome(result.verdict, strict=bool(report.options.get("strict")))
+    tag = outcome(result.verdict, strict=report.options.strict)
     if tag == "skipped":
         SubElement(case, tag, type=result.verdict.label, message=reason)
     elif tag:
@@ -115,4 +115,4 @@ def _lines(report: Report, result: CaseResult) -> Iterator[str]:
         yield f"{name}: {axis.reason}" + (f" [{axis.reading}]" if axis.reading else "")
         yield f"expected  {axis.expected}"
         yield f"got       {axis.actual}"
-    yield f"again     {reproduce(report, result)}"
+    yield f"again     {result.reproduce}"

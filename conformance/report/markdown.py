@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
 from bilprov.conformance.report.grouping import by_group, by_reason, tally
-from bilprov.conformance.report.run_report import Report, reproduce, run_facts
+from bilprov.conformance.report.run_report import Report, run_facts
 from bilprov.spec.protocol import Protocol
 
 _FIRST = 10  # cases of each verdict in full
@@ -74,7 +74,7 @@ def _report(report: Report) -> Iterator[str]:
     """The blocks of one report; a blank line follows each."""
     yield f"## {_SIGNS[EXIT_VERDICTS[report.exit]]} {prose(conclusion(report).plain)}"
     grammar = report.grammar
-    facts = [f"{prose(grammar['name'])} {prose(grammar['version'])}", f"seed {report.seed}"]
+    facts = [f"{prose(grammar.name)} {prose(grammar.version)}", f"seed {report.seed}"]
     facts += [f"probe {code(str(report.link['probe']))}"] if report.link.get("probe") else []
     yield f"{', '.join(facts)}, bilprov {prose(report.kit)}"
     about = run_facts(report)
@@ -89,11 +89,10 @@ def _report(report: Report) -> Iterator[str]:
         if found:
             yield from _cases(report, verdict, found)
     yield from _reasons([r for r in report.results if r.verdict is Verdict.INCONCLUSIVE])
-    covered = {name: pair for name, pair in report.coverage.items() if pair[1]}
+    covered = [(name, covered) for name, covered in report.coverage.items() if covered.of]
     if report.results and covered:
         yield "### Coverage"
-        some = list(covered.items())[:_GROUPS]
-        yield "\n".join(f"- {prose(name)}: {done} of {of}" for name, (done, of) in some)
+        yield "\n".join(f"- {prose(name)}: {c.done} of {c.of}" for name, c in covered[:_GROUPS])
 
 
 def _table(report: Report) -> Iterator[str]:
@@ -116,7 +115,7 @@ def _cases(report: Report, verdict: Verdict, found: list[CaseResult]) -> Iterato
         reading = f" ({prose(result.reading)})" if result.reading else ""
         yield f"**{code(result.id)}** {prose(result.clause)}: {prose(result.reason)}{reading}"
         yield f"Required: {prose(result.requirement)}"
-        yield _block(reproduce(report, result))
+        yield _block(result.reproduce)
     if len(found) > _FIRST:
         yield f"and {len(found) - _FIRST} more."
 

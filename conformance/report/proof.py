@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.levels import COMPLETE
+from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, sequences, silence, suite
 from bilprov.conformance.oracle.choices import default_of
+from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import STATE_POINTS
@@ -17,16 +18,13 @@ from bilprov.spec.readings import STATE_POINTS
 def proven(
     protocol: Protocol,
     results: Sequence[CaseResult],
-    options: Mapping[str, Any],
-    profile: Mapping[str, Any],
+    options: Options,
+    profile: Figures,
 ) -> str:
-    """A paragraph on what the results prove, "" for another level than `complete`.
-
-    `options` and `profile` are those of the report.
-    """
-    if options.get("level") != COMPLETE.name:
+    """A paragraph on what the results prove, "" for another level than `complete`."""
+    if options.level != COMPLETE.name:
         return ""
-    extra = options.get("extra", 0)
+    extra = options.extra
     shown, missing = [], []
     for proof in PROOFS:
         if not proof.applies(protocol):
@@ -80,15 +78,15 @@ def _missing(
     proof: Proof,
     extra: int,
     results: Sequence[CaseResult],
-    profile: Mapping[str, Any],
+    profile: Figures,
 ) -> str:
     """Why a proof does not hold, "" if it does."""
-    unseen = [facet for facet in proof.facets if facet not in profile.get("facets", ())]
+    unseen = [facet for facet in proof.facets if facet not in (profile.facets or ())]
     if unseen:
         return f"no probe reported the robot's {' and '.join(unseen)}"
     others = [
         point
-        for point, word in profile.get("readings", {}).items()
+        for point, word in (profile.readings or {}).items()
         if word != default_of(point) and (proof.facets or point not in STATE_POINTS)
     ]
     if others:
@@ -96,7 +94,7 @@ def _missing(
             "the device reads the document differently from the machine "
             f"({', '.join(others)}), so its sequences were a test but not a proof"
         )
-    usual, timeout = profile.get("all_but_two_answers_ms"), profile.get("truncation_timeout_ms")
+    usual, timeout = profile.all_but_two_answers_ms, profile.truncation_timeout_ms
     if usual and timeout and 2 * usual >= timeout:
         return (
             f"answers take up to {usual:g} ms and the time-out is {timeout:g} ms, so a frame "

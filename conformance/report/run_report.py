@@ -3,89 +3,119 @@
 from __future__ import annotations
 
 import shlex
-import statistics
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable, Container, Sequence
+from typing import Annotated, Any
 
 import msgspec
 
 from bilprov.analyzer.client.operations import Ended
 from bilprov.analyzer.foreign import safe
 from bilprov.analyzer.version import kit_version
-from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.coverage import covered
 from bilprov.conformance.cases.levels import AnyCase
+from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict, exit_code, worst
+from bilprov.conformance.oracle.profile import Figures, Profile
+from bilprov.conformance.oracle.verdicts import (
+    CaseResult,
+    Cause,
+    Count,
+    Seconds,
+    Verdict,
+    exit_code,
+    worst,
+)
 from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.proof import proven
 from bilprov.spec.protocol import Protocol
 
-AXES = ("answer", "stop", "state")
+
+class Grammar(msgspec.Struct, frozen=True):
+    """The grammar that the cases were judged by."""
+
+    name: str
+    version: str
+    sha256: str
+    file: str
 
 
-class Report(msgspec.Struct, frozen=True):
+class Covered(msgspec.Struct, frozen=True):
+    """How much of one kind was exercised, and how much there is."""
+
+    done: Count
+    of: Count
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True):
     """The result of a run: what was tested, with which options, and what came of it.
 
-    `unusable` says why nothing could be judged, `ended` why the run ended early; both are "" for a
-    run that went to its end. For one that ended early `ended_by` is `error` (the kit, the port or
-    the probe failed) or `user`. `profile` holds what was measured (ms), `coverage` pairs of how
-    many and out of how many, `kit` the version that judged. `comparison` is that with a file of
-    expected failures, if there is one. `again` has each case's command to reproduce it, for a
-    report that was read from a file. `timing` says where the time went (see `meter`), `proof` what
-    the level `complete` has proven.
-    `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took, `host` the machine's
-    name, `versions` those of Python, its platform and libraries: each "", None or empty where it is
-    not known. `unseen` says what the probe did not show, and from which look on, `notices` what
-    else the user should know of device, line and probe. `causes` explain the failed cases, the
-    worst first. `file` is where the report was read from, "" for a run of this process.
+    Its JSON has these fields as keys, in this order; those that are not known are null. Keys that
+    are no fields (a later kit wrote them) are ignored.
+
+    `kit` is the version that judged. `link` has at least `kind` (`port` or `virtual`), `line`,
+    `probe` and `fault`. `verdict` is the worst of the results, ERROR where nothing could be judged,
+    `counts` how many results have each verdict; both follow from the results. `unusable` says why
+    nothing could be judged, `ended` why the run ended early; `ended_by` is then `error` (the kit,
+    the port or the probe failed), `user`, or `time` (it took three times what was announced).
+    `timing` says where the time went (see `meter`), `profile` what was measured. `proof` is what
+    the level `complete` has proven. `comparison` is that with a file of expected failures. `begun`
+    is when the run began (ISO 8601, UTC), `took_s` how long it took (real time), `host` the
+    machine's name, `versions` those of Python, its platform and libraries. `unseen` says what the
+    probe did not show, and from which look on, `notices` what else the user should know of device,
+    line and probe. `causes` explain
+    the failed cases, the worst first; `unexplained` is how many of them no cause explains. `file`
+    is where the report was read from; it is not in the JSON, nor set for a run of this process.
     """
 
-    grammar: dict[str, str]
+    kit: str
+    grammar: Grammar
     device: str
-    link: dict[str, Any]
-    options: dict[str, Any]
+    link: dict[str, str | int | None]
+    options: Options
     seed: int
-    exit: int
-    unusable: str
-    ended: str
-    profile: dict[str, Any]
-    coverage: dict[str, tuple[int, int]]
-    results: tuple[CaseResult, ...]
-    kit: str = ""
-    ended_by: str = ""
-    comparison: Comparison | None = None
-    again: dict[str, str] = {}
-    timing: dict[str, float] = {}
-    proof: str = ""
-    begun: str = ""
-    took_s: float | None = None
-    host: str = ""
+    verdict: Verdict = Verdict.SKIPPED
+    exit: Annotated[int, msgspec.Meta(ge=0, le=3)]
+    unusable: str | None = None
+    ended: str | None = None
+    ended_by: str | None = None
+    counts: dict[str, Count] = {}
+    coverage: dict[str, Covered]
+    timing: dict[str, int | float] = {}
+    profile: Figures
+    proof: str | None = None
+    comparison: Comparison | None = msgspec.field(default=None, name="expected_failures")
+    begun: str | None = None
+    took_s: Seconds | None = None
+    host: str | None = None
     versions: dict[str, str] = {}
     unseen: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     causes: tuple[Cause, ...] = ()
-    file: str = ""
+    unexplained: Count = 0
+    file: str | msgspec.UnsetType = msgspec.UNSET
+    results: tuple[CaseResult, ...] = msgspec.field(name="cases")
 
-    @property
-    def verdict(self) -> Verdict:
-        """The worst verdict, ERROR where nothing could be judged."""
-        return Verdict.ERROR if self.unusable else worst(r.verdict for r in self.results)
-
-    @property
-    def unexplained(self) -> int:
-        """How many failed cases no cause explains."""
-        known = {ident for cause in self.causes for ident in cause.cases}
-        return sum(r.verdict is Verdict.FAIL and r.id not in known for r in self.results)
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """How many cases have each verdict, from best to worst."""
+    def __post_init__(self) -> None:
+        """Sum the results up."""
         found = Counter(result.verdict for result in self.results)
-        return {verdict.label: found[verdict] for verdict in Verdict}
+        counts = {verdict.label: found[verdict] for verdict in Verdict}
+        msgspec.structs.force_setattr(self, "counts", counts)
+        verdict = Verdict.ERROR if self.unusable else worst(found)
+        msgspec.structs.force_setattr(self, "verdict", verdict)
+        known = {ident for cause in self.causes for ident in cause.cases}
+        left = sum(r.verdict is Verdict.FAIL and r.id not in known for r in self.results)
+        msgspec.structs.force_setattr(self, "unexplained", left)
+
+    @property
+    def port(self) -> str:
+        """The port to send to; `PORT` for the simulator, which `bilprov simulate` serves there."""
+        return self.device if self.link.get("kind") == "port" else "PORT"
+
+    @property
+    def fault(self) -> str:
+        """The fault that the simulator had, "" for none."""
+        return str(self.link.get("fault") or "")
 
 
 def make_report(
@@ -93,96 +123,74 @@ def make_report(
     results: Sequence[CaseResult],
     cases: Sequence[AnyCase],
     profile: Profile,
-    options: dict[str, Any],
+    options: Options,
     *,
+    device: str,
+    link: dict[str, Any],
     unusable: str = "",
     ended: Ended | None = None,
     **facts: Any,
 ) -> Report:
     """Put a report together; `ended` is what cut the run short, None for a run to its end.
 
-    `facts` are further fields of the report: `device`, `link` and, if known, what the run spent.
+    `device` and `link` are those of the run's environment, `facts` further fields of the report.
     """
-    ended_by = "" if ended is None else ended.by
-    measured = _measured(profile)
-    foreign = {"ended": "" if ended is None else str(ended), "unusable": unusable, **facts}
+    ended_by = None if ended is None else ended.by
+    figures = profile.figures()
+    device, link = safe(device), safe(link)
+    command = reproducer(protocol.origin, device, link, options)
+    sentences = {"unusable": unusable or None, "ended": None if ended is None else str(ended)}
     return Report(
-        grammar={
-            "name": protocol.name,
-            "version": protocol.version,
-            "sha256": protocol.sha256,
-            "file": protocol.origin,
-        },
-        options=safe(options),
-        seed=options["seed"],
+        kit=kit_version(),
+        device=device,
+        link=link,
+        grammar=Grammar(protocol.name, protocol.version, protocol.sha256, protocol.origin),
+        options=options,
+        seed=options.seed,
         exit=decided_exit(results, options, unusable, ended_by),
         ended_by=ended_by,
-        profile=measured,
+        profile=figures,
         coverage=coverage(protocol, results, cases),
-        results=tuple(results),
-        proof=proven(protocol, results, options, measured),
-        kit=kit_version(),
-        **safe(foreign),
+        results=tuple(
+            msgspec.structs.replace(result, reproduce=safe(command(result))) for result in results
+        ),
+        proof=proven(protocol, results, options, figures) or None,
+        **safe(sentences | facts),
     )
 
 
-def compared(report: Report, comparison: Comparison) -> Report:
+def compared(report: Report, comparison: Comparison, expected: Container[str]) -> Report:
     """The report with a comparison: only failures that are not expected decide its exit code.
 
-    A stale entry makes it 1.
+    `expected` are the ids of the cases that fail as expected. A stale entry makes the exit code 1.
     """
-    counted = [r for r in report.results if r.id not in comparison.expected]
+    results = tuple(
+        msgspec.structs.replace(result, expected_failure=result.id in expected)
+        for result in report.results
+    )
+    counted = [result for result in results if not result.expected_failure]
     code = decided_exit(counted, report.options, report.unusable, report.ended_by)
     if comparison.stale:
         code = 1
-    return msgspec.structs.replace(report, exit=code, comparison=comparison)
+    return msgspec.structs.replace(report, exit=code, comparison=comparison, results=results)
 
 
 def decided_exit(
-    results: Sequence[CaseResult], options: dict[str, Any], unusable: str, ended_by: str
+    results: Sequence[CaseResult], options: Options, unusable: str | None, ended_by: str | None
 ) -> int:
     """The exit code of a run with these results; `unusable` and `ended_by` as in a Report.
 
     An interrupted run with nothing failed has exit code 3, because the rest was not judged.
     """
-    code = exit_code((r.verdict for r in results), strict=bool(options.get("strict")))
+    code = exit_code((r.verdict for r in results), strict=options.strict)
     if unusable or (ended_by == "error" and code != 1):
         return 2
     return 3 if ended_by and code == 0 else code
 
 
-def _measured(profile: Profile) -> dict[str, Any]:
-    """The profile for a report: measured times in milliseconds, and choices at open points."""
-    times = [latency / MS for latency in profile.latencies]
-
-    def ms(time: int | None) -> float | None:
-        return None if time is None else round(time / MS, 3)
-
-    return {
-        "truncation_timeout_ms": ms(profile.truncation_timeout),
-        "truncated_frames_answered": profile.truncation_answered,
-        "latency_median_ms": round(statistics.median(times), 3) if times else None,
-        "latency_max_ms": round(max(times), 3) if times else None,
-        "round_trip_ms": ms(profile.round_trip),
-        "jitter_ms": ms(profile.jitter),
-        "boot_ms": ms(profile.boot),
-        "flushes": profile.flushes,
-        "flushes_for_ms": ms(profile.flushes_for),
-        "whole_frame": profile.whole_frame,
-        "led_id": profile.choices.led_id,
-        "stop_latency_ms": ms(profile.stop_latency),
-        "watchdog_ms": ms(profile.watchdog),
-        "facets": sorted(profile.facets),
-        "preamble_speed": profile.preamble_speed,
-        "all_but_two_answers_ms": ms(profile.all_but_two),
-        "wheels": [asdict(curve) for curve in profile.wheels],
-        "readings": {point: word for point, (word, _) in sorted(profile.choices.shown.items())},
-    }
-
-
 def coverage(
     protocol: Protocol, results: Sequence[CaseResult], cases: Sequence[AnyCase]
-) -> dict[str, tuple[int, int]]:
+) -> dict[str, Covered]:
     """How many facts (see `cases.coverage`) of each kind the run exercised, out of how many.
 
     A case that was not run does not count, nor does a sequence that was not judged to its end.
@@ -193,7 +201,7 @@ def coverage(
     run = [
         c for c in cases if c.id in done and not (isinstance(c, SequenceCase) and c.id in broken)
     ]
-    return covered(protocol, run)
+    return {name: Covered(*pair) for name, pair in covered(protocol, run).items()}
 
 
 def run_facts(report: Report) -> dict[str, str]:
@@ -227,34 +235,36 @@ def evidence(result: CaseResult) -> list[tuple[str, str]]:
     return rows
 
 
-def port_of(report: Report) -> str:
-    """The port to send to; `PORT` for the built-in simulator, where `bilprov simulate` serves."""
-    return report.device if report.link["kind"] == "port" else "PORT"
+def reproducer(
+    grammar: str, device: str, link: dict[str, Any], options: Options
+) -> Callable[[CaseResult], str]:
+    """The command that runs a case again or, for a sequence, sends the frames that fail.
 
-
-def reproduce(report: Report, result: CaseResult) -> str:
-    """The command that runs this case again or, for a sequence, sends the frames that fail.
-
-    For the built-in simulator the frames go to `PORT`, where `bilprov simulate` serves it.
+    `grammar` is the file's name. For the built-in simulator the frames go to `PORT`, where
+    `bilprov simulate` serves it.
     """
-    if report.again.get(result.id):
-        return report.again[result.id]
-    grammar = report.grammar["file"]
+    at_port = link["kind"] == "port"
     start = ["bilprov"] if grammar == "grammar.py" else ["bilprov", "--grammar", grammar]
-    if result.reproduce:
-        return shlex.join([*start, "send", port_of(report), *result.reproduce.split()])
-    words = [*start, "conform", report.device, "--seed", str(report.seed), "--only", result.id]
-    if report.options.get("level", "standard") != "standard":
-        words += ["--level", report.options["level"]]
-    if report.options.get("extra"):
-        words += ["--extra", str(report.options["extra"])]
-    if report.options.get("deadline"):
-        words += ["--deadline", f"{report.options['deadline']:g}"]
-    for allowed in report.options.get("allow", ()):
-        words += ["--allow", allowed]
-    probe, fault = report.link.get("probe"), report.link.get("fault")
-    if report.link["kind"] == "port" and probe:
-        words += ["--probe", probe]
-    if fault:
-        words += ["--fault", fault]
-    return shlex.join(words)
+    before = shlex.join([*start, "conform", device, "--seed", str(options.seed), "--only"])
+    more = []
+    if options.level != "standard":
+        more += ["--level", options.level]
+    if options.extra:
+        more += ["--extra", str(options.extra)]
+    if options.deadline:
+        more += ["--deadline", f"{options.deadline:g}"]
+    for allowed in options.allow:
+        more += ["--allow", allowed]
+    if at_port and link.get("probe"):
+        more += ["--probe", link["probe"]]
+    if link.get("fault"):
+        more += ["--fault", link["fault"]]
+    after = shlex.join(more)
+
+    def command(result: CaseResult) -> str:
+        if result.reproduce:
+            port = device if at_port else "PORT"
+            return shlex.join([*start, "send", port, *result.reproduce.split()])
+        return f"{before} {shlex.quote(result.id)} {after}".rstrip()
+
+    return command

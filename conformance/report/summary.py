@@ -15,7 +15,7 @@ from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import STYLES, conclusion
 from bilprov.conformance.report.grouping import Row, by_group, by_reason, names, rows, tally
-from bilprov.conformance.report.run_report import Report, evidence, port_of, reproduce, run_facts
+from bilprov.conformance.report.run_report import Report, evidence, run_facts
 
 # The verdicts whose cases are listed, the first one's only if every case is asked for.
 _LISTED = (
@@ -71,7 +71,7 @@ def _causes(report: Report, console: Console) -> None:
     for cause in report.causes:
         line = Text.assemble(("cause", STYLES[Verdict.FAIL]), " ", cause.sentence)
         console.print(line.append(f"  {cause.clause}", "dim"))
-        again = shlex.join(["bilprov", "send", port_of(report), *cause.send])
+        again = shlex.join(["bilprov", "send", report.port, *cause.send])
         more = f" and {len(cause.cases) - _SHOWN} more" if len(cause.cases) > _SHOWN else ""
         cases = f"{', '.join(cause.cases[:_SHOWN])}{more}"
         console.print(Text.assemble(("      cases     ", "dim"), cases))
@@ -82,9 +82,8 @@ def _causes(report: Report, console: Console) -> None:
 
 def _not_passed(report: Report, console: Console, *, everything: bool) -> None:
     """Print the cases that did not pass, the worst verdict last."""
-    known = report.comparison.expected if report.comparison else frozenset()
     for verdict in _LISTED:
-        found = [r for r in report.results if r.verdict is verdict and r.id not in known]
+        found = [r for r in report.results if r.verdict is verdict and not r.expected_failure]
         if verdict is Verdict.FAIL and not everything:
             found = _without_causes(report, found, console)
         if verdict is Verdict.INFORMATIONAL and not everything:
@@ -117,21 +116,20 @@ def _no_longer_failing(report: Report, console: Console, *, everything: bool) ->
 
 def _facts(report: Report) -> Iterator[str]:
     """Lines on coverage, what was measured, the device's choices, and how the run was made."""
-    for name, (done, of) in report.coverage.items():
-        if done:
-            yield f"{name}: {done} of {of}"
+    for name, covered in report.coverage.items():
+        if covered.done:
+            yield f"{name}: {covered.done} of {covered.of}"
     profile, timing = report.profile, report.timing
-    timeout, latency = profile.get("truncation_timeout_ms"), profile.get("latency_median_ms")
+    timeout, latency = profile.truncation_timeout_ms, profile.latency_median_ms
     if timeout is not None:
         yield f"measured truncation time-out: {timeout} ms"
-    if latency is not None and report.link["kind"] == "port":
-        slowest = profile.get("latency_max_ms")
-        yield f"answers after {latency} ms (median), {slowest} ms (longest)"
-    readings = profile.get("readings") or {}  # null in some older reports
-    chosen = {p: w for p, w in readings.items() if w != default_of(p)}
+    if latency is not None and report.link.get("kind") == "port":
+        yield f"answers after {latency} ms (median), {profile.latency_max_ms} ms (longest)"
+    readings = (profile.readings or {}).items()
+    chosen = {point: word for point, word in readings if word != default_of(point)}
     if chosen:
         yield "other readings of the document: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
-    if timing.keys() >= _TIMED and report.link["kind"] == "port":
+    if timing.keys() >= _TIMED and report.link.get("kind") == "port":
         yield (
             f"{timing['ratio']:.2f} times the minimum time: "
             f"{timing['bytes_sent']:.0f} bytes sent and {timing['bytes_received']:.0f} received "
@@ -142,15 +140,15 @@ def _facts(report: Report) -> Iterator[str]:
     about = run_facts(msgspec.structs.replace(report, unseen=(), notices=()))
     if about:
         yield ", ".join(f"{name} {words}" for name, words in about.items())
-    yield f"level {report.options.get('level', '')}, seed {report.seed}"
+    yield f"level {report.options.level}, seed {report.seed}"
     if report.comparison:
-        yield f"{len(report.comparison.expected)} fail as {report.comparison.file} expects"
+        yield f"{report.comparison.expected} fail as {report.comparison.file} expects"
 
 
 def _table(report: Report) -> Table:
     total = tally(report.results)
     columns = list(reversed(total))
-    title = f"{report.device}, {report.grammar['name']} {report.grammar['version']}"
+    title = f"{report.device}, {report.grammar.name} {report.grammar.version}"
     table = Table(title=Text(title, "table.title"))
     table.add_column("cases", no_wrap=True)
     for verdict in columns:
@@ -183,7 +181,7 @@ def _cases(report: Report, found: list[CaseResult], console: Console, most: int)
             more = f"      and {left} more of {name}; --verbose lists them"
             console.print(Text(more, "dim"))
     if found and found[0].verdict is Verdict.FAIL:
-        console.print(Text(f"again: {reproduce(report, found[0])}"), soft_wrap=True)
+        console.print(Text(f"again: {found[0].reproduce}"), soft_wrap=True)
 
 
 def _case(report: Report, result: CaseResult, console: Console) -> None:
@@ -196,8 +194,8 @@ def _case(report: Report, result: CaseResult, console: Console) -> None:
     )
     console.print(head)
     rows = [("", result.requirement), *evidence(result)]
-    if result.reproduce:
-        rows.append(("again", reproduce(report, result)))
+    if result.sends:
+        rows.append(("again", result.reproduce))
     for label, words in rows:
         line = Text.assemble((f"      {label:10}" if label else "      ", "dim"), words)
         # A terminal joins what it wrapped itself when the line is copied.

@@ -222,10 +222,12 @@ def _placed(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
     what = f"{place}, frame {spaced(step.frame)}: {axis.reason}"
     told = Axis(axis.verdict, axis.expected, axis.actual, what, axis.reading)
     axes = tried.result.axes | {name: told}
-    clause = tried.mismatch.clause
-    planned = case.clause if clause != case.clause else ""
     return msgspec.structs.replace(
-        tried.result, axes=axes, clause=clause, planned=planned, sent=sent
+        tried.result,
+        axes=axes,
+        clause=tried.mismatch.clause,
+        planned_clause=case.clause,
+        sent=sent,
     )
 
 

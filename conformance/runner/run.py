@@ -145,7 +145,7 @@ def result_of(
         sent=() if counted else tuple(spaced(frame) for frame in case.sent if frame),
         received=()
         if counted
-        else tuple(AnswerByte(f"{c:02x}", t - sent) for t, c in islice(heard, most)),
+        else tuple(AnswerByte(f"{c:02x}", (t - sent) / 1e9) for t, c in islice(heard, most)),
         frames=case.frames,
     )
 

@@ -87,7 +87,7 @@ class Trial:
         return Received(tuple(self.heard), more.now), self.sent
 
     def worsen(
-        self, name: str, verdict: Verdict, actual: str, reason: str, reading: str = ""
+        self, name: str, verdict: Verdict, actual: str, reason: str, reading: str | None = None
     ) -> None:
         """Worsen an axis, never improve it; on a tie the first reason stays."""
         axis = self.axes[name]

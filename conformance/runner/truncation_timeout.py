@@ -101,9 +101,7 @@ def measure_timeout(run: Run) -> Procedure[None]:
             flaky = Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason, axis.reading)
             axes = best.result.axes | {name: flaky}
             result = msgspec.structs.replace(result, verdict=Verdict.INCONCLUSIVE, axes=axes)
-    if result.clause != case.clause:
-        result = msgspec.structs.replace(result, planned=case.clause)
-    run.publish(result)
+    run.publish(msgspec.structs.replace(result, planned_clause=case.clause))
 
 
 def _measure(run: Run, case: Case, *, stop_tells: bool) -> Procedure[_Measured]:

@@ -33,7 +33,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target, open_target, target_named
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import CaseResult
-from bilprov.conformance.report.schema import WheelCurve
+from bilprov.conformance.oracle.wheel_curve import WheelCurve
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -130,6 +130,17 @@ class ExpectedForm(msgspec.Struct, forbid_unknown_fields=True):
     stale: list[str]
 
 
+class CauseForm(msgspec.Struct, forbid_unknown_fields=True):
+    sentence: str
+    when: str
+    axis: Literal["answer", "stop", "state"]
+    clause: str
+    cases: list[str]
+    others: int
+    send: list[str]
+    tried: bool
+
+
 class ReportForm(msgspec.Struct, forbid_unknown_fields=True):
     kit: str
     grammar: dict[Literal["name", "version", "sha256", "file"], str]
@@ -155,6 +166,8 @@ class ReportForm(msgspec.Struct, forbid_unknown_fields=True):
     versions: dict[str, str]
     unseen: list[str]
     notices: list[str]
+    causes: list[CauseForm]
+    unexplained: int
 
 
 def report_of(data: bytes) -> ReportForm:

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cli.last_run import LastRun, last_run, no_run
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.recheck import recheck
-from bilprov.conformance.report.expected import Comparison
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import Done, command
 from tests.support.reports import a_case, a_run
@@ -114,7 +114,7 @@ def test_each_device_and_grammar_has_its_own_and_the_oldest_is_forgotten(
     protocol: Protocol, horn: Protocol, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    first = replace(no_run(protocol, "first"), failed={"a/b": "fail"})
+    first = replace(no_run(protocol, "first"), failed={"a/b": Verdict.FAIL})
     first.keep()
     assert last_run(protocol, "first") == first
     assert last_run(horn, "first") is None
@@ -149,17 +149,19 @@ def test_a_damaged_or_unwritable_state_is_no_state(
 
 @pytest.fixture
 def before() -> LastRun:
-    return LastRun("sim", "robot-car", {"made/fail": "fail", "made/pass": "fail", "gone/1": "fail"})
+    ids = ("made/fail", "made/pass", "gone/1")
+    return LastRun("sim", "robot-car", dict.fromkeys(ids, Verdict.FAIL))
 
 
 def after(before: LastRun, protocol: Protocol, *verdicts: Verdict, **changes: Any) -> list[str]:
     """What failed after a run in which a case had each of the verdicts; `only` are its globs."""
     report = a_run(protocol, "valid/LED/1")
-    options = report.options | {
-        "only": changes.pop("only", ()),
-        "strict": changes.pop("strict", False),
-    }
-    results = tuple(a_case(f"made/{verdict.label}", verdict) for verdict in verdicts)
+    options = Options(only=changes.pop("only", ()), strict=changes.pop("strict", False))
+    known = changes.pop("expected", ())
+    results = tuple(
+        replace(a_case(f"made/{verdict.label}", verdict), expected_failure=verdict in known)
+        for verdict in verdicts
+    )
     return list(before.after(replace(report, results=results, options=options, **changes)).failed)
 
 
@@ -179,12 +181,10 @@ def test_a_partial_or_broken_run_leaves_what_it_did_not_judge(
 
 @pytest.mark.parametrize("verdict", [Verdict.SKIPPED, Verdict.INCONCLUSIVE, Verdict.ERROR])
 def test_what_could_not_be_judged_stays_failed(protocol: Protocol, verdict: Verdict) -> None:
-    before = LastRun("sim", "robot-car", {f"made/{verdict.label}": "fail"})
+    before = LastRun("sim", "robot-car", {f"made/{verdict.label}": Verdict.FAIL})
 
     assert after(before, protocol, verdict) == list(before.failed)
 
 
 def test_what_is_expected_to_fail_does_not_count(before: LastRun, protocol: Protocol) -> None:
-    comparison = Comparison("known.txt", frozenset({"made/fail"}), 0, ())
-
-    assert after(before, protocol, *Verdict, comparison=comparison) == []
+    assert after(before, protocol, *Verdict, expected=(Verdict.FAIL,)) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 from msgspec.structs import replace
@@ -9,10 +10,11 @@ from msgspec.structs import replace
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, WireEvent
 from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.json_report import as_json, parse_report
-from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.report.run_report import Covered, Grammar, Report
 from bilprov.spec.protocol import Protocol
 
 EVIL = (
@@ -47,12 +49,13 @@ def a_case(ident: str, verdict: Verdict, reason: str = "a reason", reading: str 
         | ({} if verdict is Verdict.SKIPPED else {"stop": _STOPPED}),
         reading=reading,
         sent=("11 7f",),
-        received=(AnswerByte("01", 400_000),),
+        received=(AnswerByte("01", 0.0004),),
+        reproduce=f"bilprov conform sim --seed 1 --only {ident}",
         log=(
-            WireEvent(0, "sent", "11 7f"),
-            WireEvent(574_000, "received", "01"),
-            WireEvent(20_574_000, "look", look="moving forward, speed 127"),
-            WireEvent(20_600_000, "clipped", look="7 entries are left out here"),
+            WireEvent(0.0, "sent", "11 7f"),
+            WireEvent(0.000574, "received", "01"),
+            WireEvent(0.020574, "look", look="moving forward, speed 127"),
+            WireEvent(0.0206, "clipped", look="7 entries are left out here"),
         ),
     )
 
@@ -62,7 +65,7 @@ def every_verdict(protocol: Protocol, *, strict: bool = False) -> Report:
     results = [a_case(f"made/{verdict.label}", verdict) for verdict in Verdict]
     results += [a_case(f"more/{n}", Verdict.FAIL, f"reason {n}", "R-led-id") for n in (1, 2)]
     base = a_run(protocol, "valid/LED/1")
-    options = base.options | {"strict": strict}
+    options = dataclasses.replace(base.options, strict=strict)
     return replace(base, results=tuple(results), options=options, exit=1)
 
 
@@ -75,7 +78,7 @@ def hostile(protocol: Protocol, evil: str) -> Report:
         requirement=evil,
         axes={"answer": Axis(Verdict.FAIL, evil, evil, evil, evil)},
         reading=evil,
-        log=(WireEvent(0, "sent", "11 7f"), WireEvent(1, "look", look=evil)),
+        log=(WireEvent(0.0, "sent", "11 7f"), WireEvent(1e-9, "look", look=evil)),
         reproduce=evil,
     )
     unsure = replace(case, id=f"unsure/{evil}", verdict=Verdict.INCONCLUSIVE)
@@ -84,11 +87,11 @@ def hostile(protocol: Protocol, evil: str) -> Report:
         base,
         device=evil,
         kit=evil,
-        grammar=dict.fromkeys(base.grammar, evil) | {"sha256": protocol.sha256},
+        grammar=Grammar(evil, evil, protocol.sha256, evil),
         link={"kind": "virtual", "line": evil, "probe": evil, "fault": evil, evil: evil},
-        options={"only": [evil], evil: {evil: [evil]}},
-        profile={evil: evil, "deep": {evil: [evil, {evil: evil}]}, "readings": {evil: evil}},
-        coverage={evil: (1, 2)},
+        options=Options(only=(evil,), level=evil, allow=(evil,), profile=evil),
+        profile=Figures(facets=(evil,), readings={evil: evil}),
+        coverage={evil: Covered(1, 2)},
         ended=evil,
         begun=evil,
         host=evil,
@@ -96,7 +99,7 @@ def hostile(protocol: Protocol, evil: str) -> Report:
         unseen=(evil,),
         notices=(evil,),
         proof=evil,
-        comparison=Comparison(evil, frozenset(), 1, (evil,)),
+        comparison=Comparison(evil, 0, 1, (evil,)),
         results=(case, unsure),
         exit=1,
     )

@@ -13,10 +13,10 @@ from typing import Any
 
 from bilprov.analyzer.html.markup import Safe, joined, tag
 from bilprov.captures.schemas import MS
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
+from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict, WireEvent
 from bilprov.conformance.oracle.wording import code_words
 from bilprov.conformance.report.grouping import Row
-from bilprov.conformance.report.run_report import AXES, Report, reproduce
+from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
@@ -109,8 +109,8 @@ def case_data(
 
 def _clauses(result: CaseResult) -> str:
     """The case's own clause, and the one that its failure violates where that is another."""
-    more = f"; what fails: {result.clause}" if result.planned else ""
-    return f"{result.own_clause}{more}"
+    planned = result.planned_clause
+    return planned if result.clause == planned else f"{planned}; what fails: {result.clause}"
 
 
 def _case(
@@ -120,17 +120,17 @@ def _case(
         "v": result.verdict.label,
         "c": strings(_clauses(result)),
         "q": strings(result.requirement),
-        "r": strings(result.reading),
+        "r": strings(result.reading or ""),
         "a": [
             [strings(name), axis.verdict.label]
-            + [strings(w) for w in (axis.expected, axis.actual, axis.reason, axis.reading)]
+            + [strings(w) for w in (axis.expected, axis.actual, axis.reason, axis.reading or "")]
             for name in AXES
             if (axis := result.axes.get(name))
         ],
         "s": [strings(frame) for frame in result.sent],
-        "again": strings(reproduce(report, result)),
+        "again": strings(result.reproduce),
         "log": [
-            [event.t // 1000, _KINDS[event.kind], strings(event.hex), strings(meaning)]
+            [event.ns // 1000, _KINDS[event.kind], strings(event.hex), strings(meaning)]
             for event, meaning in zip(result.log, words.of(result.log), strict=True)
         ],
     }
@@ -144,9 +144,9 @@ class WireWords:
     """
 
     def __init__(self, protocol: Protocol, report: Report) -> None:
-        self.known = report.grammar["sha256"] == protocol.sha256
+        self.known = report.grammar.sha256 == protocol.sha256
         self._protocol = protocol
-        measured = report.profile.get("truncation_timeout_ms")
+        measured = report.profile.truncation_timeout_ms
         self._timeout = int((measured or protocol.timing.truncation_timeout) * MS)
         self._frame = lru_cache(maxsize=None)(self._describe)
 
@@ -163,10 +163,10 @@ class WireWords:
                 yield _told(code_words(self._protocol, code) for code in codes)
 
     def _sent(self, framer: Framer, event: WireEvent) -> str:
-        framer.advance(event.t)
+        framer.advance(event.ns)
         begun = bool(framer.held)
         words = [
-            self._frame(frame.data) for frame in framer.feed(bytes.fromhex(event.hex), event.t)
+            self._frame(frame.data) for frame in framer.feed(bytes.fromhex(event.hex), event.ns)
         ]
         if begun:
             words.insert(0, "(goes on)")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
+
+from msgspec import structs
 
 from bilprov.analyzer.html.markup import Safe, bar, joined, tag, text
 from bilprov.conformance.oracle.choices import default_of
-from bilprov.conformance.report.run_report import Report, run_facts
+from bilprov.conformance.report.run_report import Covered, Report, run_facts
 from bilprov.spec.readings import READINGS
 
 _POINTS = {reading.id: reading for reading in READINGS}
@@ -43,13 +46,14 @@ def facts(reports: Sequence[Report], told: Sequence[str]) -> Safe:
 
 def _grammar(report: Report) -> Safe:
     grammar = report.grammar
-    short = tag("code", grammar["sha256"][:12], title=grammar["sha256"])
-    return Safe(f"{text(grammar['name'])} {text(grammar['version'])} {short}")
+    short = tag("code", grammar.sha256[:12], title=grammar.sha256)
+    return Safe(f"{text(grammar.name)} {text(grammar.version)} {short}")
 
 
 def _options(report: Report) -> Safe:
     """The options that were set; the others have their defaults."""
-    told = {name: v for name, v in report.options.items() if v not in _UNSAID and name != "seed"}
+    options = asdict(report.options)
+    told = {name: v for name, v in options.items() if v not in _UNSAID and name != "seed"}
     if "profile" in told:
         told["profile"] = "given"  # its content is in the profile below
     if not told:
@@ -63,23 +67,23 @@ def _plain(value: object) -> object:
 
 def profile(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     """Tables of every entry of every profile: measured values, and the device's choices."""
-    keys = dict.fromkeys(key for report in reports for key in report.profile)
-    if not keys:
+    figures = [structs.asdict(report.profile) for report in reports]
+    if all(value is None for told_of in figures for value in told_of.values()):
         return tag("p", "Nothing was measured.", class_="dim")
     lines: dict[str, list[Any]] = {}
     for name in ("proof", "timing"):
         told_of = [getattr(report, name) for report in reports]
         if any(told_of):
             lines[name] = [_value(value) for value in told_of]
-    for key in keys:
+    for key in figures[0]:
         if key not in ("readings", "wheels"):
-            lines[_words(key)] = [_value(report.profile.get(key)) for report in reports]
+            lines[_words(key)] = [_value(told_of[key]) for told_of in figures]
     return joined([_table(lines, told), _readings(reports, told)])
 
 
 def _readings(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     """A table of each device's choices where the document is silent."""
-    chosen: list[dict[str, Any]] = [report.profile.get("readings") or {} for report in reports]
+    chosen = [report.profile.readings or {} for report in reports]
     points = dict.fromkeys(point for values in chosen for point in values)
     if not points:
         return Safe("")
@@ -111,10 +115,10 @@ def coverage(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     )
 
 
-def _covered(pair: tuple[int, int] | None) -> Safe:
-    if pair is None:
+def _covered(covered: Covered | None) -> Safe:
+    if covered is None:
         return tag("span", "not recorded", class_="dim")
-    done, of = pair
+    done, of = covered.done, covered.of
     share = min(done / of, 1.0) if of else 0.0
     shown = bar(100, [("0", "100", "none"), ("0", f"{share * 100:.2f}", "done")])
     return tag("span", tag("span", f"{done:,} of {of:,}", class_="of"), shown, class_="covered")

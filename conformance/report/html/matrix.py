@@ -91,7 +91,7 @@ def _share(counts: dict[Verdict, int]) -> Safe:
     """The share of each verdict as a strip; the numbers beside it say the same."""
     total = sum(counts.values())
     x, parts = 0.0, []
-    for verdict in sorted(counts, key=int):
+    for verdict in sorted(counts):
         # Even a small share must be visible.
         width = max(counts[verdict] / total * _BAR, 3.0)
         parts.append((x, width, verdict.label))

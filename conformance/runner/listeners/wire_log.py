@@ -114,8 +114,8 @@ def _events(log: Sequence[Entry]) -> tuple[WireEvent, ...]:
     """The log for a report: bytes as hex, times counted from the first entry."""
     start = log[0][0] if log else 0
     return tuple(
-        WireEvent(max(t - start, 0), kind, spaced(what))
+        WireEvent(max(t - start, 0) / 1e9, kind, spaced(what))
         if isinstance(what, bytes)
-        else WireEvent(max(t - start, 0), kind, look=what)
+        else WireEvent(max(t - start, 0) / 1e9, kind, look=what)
         for t, kind, what in log
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import islice
 
 import pytest
+from msgspec.structs import astuple
 
 from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.cases.combinations import random_sequences, space_of, total
@@ -28,7 +29,7 @@ def test_the_arrays_cover_every_feasible_combination_of_three(each_protocol: Pro
     def covered(*only: str) -> dict[str, tuple[int, int]]:
         robot, options = Simulator(each_protocol), Options(only=only)
         report = conform(robot, grammar=each_protocol, options=options, logged=False)
-        return {name: report.coverage[name] for name in COMBINED.values()}
+        return {name: astuple(report.coverage[name]) for name in COMBINED.values()}
 
     whole = covered("combined/waited/*", "combined/pipelined/*", "combined/split/*")
     for strength, name in COMBINED.items():

@@ -126,7 +126,7 @@ def test_a_list_of_answers_gets_the_verdict_of_its_reading(
 
     axis = judge_answers(protocol, case.accepted, heard, 0, timed=True, timers=Timers())
 
-    assert (axis.verdict, axis.reading) == (verdict, reading)
+    assert (axis.verdict, axis.reading or "") == (verdict, reading)
     assert bool(axis.reason) is (verdict is not PASS)
 
 
@@ -160,7 +160,7 @@ def test_an_answer_is_due_in_100_ms_and_wrong_after_a_second(
         protocol, cases["valid/Stop"].accepted, heard, 5 * MS, timed=True, timers=Timers()
     )
 
-    assert (axis.verdict, axis.reading) == (verdict, reading)
+    assert (axis.verdict, axis.reading or "") == (verdict, reading)
 
 
 @pytest.mark.parametrize(
@@ -363,7 +363,7 @@ def test_a_state_gets_the_verdict_of_the_choice_that_the_device_has_shown(
     )
 
     axis = judge_state(model, expected_state, look)
-    assert (axis.verdict, axis.reading) == (verdict, reading)
+    assert (axis.verdict, axis.reading or "") == (verdict, reading)
     assert bool(axis.reason) is (verdict is not PASS)
 
 
@@ -676,7 +676,7 @@ def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
     if chosen.every:
         assert [r.id for r in mine if r not in found] == []
     if chosen.verdict is not PASS:
-        assert any(r.axes[chosen.axis].reading == chosen.reading for r in found)
+        assert any((r.axes[chosen.axis].reading or "") == chosen.reading for r in found)
         assert any(chosen.reason in r.axes[chosen.axis].reason for r in found)
     assert chosen.reading in ("", *READING_IDS)
 
@@ -704,7 +704,7 @@ def test_a_time_out_is_measured_and_should_lie_between_5_ms_and_a_second(
 
     report = conform(device, grammar=protocol, options=Options(only=("truncated/L*",)))
 
-    assert report.profile["truncation_timeout_ms"] == pytest.approx(timeout)
+    assert report.profile.truncation_timeout_ms == pytest.approx(timeout)
     (measured,) = [r for r in report.results if r.id == "timing/truncation-timeout"]
     assert (measured.verdict, measured.reading) == (verdict, "R-truncation-timeout")
     mine = [r for r in report.results if not r.id.startswith("reading")]
@@ -887,6 +887,15 @@ def test_a_case_takes_the_worst_of_its_axes_and_its_reason() -> None:
         "stop": Axis(FAIL, "stopped", "moving", "drives on"),
         "state": Axis(NON_STRICT, "", "", "another reading"),
     }
-    result = CaseResult("x", "", "", worst(a.verdict for a in axes.values()), axes, "", (), ())
+    result = CaseResult(
+        id="x",
+        clause="",
+        requirement="",
+        verdict=worst(a.verdict for a in axes.values()),
+        axes=axes,
+        reading=None,
+        sent=(),
+        received=(),
+    )
 
     assert (result.verdict, result.reason) == (FAIL, "drives on")

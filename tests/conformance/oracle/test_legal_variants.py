@@ -127,7 +127,7 @@ def test_drives_and_rotations_may_treat_the_steering_apart(
 
     report = conform(Simulator(protocol, fault), grammar=protocol, options=Options(level="smoke"))
 
-    shown = report.profile["readings"]
+    shown = report.profile.readings or {}
     assert (shown["R-drive-steering"], shown["R-rotate-steering"]) == (drives, rotations)
     axes = [axis for result in report.results for axis in result.axes.values()]
     rests = {axis.reading for axis in axes if axis.verdict > PASS}
@@ -159,7 +159,7 @@ def test_what_a_rotation_does_to_the_steering_shows_by_the_wheels_when_it_drives
     report = conform(device, grammar=protocol, options=Options(level="smoke"))
 
     assert report.exit != 1
-    assert report.profile["readings"].get("R-rotate-steering") == word
+    assert (report.profile.readings or {}).get("R-rotate-steering") == word
 
 
 def test_another_legal_reading_gets_its_verdict_and_never_a_failure() -> None:
@@ -189,7 +189,7 @@ def test_a_reading_that_a_device_rests_on_is_named(protocol: Protocol) -> None:
         runner = run_over(CountingLink(device), protocol, cases, discover=True)
         readings = {axis.reading for r in runner.run.results for axis in r.axes.values()}
         if any(result.verdict is verdict for result in runner.run.results):
-            assert readings - {""}, name
+            assert readings - {None}, name
 
 
 def test_a_probe_that_sees_only_motion_does_not_take_a_zeroed_speed_for_a_broken_restart(

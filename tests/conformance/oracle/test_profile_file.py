@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.oracle.profile import profile_from, profile_text
+from bilprov.conformance.oracle.profile import Figures, profile_from
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
 
@@ -25,8 +25,7 @@ MEASURED: dict[str, Any] = {
 
 
 def _text(protocol: Protocol, **changed: Any) -> str:
-    grammar = {"name": "robot", "version": "1", "sha256": protocol.sha256}
-    return profile_text(grammar, MEASURED | changed)
+    return Figures(**MEASURED | changed).toml(protocol)
 
 
 def test_what_was_measured_and_chosen_comes_back(protocol: Protocol) -> None:

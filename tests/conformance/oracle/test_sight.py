@@ -20,11 +20,10 @@ from bilprov.conformance.oracle.sight import Sight, facets_set, untold
 from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.report.html.page import as_html
-from bilprov.conformance.report.json_report import as_json, report_from
+from bilprov.conformance.report.json_report import as_json, parse_report
 from bilprov.conformance.report.junit import as_junit
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.report.schema import Document
 from bilprov.conformance.report.summary import show
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
@@ -211,7 +210,6 @@ def test_every_form_of_the_report_says_from_which_look_on_nothing_was_seen(
     )
     shown = StringIO()
     show(report, Console(file=shown, width=200))
-    document = msgspec.json.decode(as_json(report), type=Document)
 
     assert report.unseen[0].startswith(told)
     assert told in shown.getvalue()
@@ -219,8 +217,7 @@ def test_every_form_of_the_report_says_from_which_look_on_nothing_was_seen(
         as_markdown([report], protocol), as_html([report], protocol), as_junit([report], protocol)
     ):  # fmt: skip
         assert told in text
-    assert document.unseen == report.unseen
-    assert report_from(document, document.cases).unseen == report.unseen
+    assert parse_report(as_json(report), "x.json").unseen == report.unseen
 
 
 # -- the rule by itself ---------------------------------------------------------------------------
@@ -234,7 +231,16 @@ def seen(sight: Sight, *looks: Look) -> Sight:
 
 def result(ident: str, **axes: Verdict) -> CaseResult:
     told = {name: Axis(verdict, "expected", "seen") for name, verdict in axes.items()}
-    return CaseResult(ident, "", "", max(axes.values()), told, "", (), ())
+    return CaseResult(
+        id=ident,
+        clause="",
+        requirement="",
+        verdict=max(axes.values()),
+        axes=told,
+        reading=None,
+        sent=(),
+        received=(),
+    )
 
 
 DARK = Look(0, None)

@@ -12,9 +12,10 @@ import pytest
 from msgspec.structs import replace
 
 from bilprov.captures.text import escape_controls
+from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.html.page import as_html
-from bilprov.conformance.report.run_report import Report, reproduce
+from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
 from tests.support.chromium import INSTALL, Page, chromium
@@ -190,14 +191,14 @@ def test_open_filter_click_and_read(
     # One case, with everything that is known of it.
     case = failed[0]
     inside = open_case(page, case.id)
-    told = [case.requirement, case.clause, *case.sent, reproduce(report, case)]
+    told = [case.requirement, case.clause, *case.sent, case.reproduce]
     for axis in case.axes.values():
         told += [axis.expected, axis.actual, axis.reason]
     for words in told:
         assert words in inside, words
     log = wire_log(page)
     assert [row[3] for row in log] == [event.hex for event in case.log]
-    assert [row[0] for row in log] == [f"{event.t // 1000 / 1000:.3f}" for event in case.log]
+    assert [row[0] for row in log] == [f"{event.ns // 1000 / 1000:.3f}" for event in case.log]
     arrows = {"sent": "host →", "received": "← device", "look": "probe"}
     assert [row[2] for row in log] == [arrows[event.kind] for event in case.log]
     assert page.eval("document.documentElement.scrollWidth") == width
@@ -319,7 +320,7 @@ def test_the_line_to_try_it_again_is_copied(protocol: Protocol, show: Open) -> N
     page.click(".again button")
     page.wait("/Copied|Selected/.test(document.querySelector('.again button').textContent)")
 
-    again = reproduce(report, next(r for r in report.results if r.id == case))
+    again = next(r.reproduce for r in report.results if r.id == case)
     assert page.eval("document.querySelector('.again code').textContent") == again
     if page.eval("document.querySelector('.again button').textContent") == "Copied":
         assert page.eval("navigator.clipboard.readText()") == again
@@ -392,22 +393,18 @@ def test_several_runs_stand_side_by_side(
 
 
 @needs_chromium
-def test_profile_and_coverage_are_told_whatever_they_hold(protocol: Protocol, show: Open) -> None:
+def test_profile_and_coverage_are_shown(protocol: Protocol, show: Open) -> None:
     report = failing(protocol)
-    more = {
-        "boot_time_ms": 12.5,
-        "readings": {"R-fault-state": "speed zeroed", "R-new": None},
-        "nested": {"list": [1, {"deep": True}], "none": []},
-    }
-    page = show(replace(report, profile=report.profile | more))
+    readings = {"R-fault-state": "speed zeroed", "R-new": "of a later kit"}
+    page = show(replace(report, profile=replace(report.profile, boot_ms=12.5, readings=readings)))
     profile = page.eval("document.querySelector('#profile').innerText")
     coverage = page.eval("document.querySelector('#coverage').innerText")
 
-    for words in ("boot time (ms)", "12.5", "what a fault resets", "speed zeroed", "R-new", "deep"):
+    for words in ("boot (ms)", "12.5", "what a fault resets", "speed zeroed", "R-new"):
         assert words in profile, words
-    for name, (done, of) in report.coverage.items():
+    for name, covered in report.coverage.items():
         assert name in coverage
-        assert f"{done:,} of {of:,}" in coverage
+        assert f"{covered.done:,} of {covered.of:,}" in coverage
 
 
 @needs_chromium
@@ -427,7 +424,12 @@ def test_five_thousand_cases_are_drawn_only_when_opened(protocol: Protocol, show
 @needs_chromium
 def test_a_run_of_nothing_still_makes_a_page(protocol: Protocol, show: Open) -> None:
     report = replace(
-        every_verdict(protocol), results=(), coverage={}, profile={}, unusable="it echoes", exit=2
+        every_verdict(protocol),
+        results=(),
+        coverage={},
+        profile=Figures(),
+        unusable="it echoes",
+        exit=2,
     )
     page = show(report)
 

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.markdown import as_markdown, code, prose
+from bilprov.conformance.report.run_report import Covered
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import EVIL, a_case, every_verdict, hostile
 
@@ -52,7 +53,7 @@ def test_it_stays_short_whatever_came(protocol: Protocol) -> None:
         for n in range(300)
         for verdict in Verdict
     ]
-    coverage = {f"{n}{words}": (n, 300) for n in range(300)}
+    coverage = {f"{n}{words}": Covered(n, 300) for n in range(300)}
     report = replace(
         every_verdict(protocol), results=tuple(results), device=words, coverage=coverage
     )

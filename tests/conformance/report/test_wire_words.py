@@ -5,20 +5,20 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
+from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import WireEvent
 from bilprov.conformance.report.html.cases import WireWords
+from bilprov.conformance.report.run_report import Grammar
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import every_verdict
 
-MS = 1_000_000
-
 
 def sent(hex: str, t: int = 0) -> WireEvent:
-    return WireEvent(t * MS, "sent", hex)
+    return WireEvent(t / 1e3, "sent", hex)
 
 
-def words(protocol: Protocol, *log: WireEvent, **profile: object) -> list[str]:
-    report = replace(every_verdict(protocol), profile=profile)
+def words(protocol: Protocol, *log: WireEvent, **profile: float) -> list[str]:
+    report = replace(every_verdict(protocol), profile=Figures(**profile))
     return list(WireWords(protocol, report).of(log))
 
 
@@ -68,8 +68,8 @@ def test_a_measured_time_out_that_is_none_is_passed_over(protocol: Protocol, odd
 def test_answers_looks_and_gaps_are_told(protocol: Protocol) -> None:
     log = (
         WireEvent(0, "received", "00 00 04 2a"),
-        WireEvent(1, "look", look="moving forward"),
-        WireEvent(2, "clipped", look="7 entries are left out here"),
+        WireEvent(1e-9, "look", look="moving forward"),
+        WireEvent(2e-9, "clipped", look="7 entries are left out here"),
     )
 
     assert words(protocol, *log) == [
@@ -82,7 +82,7 @@ def test_answers_looks_and_gaps_are_told(protocol: Protocol) -> None:
 def test_another_grammar_has_its_own_words_and_foreign_bytes_have_none(
     protocol: Protocol, horn: Protocol
 ) -> None:
-    report = replace(every_verdict(protocol), grammar={"sha256": horn.sha256})
+    report = replace(every_verdict(protocol), grammar=Grammar("horn", "1", horn.sha256, ""))
 
     assert list(WireWords(horn, report).of([sent("91 02")])) == ["Horn sound=2"]
     assert list(WireWords(protocol, report).of([sent("91 02")])) == [""]

@@ -74,7 +74,7 @@ def test_faults_are_tried_at_twice_the_lowest_speed_that_is_seen(
 
     report = run(protocol, motor)
 
-    assert report.profile["preamble_speed"] == most
+    assert report.profile.preamble_speed == most
     assert verdicts(report) == {Verdict.PASS}
     slow = [speed for speed in motor.driven if speed == most]
     assert len(slow) > len(motor.driven) * 0.9 if most else not slow
@@ -119,6 +119,6 @@ def test_a_motor_that_needs_more_later_is_tried_at_the_speeds_of_the_cases(
     report = run(protocol, motor)
 
     assert verdicts(report) == {Verdict.PASS}
-    assert report.profile["preamble_speed"] is None
+    assert report.profile.preamble_speed is None
     assert min(motor.driven[:TIRED]) == 62
     assert min(motor.driven[TIRED + 9 :]) > 126

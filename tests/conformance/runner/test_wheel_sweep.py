@@ -91,15 +91,15 @@ def test_the_reference_passes_with_every_grammar(each_protocol: Protocol) -> Non
 
     assert set(verdicts(report)) == {sweep.id for sweep in wheel_sweeps(each_protocol)}
     assert set(verdicts(report).values()) <= {PASS}
-    assert len(report.profile["wheels"]) == len(verdicts(report))
+    assert len(report.profile.wheels or ()) == len(verdicts(report))
 
 
 def test_the_curve_is_in_the_profile(protocol: Protocol) -> None:
-    *_, speed = swept(protocol).profile["wheels"]
+    *_, speed = swept(protocol).profile.wheels or ()
 
-    assert speed["variable"] == "speed"
-    assert speed["settings"] == speed["left"] == speed["right"] == tuple(range(256))
-    assert speed["spread"] == 0
+    assert speed.variable == "speed"
+    assert speed.settings == speed.left == speed.right == tuple(range(256))
+    assert speed.spread == 0
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_a_probe_that_tells_no_speeds_leaves_the_sweeps_out(
     report = swept(protocol, seen(change))
 
     assert set(verdicts(report).values()) == {SKIPPED}
-    assert report.profile["wheels"] == []
+    assert report.profile.wheels == ()
     assert report.exit == 0
 
 
