@@ -31,9 +31,8 @@ Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 settings.register_profile("sample", deadline=None, max_examples=60, derandomize=True)
 settings.register_profile("whole", deadline=None, max_examples=60)
 
-os.environ["XDG_CONFIG_HOME"] = (
-    os.devnull
-)  # the tests do not follow the settings of whoever runs them
+# The tests follow no settings, and change no state, of whoever runs them.
+os.environ["XDG_CONFIG_HOME"] = os.environ["XDG_STATE_HOME"] = os.devnull
 
 # What `make quick` does without: other programs, and waiting in real time.
 _NOT_QUICK = (

@@ -50,9 +50,9 @@ def option(*spellings: str, **attributes: Any) -> Any:
     return _declared(lambda name: [_option(spellings, name, attributes)])
 
 
-def flag(help: str, *spellings: str) -> Any:
+def flag(help: str, *spellings: str, **attributes: Any) -> Any:
     """A field that is an option without a value."""
-    return option(*spellings, is_flag=True, help=help)
+    return option(*spellings, is_flag=True, help=help, **attributes)
 
 
 def option_each(table: Mapping[str, Mapping[str, Any]]) -> Any:

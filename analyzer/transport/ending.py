@@ -31,6 +31,11 @@ def note_ending(number: int) -> None:
     _heard.append(number)
 
 
+def ending_requested() -> bool:
+    """Whether a signal has asked the command to end, also one that was put off and is over."""
+    return bool(_heard)
+
+
 def exit_status(status: int) -> int:
     """The exit code of the command that has ended with `status`.
 

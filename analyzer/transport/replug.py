@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 from bilprov.analyzer.transport.errors import LinkError
@@ -58,6 +59,86 @@ class Place:
         except OSError:
             return None
         return status.st_ino, status.st_ctime_ns
+
+
+class PathWatch:
+    """Notices that a port with a path, which nobody holds here, was unplugged and is there again.
+
+    `name` is its path: an adapter with a serial number may get another one.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._place = Place(name)
+        self._was = self._node()
+
+    def returned(self) -> bool:
+        """Whether it has gone and come back since this was last true, or since the beginning."""
+        path = self._place.found()
+        was, self._was = self._was, None
+        if not path:
+            return False
+        self.name = path
+        self._was = self._node()
+        if self._was == was:
+            return False
+        self._place = Place(path)
+        return True
+
+    def begin(self, *, lost: bool) -> None:
+        """Nobody holds the port from now on. It has been watched all the time."""
+
+    def end(self) -> None:
+        """The port is about to be opened."""
+
+    def _node(self) -> tuple[int, ...] | None:
+        """What tells its file, or the link to it, from that of another plugging in."""
+        path = Path(self.name)
+        try:
+            there, named = path.stat(), path.lstat()
+        except OSError:
+            return None
+        # The number of a pty's file comes again, so that a link to one is told by itself.
+        made = (named.st_ino, named.st_ctime_ns) if path.is_symlink() else ()
+        return (there.st_ino, *made)
+
+
+class ConnectionWatch:
+    """Notices that a device behind a URL was out of reach and is reachable again.
+
+    Meanwhile it holds a connection, since only its end shows that. `settings` are the line's.
+    """
+
+    def __init__(self, name: str, settings: LineSettings) -> None:
+        self.name = name
+        self._settings = settings
+        self._held: Port | None = None
+        self._gone = False
+
+    def begin(self, *, lost: bool) -> None:
+        """Nobody else holds a connection from now on; `lost` where the last one has broken."""
+        self._gone = lost
+        if not lost:
+            self.returned()
+
+    def returned(self) -> bool:
+        """Whether it has gone and come back since this was last true, or since `begin`."""
+        try:
+            if self._held is None:
+                self._held = open_port(self.name, self._settings)
+            self._held.read()
+        except LinkError:
+            self.end()
+            self._gone = True
+            return False
+        back, self._gone = self._gone, False
+        return back
+
+    def end(self) -> None:
+        """The connection is about to be made elsewhere."""
+        if self._held is not None:
+            self._held.close()
+        self._held = None
 
 
 def opened_when_there(

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -20,11 +21,14 @@ from bilprov.analyzer.cli.options import (
     confirm_motion,
     milliseconds,
     note,
+    note_each,
     note_hindrances,
     note_suspension,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.client.probes import asks_person
+from bilprov.analyzer.transport.ending import ending_requested
+from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
@@ -41,7 +45,7 @@ from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
 from bilprov.conformance.cases.proof import announcement
 from bilprov.conformance.cases.run_movement import run_movement
 from bilprov.conformance.cases.selection import matching
-from bilprov.conformance.cli.last_run import last_run, no_run, ordered
+from bilprov.conformance.cli.last_run import LastRun, Run, last_run, no_run, ordered
 from bilprov.conformance.cli.options import (
     expect_failures_option,
     expected_file,
@@ -59,13 +63,16 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
 )
 from bilprov.conformance.cli.robot import RobotOptions
-from bilprov.conformance.dut.target import PORT, Target, target_named
+from bilprov.conformance.dut.target import PORT, Target, TargetName, target_named
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.executor import is_slow
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.movement import movement_words
 from bilprov.spec.protocol import Protocol
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 @dataclass(frozen=True)
@@ -163,9 +170,29 @@ class ConformOptions:
         help="Wait so long for a port that is unplugged, then continue: the case is inconclusive.",
     )
     cases: CaseOptions = group(CaseOptions, "Cases")
+    watch: bool = flag(
+        "Run again whenever the device comes back, what failed last first, until Ctrl-C.",
+        heading="Again",
+    )
+    watch_file: str | None = option(
+        metavar="FILE",
+        heading="Again",
+        help="Run again also when this file has changed, like one that is written after flashing. "
+        "The firmware of an emulator is watched without that.",
+    )
     times: TimeOptions = group(TimeOptions, "Time")
     reports: ReportOptions = group(ReportOptions, "Reports")
     known: KnownOptions = group(KnownOptions, "Known failures")
+
+    @property
+    def watches(self) -> bool:
+        """Whether it runs again and again."""
+        return self.watch or self.watch_file is not None
+
+    @property
+    def led(self) -> bool:
+        """Whether what failed last is run first, or alone."""
+        return self.watches or self.cases.last_failed or self.cases.failed_first
 
     def suite(self, profile: str) -> Options:
         """The options of the run itself."""
@@ -186,60 +213,121 @@ def conform(options: ConformOptions) -> int:
 
     Exit code: 0 conforms, 1 does not, 2 the port or the probe cannot be used, 3 nothing failed but
     something could not be judged. If a file or the output on the screen cannot be written, the run
-    still goes on to its end, and the exit code is 2.
+    still goes on to its end, and the exit code is 2. With --watch it is that of the last run.
     """
-    protocol, robot, known = protocol_in_use(), options.robot, options.known
-    profile = read_profile(protocol, known.profile_path, known.allow)
+    protocol, robot = protocol_in_use(), options.robot
     try:
         name = target_named(robot.target)
         settings = robot.settings(protocol, name)
-        parse_allowed(protocol, known.allow)
+        parse_allowed(protocol, options.known.allow)
         if options.cases.extra and options.cases.level != COMPLETE.name:
             raise ValueError(f"--extra {options.cases.extra} is for --level {COMPLETE.name}")
-        suite = options.suite(profile)
-        cases = select_cases(protocol, suite)
-        last = last_run(protocol, name.text)
-        if options.cases.last_failed or options.cases.failed_first:
-            asked = {case.id for case in _asked(protocol, suite, cases)}
-            suite, order = ordered(suite, last, asked, alone=options.cases.last_failed)
-            note(order)
-            cases = select_cases(protocol, suite)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
+    plan = _planned(protocol, options, last_run(protocol, robot.target))
     if options.cases.listing:
-        for case in _asked(protocol, suite, cases):
+        note_each([plan.order])
+        for case in _asked(protocol, plan.suite, plan.cases):
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
     promise_verdict()
-    robot = robot.fitting(name)
+    options = replace(options, robot=robot.fitting(name))
     if options.reconnect is not None and name.kind != PORT:
         raise click.UsageError(f"--reconnect is for ports; {name.text} is not a port")
-    fresh = known.profile_path if not profile else None
+    require_writable(outputs_of(options.reports.outputs))
+    if not options.watches:
+        note_each([plan.order])
+        return _run(protocol, options, name, settings, plan).report.exit
+    from bilprov.conformance.cli.watch import Comeback, watch
+
+    if options.reports.record is not None:
+        raise click.UsageError("--record is for one run: leave out --watch")
+    comeback = Comeback(name, settings, options.watch_file)
+    note_each([plan.order])
+    first = _run(protocol, options, name, settings, plan)
+    options = replace(options, robot=replace(options.robot, yes=True))  # that was for all runs
+
+    def again(at: TargetName, last: LastRun) -> Run:
+        return _run(protocol, options, at, settings, _planned(protocol, options, last))
+
+    return watch(first, again, comeback, _console(outputs_of(options.reports.outputs)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """What is run, and why in this order (in words, "" for the usual one).
+
+    `last` is the last run of the device, `fresh` the profile that is to be written from this one.
+    """
+
+    suite: Options
+    cases: Sequence[AnyCase]
+    order: str
+    last: LastRun | None
+    fresh: str | None
+
+
+def _planned(protocol: Protocol, options: ConformOptions, last: LastRun | None) -> _Plan:
+    """What is to be run after the last run that is known. Raises UsageError."""
+    known = options.known
+    profile = read_profile(protocol, known.profile_path, known.allow)
+    suite, order = options.suite(profile), ""
+    try:
+        cases = select_cases(protocol, suite)
+        if options.led:
+            asked = {case.id for case in _asked(protocol, suite, cases)}
+            suite, order = ordered(suite, last, asked, alone=options.cases.last_failed)
+            cases = select_cases(protocol, suite)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    return _Plan(suite, cases, order, last, known.profile_path if not profile else None)
+
+
+def _run(
+    protocol: Protocol,
+    options: ConformOptions,
+    name: TargetName,
+    settings: LineSettings,
+    plan: _Plan,
+) -> Run:
+    """Test the device, write and show the report, and keep what failed."""
+    robot, known = options.robot, options.known
     outputs = outputs_of(options.reports.outputs)
-    require_writable(outputs)
-    expected = expected_file(protocol, suite, known.expect_failures, update=known.update_expected)
+    expected = expected_file(
+        protocol, plan.suite, known.expect_failures, update=known.update_expected
+    )
     opened = robot.opened(protocol, name, settings, reconnect=options.reconnect or 0.0)
-    report, broken = _tested(opened, replace(options, robot=robot), suite, cases)
-    onto_stdout = onto_standard_output(outputs)
-    if fresh is not None and not report.unusable:
+    report, broken = _tested(opened, options, plan.suite, plan.cases)
+    console = _console(outputs)
+    fresh = None if report.unusable else plan.fresh
+    if fresh is not None:
         outputs.append(Output("--profile", fresh, _profile))
     # What can be written is, even if something else fails: the robot should not drive again for it.
     try:
         with Stopper():
             report = with_expected(report, expected, known.expect_failures)
-            (last or no_run(protocol, name.text)).after(report).keep()
+            after = (plan.last or no_run(protocol, robot.target)).after(report)
+            after.keep()
     finally:
         try:
             deliver(outputs, [report], protocol)
         finally:
-            from bilprov.conformance.report.summary import show, summary_console
+            from bilprov.conformance.report.summary import show
 
-            show(report, summary_console(stderr=onto_stdout), everything=options.reports.verbose)
-    if fresh is not None and not report.unusable:
+            everything = options.reports.verbose
+            show(report, console, everything=everything, brief=options.watches and not everything)
+    if fresh is not None:
         note(f"{fresh}: the profile of this device; give it again with --profile")
     if broken:
         raise broken
-    return report.exit
+    return Run(plan.last, report, after)
+
+
+def _console(outputs: Sequence[Output]) -> Console:
+    """Where the summary goes: to standard error where a report goes to standard output."""
+    from bilprov.conformance.report.summary import summary_console
+
+    return summary_console(stderr=onto_standard_output(outputs))
 
 
 def _asked(protocol: Protocol, suite: Options, cases: Sequence[AnyCase]) -> list[AnyCase]:
@@ -279,7 +367,10 @@ def _tested(
                 target.protocol, cases, looks=looks.available and not looks.costly
             )
             words = movement_words(target.protocol, movement)
-            what = f"the robot at {robot.target} will move for about {_time(seconds)}: {words}"
+            again = ", and again whenever it comes back" if options.watches else ""
+            what = (
+                f"the robot at {robot.target} will move for about {_time(seconds)}{again}: {words}"
+            )
             confirm_motion(target.protocol, what, yes=robot.yes)
             look = target.look_time
             slow = f"an observation takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
@@ -292,6 +383,8 @@ def _tested(
                 target = replace(target, environment=environment)
             start = time.monotonic()  # the time until the user confirmed does not count
         stack.enter_context(stopper)
+        if options.watches and ending_requested():  # while the port was opened
+            stopper.stop()
         if target.moves:
             stopper.before_suspending(target.halt)
         listeners: list[RunListener] = []

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
@@ -61,6 +62,14 @@ class LastRun(msgspec.Struct, frozen=True):
             write_whole(file, msgspec.json.encode(self))
             for old in sorted(file.parent.glob("*.json"), key=_written)[:-_DEVICES]:
                 old.unlink()
+
+
+class Run(NamedTuple):
+    """A run, with what was known of the device before (None for nothing) and after it."""
+
+    before: LastRun | None
+    report: Report
+    after: LastRun
 
 
 def last_run(protocol: Protocol, device: str) -> LastRun | None:

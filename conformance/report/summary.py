@@ -46,15 +46,18 @@ def summary_console(*, stderr: bool = False) -> Console:
     return console
 
 
-def show(report: Report, console: Console, *, everything: bool = False) -> None:
+def show(
+    report: Report, console: Console, *, everything: bool = False, brief: bool = False
+) -> None:
     """Print the summary; `everything` lists every case that did not pass.
 
+    A `brief` one has no table of groups, and not how the run was made.
     What matters most is printed last, where a terminal stays: the failures, then the conclusion.
     """
     if not report.unusable:
-        if report.results:
+        if report.results and not brief:
             console.print(_table(report))
-        for line in _facts(report):
+        for line in () if brief else _facts(report):
             console.print(Text(line, "dim"))
         for sentence in (*report.notices, *report.unseen):
             console.print(Text(sentence, STYLES[Verdict.INCONCLUSIVE]))

@@ -212,12 +212,17 @@ class Served:
 
 
 def simulate(
-    *arguments: str, pty: bool = False, grammar: str = ""
+    *arguments: str, pty: bool = False, grammar: str = "", like: Served | None = None
 ) -> AbstractContextManager[Served]:
-    """Serve the simulator in a process of its own, on TCP or a pty, with its probe on TCP."""
-    line = [] if pty else ["--listen", "127.0.0.1:0"]
+    """Serve the simulator in a process of its own, on TCP or a pty, with its probe on TCP.
+
+    It has the addresses of the served robot `like` that has ended, if one is given.
+    """
+    address = like.port.removeprefix("socket://") if like else "127.0.0.1:0"
+    line = [] if pty else ["--listen", address]
     before = ["--grammar", grammar] if grammar else []
-    return _serving(*before, "simulate", *line, *arguments)
+    probe = like.probe.removeprefix("tcp:") if like else "127.0.0.1:0"
+    return _serving(*before, "simulate", *line, *arguments, probe=probe)
 
 
 def emulate(firmware: Path, *arguments: str, lines: int = 2) -> AbstractContextManager[Served]:
@@ -226,9 +231,9 @@ def emulate(firmware: Path, *arguments: str, lines: int = 2) -> AbstractContextM
 
 
 @contextmanager
-def _serving(*words: str, lines: int = 2) -> Iterator[Served]:
+def _serving(*words: str, lines: int = 2, probe: str = "127.0.0.1:0") -> Iterator[Served]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *words, "--probe-listen", "127.0.0.1:0"],
+        [sys.executable, "-m", "bilprov", *words, "--probe-listen", probe],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -1,0 +1,238 @@
+"""`conform --watch`: a device is tested again whenever it comes back or a file has changed."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from threading import Event
+
+import pytest
+from msgspec.structs import replace
+
+from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.replug import PathWatch
+from bilprov.conformance.cli.last_run import LastRun, Run
+from bilprov.conformance.cli.watch import Comeback, FileWatch, change_words
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import SIMAVR, TargetName
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import command
+from tests.support.reports import a_case, a_run
+from tests.support.robots import PATIENCE, sentence, served_here, simulate
+from tests.support.wires import Running, running
+
+FAULTY = ("--fault", "ok-to-bad-data")  # it stops, so that it is judged soon
+LED = "bad-data/LED/8"
+WAITING = "; Ctrl-C ends\n"
+
+
+@pytest.fixture
+def profile(tmp_path: Path) -> tuple[str, ...]:
+    """The options of a short run of one case: what the simulator chooses is known already."""
+    file = tmp_path / "profile.toml"
+    command(
+        "conform", "sim", "--level", "smoke", "--only", "bad-data/LED/*", "--profile", str(file)
+    )
+    known = ("--profile", str(file), "--truncation-timeout", "50")
+    return ("--level", "smoke", "--only", "bad-data/LED/*", *known, "--yes")
+
+
+def block(watching: Running) -> list[str]:
+    """What is reported of the next run: its numbers, and the cases by what became of them."""
+    lines = [""]
+    while not lines[-1].startswith("run "):
+        lines.append(watching.stdout.readline().decode())
+        assert lines[-1], watching.stderr.read().decode()
+    count = lines[-1].count(",") + 1 if "nothing" not in lines[-1] else 0
+    lines += [watching.stdout.readline().decode() for _ in range(count)]
+    return [" ".join(line.split()) for line in lines[-1 - count :]]
+
+
+def until_it_waits(watching: Running) -> list[str]:
+    """What is noted until it waits for the next run."""
+    lines = [""]
+    while not lines[-1].endswith(WAITING):
+        lines.append(watching.stderr.readline().decode())
+        assert lines[-1], lines
+    return lines[1:]
+
+
+@pytest.mark.waits
+def test_a_device_behind_a_socket_is_tested_whenever_it_is_reachable_again(
+    profile: tuple[str, ...],
+) -> None:
+    with ExitStack() as stack:
+        with simulate(*FAULTY) as served:
+            words = ("conform", served.port, "--probe", served.probe, *profile, "--watch")
+            watching = stack.enter_context(running(*words))
+            assert block(watching) == ["run 1: 1 new failure", f"new failures {LED}"]
+            until_it_waits(watching)
+        with simulate(like=served):
+            assert block(watching) == ["run 2: 1 fixed", f"fixed {LED}"]
+            assert f"{served.port} is there again\n" in until_it_waits(watching)
+        with simulate(*FAULTY, like=served) as served:
+            assert block(watching) == ["run 3: 1 new failure", f"new failures {LED}"]
+            until_it_waits(watching)
+            assert watching.end()[0] == 1
+            assert served.state()["moving"] is False
+
+
+class Moved(Simulator):
+    """A robot that notes that it has been set in motion."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__(protocol)
+        self.moved = Event()
+
+    def receive(self, data: bytes, now: int) -> None:
+        super().receive(data, now)
+        if self.state.moving:
+            self.moved.set()
+
+
+@contextmanager
+def plugged(link: Path, device: Simulator) -> Iterator[None]:
+    """The device under a path of its own."""
+    with served_here(device, pty=True) as (port, _):
+        link.unlink(missing_ok=True)
+        link.symlink_to(port)
+        yield
+
+
+@pytest.mark.waits
+def test_a_port_that_is_unplugged_in_a_run_is_tested_again_and_ctrl_c_leaves_it_at_rest(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    link, first, second = tmp_path / "robot", Moved(protocol), Moved(protocol)
+    with ExitStack() as stack:
+        with plugged(link, first):
+            words = ("conform", str(link), "--level", "smoke", "--yes", "--watch")
+            watching = stack.enter_context(running(*words))
+            assert first.moved.wait(PATIENCE)
+        assert block(watching) == ["run 1: nothing fails, ended early"]
+        until_it_waits(watching)
+        with plugged(link, second):
+            assert watching.stderr.readline().decode() == f"{link} is there again\n"
+            assert second.moved.wait(PATIENCE)
+            code, out, _ = watching.end()
+
+    assert code == 3
+    assert out.endswith(b"run 2: nothing fails, ended early\n")
+    assert not second.state.moving
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_changed_file_begins_a_run_and_the_exit_code_is_the_last_ones(
+    tmp_path: Path, how: signal.Signals
+) -> None:
+    stamp, report = tmp_path / "flashed", tmp_path / "report.json"
+    words = ("--level", "smoke", "--only", "bad-data/LED/*", *FAULTY, "--json", str(report))
+    with running("conform", "sim", *words, "--watch-file", str(stamp)) as watching:
+        assert block(watching)[0] == "run 1: 1 new failure"
+        assert until_it_waits(watching)[-1] == f"waiting for {stamp} to change; Ctrl-C ends\n"
+        report.unlink()
+        stamp.touch()
+        assert block(watching)[0] == "run 2: 1 still failing"
+        assert f"{stamp} has changed\n" in until_it_waits(watching)
+        assert report.exists()
+        assert watching.end(how)[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("sim", "--watch"), "sim cannot be seen to come back"),
+        (("PTY", "--watch"), "cannot be seen to come back"),
+        (("sim", "--watch-file", "x", "--record", "run.mcap"), "--record is for one run"),
+    ],
+)
+@pytest.mark.waits
+def test_what_cannot_be_watched_is_refused_in_a_sentence(
+    words: tuple[str, ...], why: str, protocol: Protocol, tmp_path: Path
+) -> None:
+    with served_here(Simulator(protocol), pty=True) as (port, _):
+        typed = [port if word == "PTY" else word for word in words]
+        result = command("conform", *typed, "--yes", cwd=tmp_path)
+
+    assert result.returncode == 2
+    assert why in sentence(result)
+
+
+def test_of_an_emulated_board_the_firmware_is_watched(protocol: Protocol) -> None:
+    board, settings = Path("car.elf"), line_settings(protocol)
+
+    assert Comeback(TargetName("a board", SIMAVR, board), settings, None).words == (
+        "car.elf to change"
+    )
+
+
+# -- what has come back, and what has changed -----------------------------------------------------
+
+
+def test_a_file_has_changed_once_it_is_written_to_its_end(tmp_path: Path) -> None:
+    file = tmp_path / "firmware.hex"
+    watch = FileWatch(file)
+    assert not watch.changed()
+    file.write_bytes(b"a")
+    assert not watch.changed()  # it may still be written
+    file.write_bytes(b"ab")
+    assert not watch.changed()
+    assert watch.changed()
+    assert not watch.changed()
+    file.unlink()
+    assert [watch.changed() for _ in range(3)] == [False] * 3
+    file.write_bytes(b"abc")
+    assert [watch.changed() for _ in range(3)] == [False, True, False]
+
+
+def test_a_port_has_come_back_once_it_is_another_file(tmp_path: Path) -> None:
+    port, kept = tmp_path / "port", tmp_path / "kept"
+    port.touch()
+    watch = PathWatch(str(port))
+    assert not watch.returned()
+    port.rename(kept)
+    assert [watch.returned() for _ in range(2)] == [False, False]
+    kept.rename(port)
+    assert [watch.returned() for _ in range(2)] == [True, False]
+    kept.touch()
+    kept.replace(port)  # between two looks
+    assert [watch.returned() for _ in range(2)] == [True, False]
+
+
+@pytest.mark.waits
+def test_a_pty_has_come_back_once_the_link_to_it_is_another(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    link = tmp_path / "robot"
+    with plugged(link, Simulator(protocol)):
+        watch = PathWatch(str(link))
+        assert not watch.returned()
+    assert not watch.returned()
+    for looks in (0, 1):
+        with plugged(link, Simulator(protocol)):  # under the same number
+            assert [watch.returned() for _ in range(2)] == [True, False]
+        assert [watch.returned() for _ in range(looks)] == [False] * looks
+
+
+def test_what_a_run_changed_is_said_in_words(protocol: Protocol) -> None:
+    before = LastRun("sim", "robot-car", dict.fromkeys("abcdefg", "fail"))
+    now = [(Verdict.PASS, "abcde"), (Verdict.FAIL, "fxy"), (Verdict.INCONCLUSIVE, "g")]
+    results = tuple(replace(a_case("made", v), id=i) for v, idents in now for i in idents)
+    report = replace(a_run(protocol, "valid/LED/1"), results=results)
+
+    def words(before: LastRun | None) -> list[str]:
+        known = before or LastRun("sim", "robot-car")
+        return change_words(4, Run(before, report, known.after(report)))
+
+    assert words(before) == [
+        "run 4: 5 fixed, 1 still failing, 2 new failures, 1 not judged again",
+        "  fixed             a, b, c and 2 others",
+        "  still failing     f",
+        "  new failures      x, y",
+        "  not judged again  g",
+    ]
+    assert words(None) == ["run 4: 3 new failures", "  new failures  f, x, y"]
