@@ -159,7 +159,7 @@ def conform(
         [listener] if listener else [],
         skip=spare,
         logged=logged,
-        explains=logged,
+        explainer=Explainer if logged else None,
     )
 
 
@@ -174,22 +174,22 @@ def run_suite(
     short_homing: bool = True,
     slow_preambles: bool = True,
     retries_causes: bool = True,
-    explains: bool = True,
+    explainer: type[Explainer] | Callable[[Run, Trace, int], Explainer] | None = Explainer,
 ) -> Report:
     """Run the cases on a target, live or recorded; every run goes through this function.
 
     `listeners` are told of the run while it goes on; one that is `broken` ends it. `skip` decides
     before each case, from its id and the results so far, whether to skip it. Without `logged` no
     case keeps its wire log. `experiments` are the ids of those that a recording holds (None: every
-    one is made); `short_homing` and `slow_preambles` are those of `RunConfig`. Without `explains`
-    the report has no causes; without `retries_causes` they are not tried again, which recordings of
-    older kits did not do. Raises ValueError when no case is left to run.
+    one is made); `short_homing` and `slow_preambles` are those of `RunConfig`. `explainer` finds
+    the causes of what failed, none if it is None; without `retries_causes` they are not tried
+    again, which recordings of older kits did not do. Raises ValueError when no case is left to run.
     """
     grammar = target.protocol
     log, meter = WireLog(), Meter(target.byte_time)
     trace = Trace()
     everyone = (*listeners, meter, log) if logged else (*listeners, meter)
-    if explains:
+    if explainer:
         everyone = (*everyone, trace)
     link = ObservedLink(target.connect, everyone)
     cases = select_cases(grammar, options)
@@ -239,7 +239,7 @@ def run_suite(
         report=end,
         note=note,
     )
-    explainer = Explainer(run, trace, target.byte_time)
+    explains = explainer(run, trace, target.byte_time) if explainer else None
     timeout_case = truncation_timeout(grammar)
     asked = timeout_case is not None and matching(options.only)(timeout_case.id)
     runner = Runner(
@@ -249,7 +249,7 @@ def run_suite(
         measure=asked,
         discover=not options.profile,
         spare=skip,
-        afterwards=explainer.try_again if explains and retries_causes else None,
+        afterwards=explains.try_again if explains and retries_causes else None,
     )
     try:
         drive(runner.execute(), link, interrupted)
@@ -266,7 +266,7 @@ def run_suite(
             unseen=tuple(run.sight.sentences(grammar.limits)),
             notices=tuple(run.notices),
             timing=meter.report(run.waiting.timeouts),
-            causes=explainer.causes() if explains else (),
+            causes=explains.causes() if explains else (),
         )
         for listener in everyone:
             listener.reported(report)

@@ -43,6 +43,11 @@ class Cause:
         consequences = {bag.exchanges[-1].case for bag in self.consequences}
         return consequences | {e.case for e in self.exchanges}
 
+    @property
+    def watched(self) -> int:
+        """How long (ns) after a frame all that it does has shown."""
+        return max(max(e.watched, e.answered) for e in self.exchanges)
+
     def foresees(self, exchange: Exchange) -> bool:
         """Return whether it takes in an exchange and would show there."""
         differs = any(effect.relation.differs(exchange) for effect in self.effects)
@@ -99,14 +104,16 @@ def _brought_about(bag: Bag, causes: Sequence[Cause], back: int) -> Cause | None
             return cause
     case = bag.exchanges[-1].case
     exchange: Exchange | None = bag.exchanges[-1]
-    while exchange is not None and exchange.case == case:
+    in_burst = True
+    while exchange is not None and exchange.case == case and (in_burst or back > 0):
         for cause in causes:
             if cause.foresees(exchange):
                 return cause
+        in_burst = in_burst and exchange.ahead > 0
         back -= 1
-        if back < 0 and not exchange.ahead:
-            break
         exchange = exchange.previous
+        if exchange is not None and exchange.seen_right and not in_burst:
+            break  # nothing of what came before it is left
     return None
 
 

@@ -98,6 +98,11 @@ class Exchange:
         return max((length for _, length in self.pauses), default=0)
 
     @property
+    def seen_right(self) -> bool:
+        """Whether it was looked at, and nothing deviated."""
+        return self.looked is not None and not self.deviations
+
+    @property
     def answered(self) -> int:
         """When its last answer came after its end (ns), 0 where none did."""
         return self.codes[-1][0] - self.end if self.codes else 0
@@ -137,6 +142,7 @@ class Exchanges:
         self.all: list[Exchange] = []
         self.bags: list[Bag] = []
         self._model = model
+        self.timing = timing
         self._timeout, self._byte_time, self._longest = timing
         self._stop_longest = int(model.protocol.timing.stop_longest * MS)
         self._case, self._first = "", 0

@@ -14,6 +14,7 @@ from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, show
 from bilprov.conformance.causes.rules import matches
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.causes.wording import condition, deviations
+from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import Cause, Verdict
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.run import Run
@@ -47,9 +48,26 @@ class Explainer:
         self._trace = trace
         self._byte_time = byte_time
         self._explanations: list[_Explanation] | None = None
+        self.exchanges: Exchanges | None = None
 
     @property
-    def _timing(self) -> Timing:
+    def found(self) -> list[Found]:
+        """The causes as they were found, the worst first."""
+        return [explanation.found for explanation in self._explained_once()]
+
+    @property
+    def lines(self) -> list[Line]:
+        """The line of each of these causes."""
+        return [explanation.lines[0] for explanation in self._explained_once()]
+
+    @property
+    def model(self) -> Model:
+        """The model of a conforming device, with this device's choices."""
+        return self._run.model
+
+    @property
+    def timing(self) -> Timing:
+        """The times of the line."""
         return Timing(self._run.waiting.timeout, self._byte_time, self._run.timers.longest)
 
     def try_again(self) -> Procedure[None]:
@@ -58,7 +76,7 @@ class Explainer:
         The device was just switched on where that can be done; it is always homed first.
         """
         begun = self._trace.now
-        for explanation in self._found()[:_TRIED]:
+        for explanation in self._explained_once()[:_TRIED]:
             for line in explanation.lines:
                 if self._trace.now - begun > _WHILE:
                     return
@@ -86,20 +104,19 @@ class Explainer:
             yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
         yield from followed(home(run), trace)
         trace.begin("")
-        watched = max(max(e.watched, e.answered) for e in found.exchanges)
-        sent = shown_by(line, self._timing, watched, looks=run.config.observable)
+        sent = shown_by(line, self.timing, found.watched, looks=run.config.observable)
         yield from followed(sent, trace)
         yield from home(run)
-        exchanges = Exchanges(run.model, trace.events, self._timing)
+        exchanges = Exchanges(run.model, trace.events, self.timing)
         return bool(exchanges.all) and shows(found, exchanges)
 
     def causes(self) -> tuple[Cause, ...]:
         """Return the causes of the run's failures, those that keep the device moving first."""
         failed = {r.id: r.clause for r in self._run.results if r.verdict is Verdict.FAIL}
         judged = sum(r.verdict is not Verdict.SKIPPED for r in self._run.results)
-        return tuple(self._cause(one, failed, judged) for one in self._found())
+        return tuple(self._cause(one, failed, judged) for one in self._explained_once())
 
-    def _found(self) -> list[_Explanation]:
+    def _explained_once(self) -> list[_Explanation]:
         if self._explanations is None:
             self._explanations = list(self._explained())
         return self._explanations
@@ -111,11 +128,11 @@ class Explainer:
             return []
         from bilprov.conformance.causes.causes import find_causes  # it needs numpy
 
-        exchanges = Exchanges(run.model, self._trace.events, self._timing)
+        exchanges = self.exchanges = Exchanges(run.model, self._trace.events, self.timing)
         found = find_causes(features(run.protocol), exchanges.all, exchanges.bags, failed)
         found = [cause for cause in found if not failed.isdisjoint(cause.cases)]
         found.sort(key=lambda cause: (_rank(cause), -len(cause.cases)))
-        finder = Finder(run.protocol, self._timing)
+        finder = Finder(run.protocol, self.timing)
         return [_Explanation(cause, finder.lines(cause)) for cause in found]
 
     def _cause(self, explanation: _Explanation, failed: dict[str, str], judged: int) -> Cause:

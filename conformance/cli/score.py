@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import command, option, protocol_in_use
+from bilprov.analyzer.cli.command import command, flag, option, protocol_in_use
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
+from bilprov.captures.text import quantity
+from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS
 from bilprov.conformance.cli import completion
 from bilprov.conformance.cli.options import seed_option
 from bilprov.conformance.cli.outputs import (
+    Output,
     onto_standard_output,
     outputs_of,
     outputs_option,
@@ -25,8 +28,12 @@ from bilprov.conformance.mutation.score import Score, chosen_faults, is_random
 from bilprov.conformance.mutation.score import score as score_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
     from rich.table import Table
+
+    from bilprov.spec.protocol import Protocol
 
 _SHOWN = 4  # faults named behind a case group
 
@@ -58,6 +65,13 @@ class ScoreOptions:
         shell_complete=completion.faults,
         help="Only faults of these names.",
     )
+    causes: bool = flag("Score the causes instead: whether they name what was planted.")
+    pairs: int = option(
+        type=click.IntRange(0),
+        default=0,
+        metavar="N",
+        help="With --causes: also N pairs of faults of different families, drawn by the seed.",
+    )
     outputs: dict[str, str] = outputs_option(["json"], "Everything as JSON; - is standard output.")
     jobs: int | None = option(
         type=click.IntRange(1), metavar="N", help="Processes; all cores if left out."
@@ -86,9 +100,13 @@ def score(options: ScoreOptions) -> int:
     if not faults:
         none = f"matches {' or '.join(only)}" if only else "is left with --random 0"
         raise click.UsageError(f"no fault {none}; see simulate --list-faults")
+    if options.pairs and not options.causes:
+        raise click.UsageError("--pairs is only for --causes")
     outputs = outputs_of(options.outputs)
     require_writable(outputs)
     console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)
+    if options.causes:
+        return _causes(options, protocol, list(faults), outputs, console)
     with bar() as shown:
         task = shown.add_task("", total=len(faults) * max(1, len(at)))
 
@@ -104,7 +122,42 @@ def score(options: ScoreOptions) -> int:
     return 1 if found.failures else 0
 
 
-def _as_json(found: Score, path: str) -> str:
+def _causes(
+    options: ScoreOptions,
+    protocol: Protocol,
+    names: list[str],
+    outputs: Sequence[Output],
+    console: Console,
+) -> int:
+    """Score the causes and show what came out; returns the exit code."""
+    from rich.text import Text
+
+    from bilprov.conformance.cli.progress import bar
+    from bilprov.conformance.mutation.explanations import cause_score
+
+    level = options.at[0] if options.at else Options().level
+    with bar() as shown:
+        task = shown.add_task("", total=len(names) + options.pairs)
+
+        def told(name: str) -> None:
+            shown.update(task, advance=1, description=name[:40].ljust(40))
+
+        jobs = options.jobs or os.cpu_count() or 1
+        found = cause_score(
+            protocol, names, options.pairs, level, seed=options.seed, jobs=jobs, progress=told
+        )
+    write_each((output.path, _as_json(found, output.path)) for output in outputs)
+    for one in (*found.failing, *found.pairs):
+        if one.causes != 1 + (one in found.pairs) or one.named < one.of or not one.shown:
+            words = f"{one.name}: {quantity(one.causes, 'cause')}, {one.named} of {one.of} named"
+            line = "shown" if one.shown else "not shown by its line"
+            console.print(Text(f"{words}, {line}; {one.first}"))
+    for sentence in found.sentences():
+        console.print(sentence)
+    return 0
+
+
+def _as_json(found: msgspec.Struct, path: str) -> str:
     """The score on one line of standard output, or indented in a file."""
     text = msgspec.json.encode(found)
     indented = msgspec.json.format(text, indent=1)

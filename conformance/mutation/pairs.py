@@ -47,11 +47,11 @@ def pairs(protocol: Protocol) -> dict[str, Fault]:
 
 def _fit(one: Variant, other: Variant) -> bool:
     points, others = ({point for point, _ in variant.words} for variant in (one, other))
-    hooks = _hooks(one.fault).keys() & _hooks(other.fault)
+    hooks = hooks_of(one.fault).keys() & hooks_of(other.fault)
     return one.reading != other.reading and points.isdisjoint(others) and not hooks
 
 
-def _hooks(fault: Fault) -> dict[str, Any]:
+def hooks_of(fault: Fault) -> dict[str, Any]:
     """Return the hooks and settings besides the reaction that differ from the reference."""
     return {n: getattr(fault, n) for n in _ONCE if getattr(fault, n) != getattr(_USUAL, n)}
 
@@ -66,8 +66,8 @@ def _both(one: Variant, other: Variant) -> Fault:
         name=f"{one.name} and {other.name}",
         doc=f"{one.doc}; {other.doc}",
         react=joined(*reacts) if len(reacts) > 1 else next(iter(reacts), None),
-        **_hooks(one.fault),
-        **_hooks(other.fault),
+        **hooks_of(one.fault),
+        **hooks_of(other.fault),
     )
 
 

@@ -210,7 +210,7 @@ def score(
         told = _try(protocol, (REFERENCE, level), seed)
         cost[level], reference[level] = told.sent, told.verdict
     soak = tuple(n for n in faults if find_fault(protocol, n).needs == "soak")
-    with _workers(protocol, seed, most, jobs) as each:
+    with workers(protocol, seed, most, jobs) as each:
         for result in each(_task, [(name, level) for level in chosen for name in faults]):
             progress(result.name)
             results.append(result)
@@ -243,20 +243,25 @@ def _begin(protocol: Protocol, seed: int, most: int) -> None:
     _worker = (protocol, seed, most)
 
 
-def _task(task: Task) -> Caught:
+def working() -> tuple[Protocol, int, int]:
+    """Return what `workers` has given this process: the protocol, the suite's seed, and `most`."""
     assert _worker is not None
-    return _try(_worker[0], task, _worker[1])
+    return _worker
+
+
+def _task(task: Task) -> Caught:
+    protocol, seed, _ = working()
+    return _try(protocol, task, seed)
 
 
 def _search_for(name: str) -> tuple[str, Search]:
-    assert _worker is not None
-    protocol, _, most = _worker
+    protocol, _, most = working()
     look = difference if is_random(name) else search
     return name, look(protocol, find_fault(protocol, name), most)
 
 
 @contextmanager
-def _workers(
+def workers(
     protocol: Protocol, seed: int, most: int, jobs: int
 ) -> Iterator[Callable[[Callable[[A], B], Sequence[A]], Iterable[B]]]:
     """Yield a `map` that runs on `jobs` processes, or in this process if `jobs` is 1."""

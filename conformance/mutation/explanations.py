@@ -1,0 +1,219 @@
+"""Scores the causes: whether those of a faulty device's failures name what was planted in it."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import msgspec
+
+from bilprov.analyzer.client.homing import home_once
+from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import Procedure, followed
+from bilprov.conformance.api import Options, run_suite
+from bilprov.conformance.causes.causes import Cause
+from bilprov.conformance.causes.exchanges import Exchange, Exchanges
+from bilprov.conformance.causes.explained import Explainer
+from bilprov.conformance.causes.reproduction import shown_by, shows
+from bilprov.conformance.causes.trace import Trace
+from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
+from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.mutation.catalogue import find_fault
+from bilprov.conformance.mutation.effects import then
+from bilprov.conformance.mutation.pairs import hooks_of
+from bilprov.conformance.mutation.score import workers, working
+from bilprov.conformance.runner.run import Run
+from bilprov.spec.protocol import Protocol
+
+DIFFERENT = 0.05
+"""Share of the frames sent at which a cause may expect something else than the fault does."""
+_FIRST = 3
+"""Causes that somebody reads first: both faults of a pair should be among them."""
+
+
+class Explained(msgspec.Struct, frozen=True):
+    """The causes of one device's failures, of which `failed` are how many.
+
+    `causes` is how many there are, `unexplained` how many failures none explains, `first` the
+    sentence of the first. `named` is how many of its faults have a cause among the first ones that
+    expects a deviation at the frames where the fault makes one, of `of` of which that is known; a
+    fault of how bytes are framed or shown makes none that could be compared. `shown` is whether the
+    first cause's line shows it on a device just switched on.
+    """
+
+    name: str
+    failed: int
+    causes: int = 0
+    unexplained: int = 0
+    first: str = ""
+    named: int = 0
+    of: int = 0
+    shown: bool = False
+
+
+class CauseScore(msgspec.Struct, frozen=True):
+    """What the causes are worth: results for single faults and for pairs of them."""
+
+    singles: tuple[Explained, ...]
+    pairs: tuple[Explained, ...]
+
+    @property
+    def failing(self) -> tuple[Explained, ...]:
+        """The single faults that failed anything."""
+        return tuple(one for one in self.singles if one.failed)
+
+    def sentences(self) -> Iterable[str]:
+        """Yield what came out, a sentence for each promise."""
+        of = len(self.failing)
+        one = sum(found.causes == 1 and found.named == found.of for found in self.failing)
+        two = sum(1 <= found.causes <= 2 for found in self.failing)
+        shown = sum(found.shown for found in self.failing)
+        yield f"{one} of {of} faults are exactly one cause, which names the trigger if it is known"
+        yield f"{two} of {of} faults are at most two causes"
+        yield f"{shown} of {of} first causes show with their line on a device just switched on"
+        both = sum(found.named == found.of for found in self.pairs)
+        if self.pairs:
+            of = len(self.pairs)
+            yield f"{both} of {of} pairs have both faults among the first {_FIRST} causes"
+
+
+@dataclass(slots=True)
+class _Marked:
+    """A fault that notes at which times (ns) its reaction differs from that of a right device."""
+
+    fault: Fault
+    acted: dict[int, bool]
+
+
+def _marked(fault: Fault) -> _Marked:
+    inner, acted = fault.react, dict[int, bool]()
+    if inner is None:
+        return _Marked(fault, acted)
+
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        changed = inner(device, event, reaction)
+        acted[event.now] = changed != reaction
+        return changed
+
+    return _Marked(replace(fault, react=react), acted)
+
+
+def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -> Explained:
+    """Run the suite against the device with these faults (one, or two that fit together)."""
+    marked = [_marked(find_fault(protocol, name)) for name in names]
+    fault = marked[0].fault if len(marked) == 1 else both(marked[0].fault, marked[1].fault)
+    held: list[Explainer] = []
+
+    def explainer(run: Run, trace: Trace, byte_time: int) -> Explainer:
+        held.append(Explainer(run, trace, byte_time))
+        return held[0]
+
+    options = Options(seed=seed, level=level)
+    target = device_target(protocol, Simulator(protocol, fault))
+    report = run_suite(target, options, logged=False, explainer=explainer)
+    name, failed = " and ".join(names), report.counts["fail"]
+    found, exchanges = held[0].found, held[0].exchanges
+    if not found or exchanges is None:
+        return Explained(name, failed, unexplained=report.unexplained)
+    first = found if len(names) == 1 else found[:_FIRST]
+    acting = [one.acted for one in marked if any(one.acted.values())]
+    named = [any(_names(cause, exchanges, acted) for cause in first) for acted in acting]
+    return Explained(
+        name,
+        failed,
+        len(found),
+        report.unexplained,
+        report.causes[0].sentence,
+        sum(named),
+        len(named),
+        _shows_on(protocol, fault, held[0]),
+    )
+
+
+def _names(cause: Cause, exchanges: Exchanges, acted: dict[int, bool]) -> bool:
+    """Whether a cause expects deviations at the frames at which a fault makes them."""
+    compared = [
+        (cause.foresees(exchange), acted[at])
+        for exchange in exchanges.all
+        if (at := _over(exchange, exchanges)) in acted
+    ]
+    different = sum(expected != made for expected, made in compared)
+    shared = sum(expected and made for expected, made in compared)
+    return bool(shared) and different <= DIFFERENT * len(compared)
+
+
+def _over(exchange: Exchange, exchanges: Exchanges) -> int:
+    """When a device takes a frame for over (ns)."""
+    return exchange.end + (exchanges.timing.timeout if exchange.step.truncated else 0)
+
+
+def _shows_on(protocol: Protocol, fault: Fault, explainer: Explainer) -> bool:
+    """Whether the first cause's line shows it on a fresh device."""
+    trace, timing = Trace(), explainer.timing
+    cause, line = explainer.found[0], explainer.lines[0]
+
+    def attempt() -> Procedure[None]:
+        yield from followed(home_once(protocol), trace)
+        trace.begin("")
+        yield from followed(shown_by(line, timing, cause.watched, looks=True), trace)
+
+    drive(attempt(), VirtualLink(Simulator(protocol, fault), timing.byte_time))
+    exchanges = Exchanges(explainer.model, trace.events, timing)
+    return bool(exchanges.all) and shows(cause, exchanges)
+
+
+def both(one: Fault, other: Fault) -> Fault:
+    """Return the device with two faults, the second of which reacts to what the first has made."""
+    reacts = [fault.react for fault in (one, other) if fault.react]
+    return replace(one, name=f"{one.name} and {other.name}", react=then(*reacts), **hooks_of(other))
+
+
+def drawn_pairs(
+    protocol: Protocol, names: Sequence[str], count: int, seed: int
+) -> list[tuple[str, ...]]:
+    """Draw pairs of faults of different families which a simulated device can have both.
+
+    Only such as change reactions are drawn: of others it is not known where they show.
+    """
+    faults = [fault for name in names if (fault := find_fault(protocol, name)).react]
+    fitting = [
+        (one.name, other.name)
+        for one, other in product(faults, faults)
+        if one.name < other.name
+        and one.family != other.family
+        and hooks_of(one).keys().isdisjoint(hooks_of(other))
+    ]
+    return random.Random(seed).sample(fitting, min(count, len(fitting)))
+
+
+def cause_score(
+    protocol: Protocol,
+    names: Sequence[str],
+    pairs: int,
+    level: str,
+    *,
+    seed: int = 1,
+    jobs: int = 1,
+    progress: Callable[[str], None] = lambda name: None,
+) -> CauseScore:
+    """Score the causes of each of these faults, and of so many pairs of them.
+
+    The options are those of `score`.
+    """
+    tasks: list[tuple[tuple[str, ...], str]] = [((name,), level) for name in names]
+    tasks += [(pair, level) for pair in drawn_pairs(protocol, names, pairs, seed)]
+    found = []
+    with workers(protocol, seed, 0, jobs) as each:
+        for result in each(_task, tasks):
+            progress(result.name)
+            found.append(result)
+    return CauseScore(tuple(found[: len(names)]), tuple(found[len(names) :]))
+
+
+def _task(task: tuple[tuple[str, ...], str]) -> Explained:
+    protocol, seed, _ = working()
+    return explained(protocol, *task, seed)
