@@ -68,20 +68,22 @@ def _merged(order: list[str], more: list[str]) -> list[str]:
     return merged
 
 
-def names(reports: Sequence[Report]) -> list[str]:
-    """A distinct name for each report: its device and the fault that was set, else its file.
+def _tested(report: Report) -> str:
+    """The device, and the fault that was set."""
+    return report.device + (f" --fault {report.fault}" if report.fault else "")
 
-    Files are named where several runs are of one device; numbers tell apart what is still alike.
+
+def names(reports: Sequence[Report]) -> list[str]:
+    """A distinct name for each report: its device; of several its file and when the run began.
+
+    Numbers tell apart what is still alike.
     """
-    plain = [
-        report.device + (f" --fault {report.link['fault']}" if report.link.get("fault") else "")
-        for report in reports
-    ]
-    counts = Counter(plain)
-    named = [
-        report.file if report.file and counts[name] > 1 else name
-        for name, report in zip(plain, reports, strict=True)
-    ]
+    if len(reports) == 1:
+        return [_tested(reports[0])]
+    named = []
+    for report in reports:
+        begun = f" ({report.begun[:16].replace('T', ' ')} UTC)" if report.begun else ""
+        named.append((report.file or _tested(report)) + begun)
     counts, seen = Counter(named), Counter[str]()
     told = []
     for name in named:

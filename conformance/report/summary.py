@@ -13,6 +13,7 @@ from rich.text import Text
 from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.report.changes import changed_cases, changed_causes
 from bilprov.conformance.report.conclusion import STYLES, conclusion
 from bilprov.conformance.report.grouping import Row, by_group, by_reason, names, rows, tally
 from bilprov.conformance.report.run_report import Report, evidence, run_facts
@@ -31,6 +32,7 @@ _UNBROKEN = 100_000  # columns
 _SHOWN = 2  # cases of each class and verdict, unless all are asked for
 _REASONS = 8
 _DIFFERING = 20
+_CHANGED = 6  # ids of cases with the same change
 # The keys of `timing` that are shown; a report from a file may have fewer.
 _TIMED = {
     *("ratio", "bytes_sent", "bytes_received", "wire_s", "silences_s", "timeouts_s"),
@@ -206,11 +208,16 @@ def _case(report: Report, result: CaseResult, console: Console) -> None:
 
 
 def show_compared(reports: Sequence[Report], console: Console, *, everything: bool = False) -> None:
-    """Print one column for each report; `everything` lists every case on which they differ."""
+    """Print one column for each report, and what changed from the first to the last.
+
+    `everything` lists every case on which they differ.
+    """
     told = names(reports)
     cases = rows(reports)
     console.print(_compared(told, cases))
-    differing = [row for row in cases if row.differs]
+    failing = changed_cases(cases)
+    known = {ident for ids in failing.values() for ident in ids}
+    differing = [row for row in cases if row.differs and row.id not in known]
     shown = differing if everything else differing[:_DIFFERING]
     for row in shown:
         line = Text.assemble((row.id, "bold"), "  ")
@@ -220,8 +227,23 @@ def show_compared(reports: Sequence[Report], console: Console, *, everything: bo
     if len(shown) < len(differing):
         left = len(differing) - len(shown)
         console.print(Text(f"and {left} more differ; --verbose lists them", "dim"))
+    for change, ids in failing.items():
+        _changed(change, ids, console, len(ids) if everything else _CHANGED)
+    for change, cause, before in changed_causes(reports[0].causes, reports[-1].causes):
+        console.print(Text.assemble((f"cause {change}", "bold"), f"  {cause.sentence}"))
+        if before:
+            console.print(Text.assemble(("      before    ", "dim"), before))
     for name, report in zip(told, reports, strict=True):
-        console.print(Text.assemble((f"{name}: ", "dim"), conclusion(report)))
+        fault = f", --fault {report.fault}" if report.fault else ""
+        console.print(Text.assemble((f"{name}{fault}: ", "dim"), conclusion(report)))
+
+
+def _changed(change: str, ids: Sequence[str], console: Console, most: int) -> None:
+    """Print what became of some cases, and the first `most` of their ids."""
+    left = len(ids) - most
+    more = f" and {left} more; --verbose lists them" if left > 0 else ""
+    head = (f"{change} {len(ids)}", "bold")
+    console.print(Text.assemble(head, f"  {', '.join(ids[:most])}{more}"))
 
 
 def _compared(told: Sequence[str], cases: Sequence[Row]) -> Table:

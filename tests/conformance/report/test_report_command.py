@@ -18,7 +18,8 @@ from msgspec.structs import replace
 from bilprov.analyzer.files import write_whole
 from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cli.outputs import Output, require_writable
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict
+from bilprov.conformance.report.changes import changed_cases, changed_causes
 from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.grouping import names, rows
 from bilprov.conformance.report.html.page import as_html
@@ -236,13 +237,60 @@ def test_runs_are_told_apart(protocol: Protocol) -> None:
     assert names([base, faulty, base]) == ["sim (1)", "sim --fault x", "sim (2)"]
 
 
-def test_runs_of_one_device_are_named_by_their_files(protocol: Protocol) -> None:
+def test_several_runs_are_named_by_their_files_and_when_they_began(protocol: Protocol) -> None:
     report = every_verdict(protocol)
-    monday, tuesday = replace(report, file="monday.json"), replace(report, file="tuesday.json")
+    monday = replace(report, file="monday.json")
+    tuesday = replace(report, file="b.json", begun="2026-11-24T09:05:07+00:00")
 
-    assert names([monday, tuesday]) == ["monday.json", "tuesday.json"]
+    assert names([monday, tuesday]) == ["monday.json", "b.json (2026-11-24 09:05 UTC)"]
     assert names([monday, monday]) == ["monday.json (1)", "monday.json (2)"]
     assert names([monday]) == [report.device]
+
+
+# -- what changed ---------------------------------------------------------------------------------
+
+
+def test_each_case_that_failed_once_is_fixed_new_still_failing_or_not_judged(
+    protocol: Protocol,
+) -> None:
+    found = {
+        "fixed": (Verdict.FAIL, Verdict.NON_STRICT),
+        "still failing": (Verdict.FAIL, Verdict.FAIL),
+        "failed before, not judged now": (Verdict.FAIL, Verdict.INCONCLUSIVE),
+        "failing, not judged before": (Verdict.SKIPPED, Verdict.FAIL),
+        "newly failing": (Verdict.PASS, Verdict.FAIL),
+    }
+    others = {"fine": (Verdict.PASS, Verdict.PASS), "dark": (Verdict.PASS, Verdict.ERROR)}
+    base = every_verdict(protocol)
+    first, last = (
+        replace(base, results=tuple(a_case(ident, v[at]) for ident, v in (found | others).items()))
+        for at in (0, 1)
+    )
+    absent = replace(first, results=())
+
+    assert changed_cases(rows([first, last])) == {change: [change] for change in found}
+    # A run between them does not count, and what was not run was not judged.
+    assert changed_cases(rows([first, absent, last])) == {change: [change] for change in found}
+    assert set(changed_cases(rows([first, absent]))) == {"failed before, not judged now"}
+    assert set(changed_cases(rows([absent, last]))) == {"failing, not judged before"}
+
+
+def a_cause(sentence: str, *cases: str) -> Cause:
+    return Cause(sentence, "always", "stop", "section 2", cases, 0, ("81", "09"))
+
+
+def test_causes_are_compared_by_their_sentences_then_by_their_cases() -> None:
+    first = [a_cause("same", "a/1"), a_cause("all of 9", "a/2", "a/3"), a_cause("old", "a/4")]
+    last = [a_cause("new", "a/5"), a_cause("same", "a/9"), a_cause("all of 8", "a/3")]
+
+    changes = changed_causes(first, last)
+
+    assert [(c.change, c.cause.sentence, c.before) for c in changes] == [
+        ("still there", "same", ""),
+        ("changed", "all of 8", "all of 9"),
+        ("gone", "old", ""),
+        ("new", "new", ""),
+    ]
 
 
 @pytest.mark.parametrize("count", [1, 2])
