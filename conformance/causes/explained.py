@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,8 +16,9 @@ from bilprov.conformance.causes.rules import matches
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.causes.wording import condition, deviations
 from bilprov.conformance.oracle.state_model import Model
-from bilprov.conformance.oracle.verdicts import Cause, Verdict
+from bilprov.conformance.oracle.verdicts import Cause, Verdict, WireEvent
 from bilprov.conformance.runner.homing import home
+from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.waiting import GaveUp
 
@@ -38,6 +40,7 @@ class _Explanation:
     found: Found
     lines: list[Line]
     shown: bool | None = None
+    log: tuple[WireEvent, ...] = ()
 
 
 class Explainer:
@@ -81,34 +84,41 @@ class Explainer:
                 if self._trace.now - begun > _WHILE:
                     return
                 try:
-                    explanation.shown = yield from self._shows(explanation.found, line)
+                    explanation.shown = yield from self._shows(explanation, line)
+                    if explanation.shown:
+                        yield from self._halve(explanation, begun)
+                        break
                 except GaveUp:
                     return
-                if explanation.shown:
-                    explanation.lines = [(yield from self._halved(explanation.found, line, begun))]
-                    break
 
-    def _halved(self, found: Found, line: Line, begun: int) -> Procedure[Line]:
-        """The line, or the last part of it that still shows the cause; a long one has many."""
-        while line.frames > _SHORT and self._trace.now - begun < _WHILE:
-            if line.together or not (yield from self._shows(found, line.half)):
-                break
+    def _halve(self, explanation: _Explanation, begun: int) -> Procedure[None]:
+        """Keep the last part of a long line that still shows the cause."""
+        line = explanation.lines[0]
+        while line.frames > _SHORT and not line.together and self._trace.now - begun < _WHILE:
+            if not (yield from self._shows(explanation, line.half)):
+                return
             line = line.half
-        return line
 
-    def _shows(self, found: Found, line: Line) -> Procedure[bool]:
-        """Bring the device to rest and send the line; return whether the cause shows."""
-        run, trace = self._run, Trace()
+    def _shows(self, explanation: _Explanation, line: Line) -> Procedure[bool]:
+        """Bring the device to rest and send the line; return whether the cause shows.
+
+        A line that does becomes that of the explanation.
+        """
+        run, trace, log, found = self._run, Trace(), WireLog(), explanation.found
         if run.config.power:
             yield from power_cycle()
             yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
         yield from followed(home(run), trace)
         trace.begin("")
         sent = shown_by(line, self.timing, found.watched, looks=run.config.observable)
-        yield from followed(sent, trace)
+        log.begin("")
+        yield from followed(sent, trace, log)
         yield from home(run)
         exchanges = Exchanges(run.model, trace.events, self.timing)
-        return bool(exchanges.all) and shows(found, exchanges)
+        shown = bool(exchanges.all) and shows(found, exchanges)
+        if shown:
+            explanation.lines, explanation.log = [line], log.of("")
+        return shown
 
     def causes(self) -> tuple[Cause, ...]:
         """Return the causes of the run's failures, those that keep the device moving first."""
@@ -144,17 +154,19 @@ class Explainer:
         }
         others = len(right - taken)
         when, what = condition(found.rule), deviations(self._run.protocol, found.effects)
+        clauses, safety = [failed[ident] for ident in cases], self._run.protocol.clauses.safety
         met = len(cases) + others
         sure = f"{len(cases):,} of {quantity(met, 'case')}, and none of {judged - met:,} others"
         return Cause(
             sentence=f"{what} after {when} ({sure}; {_tried(shown)})",
             when=when,
             axis=("stop", "state", "answer", "state")[_rank(found)],
-            clause=failed[cases[0]],
+            clause=safety if _rank(found) == 0 else Counter(clauses).most_common(1)[0][0],
             cases=cases,
             others=others,
             send=explanation.lines[0].words,
             tried=shown is not None,
+            log=explanation.log,
         )
 
 

@@ -91,10 +91,6 @@ class Trace(RunListener):
         elif isinstance(reply, Ended):
             self.events.append(PoweredOn(0))
 
-    def did(self, operation: Operation, reply: Reply) -> None:
-        """Keep one operation of a procedure that is followed."""
-        self.done(operation, reply)
-
     def _seen(self, asked: int, look: Look) -> None:
         """Keep a look; one that shows what the last one showed shares its memory."""
         same = self._look is not None and _facets(self._look) == _facets(look)

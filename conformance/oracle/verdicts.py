@@ -185,7 +185,7 @@ class Cause(msgspec.Struct, frozen=True):
     worst axis of the case that it fails (answer, stop or state), `clause` the one that it violates,
     `cases` the ids of the cases that it explains, `others` how many cases met the condition and
     were right. `send` are arguments of `bilprov send PORT` that show it; `tried` whether they were
-    tried on the device.
+    tried on the device, and `log` what then passed over the wire.
     """
 
     sentence: str
@@ -196,6 +196,7 @@ class Cause(msgspec.Struct, frozen=True):
     others: int
     send: tuple[str, ...]
     tried: bool = False
+    log: tuple[WireEvent, ...] = ()
 
 
 def exit_code(verdicts: Iterable[Verdict], *, strict: bool = False) -> int:

@@ -12,6 +12,7 @@ from bilprov.conformance.report.run_report import Report, run_facts
 from bilprov.spec.protocol import Protocol
 
 _NOT_RUN = "run"
+_CAUSES = "causes"
 
 
 def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
@@ -20,12 +21,16 @@ def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
     A failure is a `failure` (with `--strict` non-strict is one too), an error an `error`;
     inconclusive and skipped are `skipped` with their reason; the other verdicts pass, with verdict
     and reading in the properties and, unless it is `pass`, in `system-out`. Times are seconds on
-    the wire. With several reports the device's name stands before that of each suite and class. A
-    run in which nothing could be judged has one test case more, an error.
+    the wire. The first suite has no test cases, but the causes of what failed. With several reports
+    the device's name stands before that of each suite and class. A run in which nothing could be
+    judged has one test case more, an error.
     """
     root = Element("testsuites", name="bilprov conform")
     for report in reports:
         before = f"{report.device}: " if len(reports) > 1 else ""
+        if report.causes:
+            suite = _suite(root, report, before + _CAUSES)
+            SubElement(suite, "system-out").text = "\n".join(_causes(report))
         for name, results in by_group(report.results).items():
             suite = _suite(root, report, before + name)
             for result in results:
@@ -46,6 +51,13 @@ def as_junit(reports: Sequence[Report], protocol: Protocol) -> str:
     root.set("time", f"{sum(float(suite.get('time', 0)) for suite in root):.6f}")
     indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, "unicode") + "\n"
+
+
+def _causes(report: Report) -> Iterator[str]:
+    """The causes of what failed, each with the line that shows it."""
+    for cause in report.causes:
+        yield f"{cause.sentence}  {cause.clause}"
+        yield f"again     {report.send_line(cause)}"
 
 
 def _suite(root: Element, report: Report, name: str) -> Element:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
+from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
 from bilprov.conformance.report.grouping import by_group, by_reason, tally
@@ -80,6 +81,7 @@ def _report(report: Report) -> Iterator[str]:
     about = run_facts(report)
     if about:
         yield ", ".join(f"{prose(name)} {code(words)}" for name, words in about.items())
+    yield from _causes(report)
     if report.results:
         yield "\n".join(_table(report))
     if report.proof:
@@ -93,6 +95,19 @@ def _report(report: Report) -> Iterator[str]:
     if report.results and covered:
         yield "### Coverage"
         yield "\n".join(f"- {prose(name)}: {c.done} of {c.of}" for name, c in covered[:_GROUPS])
+
+
+def _causes(report: Report) -> Iterator[str]:
+    """The causes of what failed, the worst first, each with the line that shows it."""
+    if report.causes:
+        yield "### What to mend"
+    for number, cause in enumerate(report.causes[:_FIRST], 1):
+        yield f"{number}. {prose(cause.sentence)}, {prose(cause.clause)}"
+        yield _block(report.send_line(cause))
+    if len(report.causes) > _FIRST:
+        yield f"and {len(report.causes) - _FIRST} more causes."
+    if report.causes and report.unexplained:
+        yield f"{quantity(report.unexplained, 'failed case')} of no cause found."
 
 
 def _table(report: Report) -> Iterator[str]:

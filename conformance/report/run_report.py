@@ -112,6 +112,14 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         """The port to send to; `PORT` for the simulator, which `bilprov simulate` serves there."""
         return self.device if self.link.get("kind") == "port" else "PORT"
 
+    def send_line(self, cause: Cause) -> str:
+        """The command that shows a cause; with a probe it prints what that sees, too."""
+        grammar = self.grammar.file
+        start = ["bilprov"] if grammar == "grammar.py" else ["bilprov", "--grammar", grammar]
+        probe = self.link.get("probe") if self.link.get("kind") == "port" else None
+        look = ["--probe", str(probe)] if probe else []
+        return shlex.join([*start, "send", self.port, *look, *cause.send])
+
     @property
     def fault(self) -> str:
         """The fault that the simulator had, "" for none."""

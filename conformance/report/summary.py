@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Sequence
 
 import msgspec
@@ -76,11 +75,12 @@ def _causes(report: Report, console: Console) -> None:
     for cause in report.causes:
         line = Text.assemble(("cause", STYLES[Verdict.FAIL]), " ", cause.sentence)
         console.print(line.append(f"  {cause.clause}", "dim"))
-        again = shlex.join(["bilprov", "send", report.port, *cause.send])
         more = f" and {len(cause.cases) - _SHOWN} more" if len(cause.cases) > _SHOWN else ""
         cases = f"{', '.join(cause.cases[:_SHOWN])}{more}"
         console.print(Text.assemble(("      cases     ", "dim"), cases))
-        console.print(Text.assemble(("      again     ", "dim"), again), soft_wrap=True)
+        console.print(
+            Text.assemble(("      again     ", "dim"), report.send_line(cause)), soft_wrap=True
+        )
     if report.causes and report.unexplained:
         console.print(Text(f"{quantity(report.unexplained, 'failed case')} of no cause found"))
 

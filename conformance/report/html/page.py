@@ -11,6 +11,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
 from bilprov.conformance.report.grouping import Row, names, rows, tally
 from bilprov.conformance.report.html.cases import case_data, case_rows
+from bilprov.conformance.report.html.causes import causes
 from bilprov.conformance.report.html.facts import coverage, facts, profile
 from bilprov.conformance.report.html.matrix import matrix
 from bilprov.conformance.report.run_report import Report
@@ -30,7 +31,7 @@ def as_html(reports: Sequence[Report], protocol: Protocol) -> str:
     body = joined(
         [
             _header(reports, told),
-            tag("main", joined(_sections(reports, told, cases))),
+            tag("main", joined(_sections(reports, told, cases, protocol))),
             json_block("data", case_data(reports, told, cases, protocol)),
         ]
     )
@@ -50,7 +51,8 @@ def _header(reports: Sequence[Report], told: Sequence[str]) -> Safe:
         for name, report in zip(told, reports, strict=True)
     ]
     title = f"{len(reports)} runs side by side" if several else tag("span", *told, class_="device")
-    links = ("Matrix", "Cases", "Profile", "Coverage")
+    failed = ("Causes",) if any(report.causes for report in reports) else ()
+    links = (*failed, "Matrix", "Cases", "Profile", "Coverage")
     return tag(
         "header",
         tag("p", "bilprov", tag("span", " conformance report"), class_="brand"),
@@ -60,8 +62,10 @@ def _header(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     )
 
 
-def _sections(reports: Sequence[Report], told: list[str], cases: list[Row]) -> Iterator[Safe]:
-    yield facts(reports, told)
+def _sections(
+    reports: Sequence[Report], told: list[str], cases: list[Row], protocol: Protocol
+) -> Iterator[Safe]:
+    yield from causes(reports, told, protocol)
     yield tag(
         "section",
         tag("h2", "Matrix by clause"),
@@ -80,6 +84,7 @@ def _sections(reports: Sequence[Report], told: list[str], cases: list[Row]) -> I
     )
     yield tag("section", tag("h2", "Profile"), profile(reports, told), id="profile")
     yield tag("section", tag("h2", "Coverage"), coverage(reports, told), id="coverage")
+    yield facts(reports, told)
 
 
 def _columns(told: list[str]) -> Safe:

@@ -28,6 +28,10 @@ class RunListener(LinkListener):
     def done(self, operation: Operation | None, reply: Reply | Ended) -> None:
         """An operation was done or failed; None stands for an interruption of the run."""
 
+    def did(self, operation: Operation, reply: Reply) -> None:
+        """An operation of a procedure that is followed was done."""
+        self.done(operation, reply)
+
     def begin(self, ident: str) -> None:
         """A case begins."""
 

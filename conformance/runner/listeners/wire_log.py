@@ -82,13 +82,21 @@ class WireLog(RunListener):
 
     def attached(self, result: CaseResult) -> CaseResult:
         """The result with its log: the case is final. One that never began has an empty log."""
-        log = self._logs.get(result.id, [])
-        if isinstance(log, _Log):
-            log = self._logs[result.id] = log.entries()  # what comes later belongs to no case
+        log = self._final(result.id)
         kept = [] if result.counted and result.verdict < Verdict.INCONCLUSIVE else log
         if result.verdict is Verdict.PASS:
             kept = list(_joined(kept))
         return msgspec.structs.replace(result, log=_events(kept))
+
+    def of(self, ident: str) -> tuple[WireEvent, ...]:
+        """The log of what began under this id; what comes later does not belong to it."""
+        return _events(self._final(ident))
+
+    def _final(self, ident: str) -> list[Entry]:
+        log = self._logs.get(ident, [])
+        if isinstance(log, _Log):
+            log = self._logs[ident] = log.entries()
+        return log
 
     def _bytes(self, kind: WireKind, data: bytes, t: int) -> None:
         if not self._open:

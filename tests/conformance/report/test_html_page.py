@@ -310,19 +310,21 @@ def test_a_case_that_is_closed_and_opened_again_is_drawn_once(
 
 
 @needs_chromium
-def test_the_line_to_try_it_again_is_copied(protocol: Protocol, show: Open) -> None:
+@pytest.mark.parametrize("place", [".cause .again", "#list .again"])
+def test_the_line_to_try_it_again_is_copied(protocol: Protocol, show: Open, place: str) -> None:
     report = failing(protocol)
     page = show(report)
     case = ids(report, Verdict.FAIL)[0]
     page.call("Browser.grantPermissions", permissions=["clipboardReadWrite"])
     open_case(page, case)
 
-    page.click(".again button")
-    page.wait("/Copied|Selected/.test(document.querySelector('.again button').textContent)")
+    page.click(f"{place} button")
+    page.wait(f"/Copied|Selected/.test(document.querySelector('{place} button').textContent)")
 
     again = next(r.reproduce for r in report.results if r.id == case)
-    assert page.eval("document.querySelector('.again code').textContent") == again
-    if page.eval("document.querySelector('.again button').textContent") == "Copied":
+    again = report.send_line(report.causes[0]) if "cause" in place else again
+    assert page.eval(f"document.querySelector('{place} code').textContent") == again
+    if page.eval(f"document.querySelector('{place} button').textContent") == "Copied":
         assert page.eval("navigator.clipboard.readText()") == again
 
 

@@ -215,16 +215,20 @@
   function again(command) {
     const code = make("code", { tabindex: 0 }, command);
     const button = make("button", { type: "button", class: "chip" }, "Copy");
+    copies(button, code);
+    return make("p", { class: "again" }, code, button);
+  }
+
+  function copies(button, code) {
     button.addEventListener("click", async () => {
       try {
-        await navigator.clipboard.writeText(command);
+        await navigator.clipboard.writeText(code.textContent);
         button.textContent = "Copied";
       } catch {
         getSelection().selectAllChildren(code);
         button.textContent = "Selected: press Ctrl-C";
       }
     });
-    return make("p", { class: "again" }, code, button);
   }
 
   // -- the timing picture -----------------------------------------------------------------------
@@ -328,6 +332,10 @@
     }
     row.open = true;
     row.scrollIntoView({ block: "start" });
+  }
+
+  for (const button of document.querySelectorAll(".cause .again button")) {
+    copies(button, button.previousElementSibling);
   }
 
   filters.hidden = false;
