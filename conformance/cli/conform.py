@@ -5,8 +5,8 @@ from __future__ import annotations
 import platform
 import socket
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -18,12 +18,9 @@ import msgspec
 from bilprov.analyzer.cli.command import command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     Finite,
-    confirm_motion,
     milliseconds,
     note,
     note_each,
-    note_hindrances,
-    note_suspension,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.client.probes import asks_person
@@ -63,12 +60,11 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
 )
 from bilprov.conformance.cli.robot import RobotOptions
-from bilprov.conformance.dut.target import PORT, Target, TargetName, target_named
+from bilprov.conformance.dut.target import PORT, Target, TargetName
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.executor import is_slow
 from bilprov.conformance.runner.listeners.listener import RunListener
-from bilprov.spec.movement import movement_words
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -216,9 +212,8 @@ def conform(options: ConformOptions) -> int:
     still goes on to its end, and the exit code is 2. With --watch it is that of the last run.
     """
     protocol, robot = protocol_in_use(), options.robot
+    name, settings = robot.named(protocol)
     try:
-        name = target_named(robot.target)
-        settings = robot.settings(protocol, name)
         parse_allowed(protocol, options.known.allow)
         if options.cases.extra and options.cases.level != COMPLETE.name:
             raise ValueError(f"--extra {options.cases.extra} is for --level {COMPLETE.name}")
@@ -296,8 +291,7 @@ def _run(
     expected = expected_file(
         protocol, plan.suite, known.expect_failures, update=known.update_expected
     )
-    opened = robot.opened(protocol, name, settings, reconnect=options.reconnect or 0.0)
-    report, broken = _tested(opened, options, plan.suite, plan.cases)
+    report, broken = _tested(protocol, options, name, settings, plan)
     console = _console(outputs)
     fresh = None if report.unusable else plan.fresh
     if fresh is not None:
@@ -337,10 +331,11 @@ def _asked(protocol: Protocol, suite: Options, cases: Sequence[AnyCase]) -> list
 
 
 def _tested(
-    opened: Callable[[Stopper], AbstractContextManager[Target]],
+    protocol: Protocol,
     options: ConformOptions,
-    suite: Options,
-    cases: Sequence[AnyCase],
+    name: TargetName,
+    settings: LineSettings,
+    plan: _Plan,
 ) -> tuple[Report, Exception | None]:
     """Open the target, ask whether a robot may move, and run the cases.
 
@@ -348,57 +343,48 @@ def _tested(
     """
     from bilprov.conformance.cli.progress import Progress
 
-    robot, record = options.robot, options.reports.record
-    start = time.monotonic()
-    with ExitStack() as stack:
-        stopper = stack.enter_context(closing(Stopper()))
-        target = stack.enter_context(opened(stopper))
-        count = planned(target.protocol, suite, cases)
-        if suite.level == COMPLETE.name:
-            seconds = estimated(target, suite, cases)
-            groups = {budget.group(case.id) for case in cases}
-            said = announcement(target.protocol, suite.extra, groups)
+    robot, record, suite = options.robot, options.reports.record, plan.suite
+    asks = asks_person(robot.probe)
+    count = planned(protocol, suite, plan.cases)
+
+    def agreed(target: Target) -> Target:
+        complete = suite.level == COMPLETE.name
+        seconds = estimated(target, suite, plan.cases) if target.moves or complete else 0.0
+        if complete:
+            groups = {budget.group(case.id) for case in plan.cases}
+            said = announcement(protocol, suite.extra, groups)
             note(f"{said}; about {_time(seconds)} on the line" if said else "no proof")
-        if target.moves:
-            note_hindrances(robot.target)
-            seconds = estimated(target, suite, cases)
-            looks = target.environment.observability
-            movement = run_movement(
-                target.protocol, cases, looks=looks.available and not looks.costly
-            )
-            words = movement_words(target.protocol, movement)
-            again = ", and again whenever it comes back" if options.watches else ""
-            what = (
-                f"the robot at {robot.target} will move for about {_time(seconds)}{again}: {words}"
-            )
-            confirm_motion(target.protocol, what, yes=robot.yes)
-            look = target.look_time
-            slow = f"an observation takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
-            note(
-                f"{quantity(count, 'case')}, {_time(seconds)} or more: {slow}"
-                "a device that answers late or not at all takes longer"
-            )
-            if not options.times.patient and not asks_person(robot.probe):
-                environment = msgspec.structs.replace(target.environment, announced=seconds)
-                target = replace(target, environment=environment)
-            start = time.monotonic()  # the time until the user confirmed does not count
-        stack.enter_context(stopper)
+        if not target.moves:
+            return target
+        looks = target.environment.observability
+        movement = run_movement(protocol, plan.cases, looks=looks.available and not looks.costly)
+        again = ", and again whenever it comes back" if options.watches else ""
+        robot.confirm(protocol, f"{_time(seconds)}{again}", movement)
+        look = target.look_time
+        slow = f"an observation takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
+        note(
+            f"{quantity(count, 'case')}, {_time(seconds)} or more: {slow}"
+            "a device that answers late or not at all takes longer"
+        )
+        if options.times.patient or asks:
+            return target
+        environment = msgspec.structs.replace(target.environment, announced=seconds)
+        return replace(target, environment=environment)
+
+    opened = robot.driven(protocol, name, settings, agreed, options.reconnect or 0.0)
+    with opened as (target, stopper), ExitStack() as stack:
+        start = time.monotonic()  # the time until the user confirmed does not count
         if options.watches and ending_requested():  # while the port was opened
             stopper.stop()
-        if target.moves:
-            stopper.before_suspending(target.halt)
         listeners: list[RunListener] = []
         if record is not None:
             from bilprov.conformance.runner.listeners.recorder import open_recorder
 
             recorder = open_recorder(record, target, suite.truncation_timeout)
             listeners.append(stack.enter_context(recorder))
-        progress = Progress(count, shown=not asks_person(robot.probe))
+        progress = Progress(count, shown=not asks)
         listeners.append(stack.enter_context(progress))
         report = run_suite(target, suite, listeners)
-        if target.remark():
-            note(target.remark())
-    note_suspension(stopper)
     broken = next((listener.broken for listener in listeners if listener.broken), None)
     return _dated(report, start), broken
 

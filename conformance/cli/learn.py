@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,21 +11,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bilprov.analyzer.cli.command import command, group, option, protocol_in_use
-from bilprov.analyzer.cli.options import (
-    confirm_motion,
-    note,
-    note_hindrances,
-    note_suspension,
-)
+from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.options import seed_option
 from bilprov.conformance.cli.outputs import write_each
 from bilprov.conformance.cli.robot import RobotOptions
-from bilprov.conformance.dut.target import Target, target_named
+from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.drawing import (
     LARGE,
     dot_text,
@@ -37,7 +30,7 @@ from bilprov.conformance.learning.drawing import (
 from bilprov.conformance.machines.wp_method import state_cover
 from bilprov.spec.codec import spaced
 from bilprov.spec.errors import UserError
-from bilprov.spec.movement import all_movement, movement_words
+from bilprov.spec.movement import all_movement
 
 if TYPE_CHECKING:
     from bilprov.conformance.learning.learned import Learned
@@ -94,22 +87,15 @@ def learn(options: LearnOptions) -> int:
 
     protocol, robot, svg = protocol_in_use(), options.robot, options.svg
     require_aalpy()
-    try:
-        name = target_named(robot.target)
-        settings = robot.settings(protocol, name)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from error
+    name, settings = robot.named(protocol)
     robot = robot.fitting(name)
     promise_verdict()
     if svg is not None and not has_graphviz():
         note(f"{svg} is written in DOT: Graphviz is not installed, apt-get install graphviz")
     require_writable(options.files)
-    opened = robot.opened(protocol, name, settings)
     from bilprov.conformance.cli.progress import bar
 
-    with ExitStack() as stack:
-        stopper = stack.enter_context(closing(Stopper()))
-        target = stack.enter_context(opened(stopper))
+    def agreed(target: Target) -> Target:
         if target.environment.observability.costly:
             raise click.UsageError(
                 f"--probe {robot.probe} allows only a few observations, and learning makes one "
@@ -118,10 +104,9 @@ def learn(options: LearnOptions) -> int:
             )
         if target.moves:
             _confirm(target, robot)
-        stack.enter_context(stopper)
-        if target.moves:
-            stopper.before_suspending(target.halt)
-        shown = stack.enter_context(bar())
+        return target
+
+    with robot.driven(protocol, name, settings, agreed) as (target, _), bar() as shown:
         task = shown.add_task("", total=None)
 
         def progress(states: int, frames: int) -> None:
@@ -131,9 +116,6 @@ def learn(options: LearnOptions) -> int:
             learned = learn_target(target, seed=options.seed, progress=progress)
         except Unusable as why:
             raise NotUsable(str(why)) from why
-        if target.remark():
-            note(target.remark())
-    note_suspension(stopper)
     _write(learned, options)
     onto_stdout = any(path == STANDARD_OUTPUT for _, path in options.files)
     for line in _told(learned):
@@ -144,11 +126,8 @@ def learn(options: LearnOptions) -> int:
 def _confirm(target: Target, robot: RobotOptions) -> None:
     from bilprov.conformance.learning.reference import estimated_seconds
 
-    note_hindrances(robot.target)
     seconds = estimated_seconds(target)
-    words = movement_words(target.protocol, all_movement(target.protocol))
-    what = f"the robot at {robot.target} will move for about {seconds:.0f} s: {words}"
-    confirm_motion(target.protocol, what, yes=robot.yes)
+    robot.confirm(target.protocol, f"{seconds:.0f} s", all_movement(target.protocol))
     note(f"about {seconds:.0f} s; unexpected answers are tried again, which takes longer")
 
 

@@ -2,22 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 
 import click
 
 from bilprov.analyzer.cli.command import argument, group, option
-from bilprov.analyzer.cli.options import LineOptions, asked_here, yes_option
+from bilprov.analyzer.cli.options import (
+    LineOptions,
+    asked_here,
+    confirm_motion,
+    note_each,
+    note_hindrances,
+    note_suspension,
+    yes_option,
+)
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.client.port_link import by_command
 from bilprov.analyzer.client.probes import PROBES
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.options import fault_option, named_device, variant_option
-from bilprov.conformance.dut.target import PORT, SIM, Target, TargetName, open_target
+from bilprov.conformance.dut.target import (
+    PORT,
+    SIM,
+    Target,
+    TargetName,
+    open_target,
+    target_named,
+)
+from bilprov.spec.movement import Movement, movement_words
 from bilprov.spec.protocol import Protocol
 
 
@@ -40,9 +55,17 @@ class RobotOptions:
     )
     variant: str | None = variant_option(help="With sim: read the document in this legal way.")
 
-    def settings(self, protocol: Protocol, name: TargetName) -> LineSettings:
-        """The line's settings; the simulator and boards have the grammar's. Raises ValueError."""
-        return self.line.settings(protocol) if name.kind == PORT else line_settings(protocol)
+    def named(self, protocol: Protocol) -> tuple[TargetName, LineSettings]:
+        """The target and its line's settings; the simulator and boards have the grammar's.
+
+        Raises UsageError.
+        """
+        try:
+            name = target_named(self.target)
+            line = self.line.settings(protocol) if name.kind == PORT else line_settings(protocol)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from error
+        return name, line
 
     def fitting(self, name: TargetName) -> RobotOptions:
         """The options without the settings that are for ports only, if this is none.
@@ -64,20 +87,46 @@ class RobotOptions:
             raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
         return replace(self, probe=probe, power=power)
 
-    def opened(
-        self, protocol: Protocol, name: TargetName, settings: LineSettings, reconnect: float = 0.0
-    ) -> Callable[[Stopper], AbstractContextManager[Target]]:
-        """What opens the target; `reconnect` is how long (s) an unplugged port is waited for.
+    @contextmanager
+    def driven(
+        self,
+        protocol: Protocol,
+        name: TargetName,
+        settings: LineSettings,
+        agreed: Callable[[Target], Target],
+        reconnect: float = 0.0,
+    ) -> Iterator[tuple[Target, Stopper]]:
+        """Open the target until the end of the block; its stopper handles signals from then on.
 
-        Raises UsageError for a fault or variant that is none.
+        `agreed` is called before anything is sent, asks whether a real robot may move, and gives
+        the target with what is known of it by then. `reconnect` is how long (s) an unplugged port
+        is waited for. At the end the user is told what the target has to remark.
+
+        Raises UsageError for a fault or variant that is none, and what `open_target` raises.
         """
-        return partial(
-            open_target,
-            protocol,
-            name,
-            settings=settings,
-            probe=self.probe,
-            power=by_command(self.power.removeprefix("exec:")) if self.power else None,
-            fault=named_device(protocol, self.fault, self.variant),
-            reconnect=reconnect,
-        )
+        with ExitStack() as stack:
+            stopper = stack.enter_context(closing(Stopper()))
+            opened = open_target(
+                protocol,
+                name,
+                stopper,
+                settings=settings,
+                probe=self.probe,
+                power=by_command(self.power.removeprefix("exec:")) if self.power else None,
+                fault=named_device(protocol, self.fault, self.variant),
+                reconnect=reconnect,
+            )
+            target = agreed(stack.enter_context(opened))
+            stack.enter_context(stopper)
+            if target.moves:
+                stopper.before_suspending(target.halt)
+            yield target, stopper
+            note_each([target.remark()])
+        note_suspension(stopper)
+
+    def confirm(self, protocol: Protocol, how_long: str, movement: Movement) -> None:
+        """Ask once whether the robot may move for so long, in words, and in this way."""
+        note_hindrances(self.target)
+        words = movement_words(protocol, movement)
+        what = f"the robot at {self.target} will move for about {how_long}: {words}"
+        confirm_motion(protocol, what, yes=self.yes)
