@@ -41,7 +41,7 @@ SUMMED = ("verdict", "exit", "counts", "coverage", "profile")
 
 # Keys that were added to a report later: older recordings lack them.
 _LATER = (
-    *("facets", "all_but_two_answers_ms", "flushes_for_ms", "wheels", "preamble_speed"),
+    *("facets", "all_but_two_answers_ms", "flushes_for_ms", "preamble_speed"),
     *COMBINED.values(),
 )
 

@@ -441,13 +441,17 @@ READINGS = (
     Reading(
         "R-resolution",
         "section 3, table 1",
-        "wheel speeds, where the probe shows them, swept over all speeds and all strengths",
+        "wheel speeds, where the probe shows them, at some speeds and strengths",
         "Datavärde mellan 0-255.",
-        "no wheel slower at a higher speed, the wheels never differ less at a higher strength",
+        "no wheel slower at a higher speed, half slower than full; the wheels never differ less at "
+        "a higher strength",
         (
             ("unlike when straight, or left and right not mirrored", "informational"),
-            ("plateaus and a dead zone", "non-strict"),
-            ("order or sign reversed, by more than the spread and 5 % or 3 steps", "fail"),
+            ("a plateau or a dead zone elsewhere", "non-strict"),
+            (
+                "half as fast as full, order or sign reversed, by the spread and 5 % or 3 steps",
+                "fail",
+            ),
         ),
     ),
     Reading(

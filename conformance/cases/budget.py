@@ -14,11 +14,11 @@ from bilprov.conformance.cases.coverage import Fact, facts
 from bilprov.conformance.cases.levels import SEQUENCE_PREFIXES, AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.cases.wheel_sweeps import WheelSweep
+from bilprov.conformance.cases.wheel_order import OrderCase
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.spec.protocol import Protocol
 
-_LOOKS = 3  # at each setting of a sweep
+_LOOKS = 3  # at each setting of the wheels' order
 _LOOKS_ONCE, _LOOKS_AT_STOP, _LOOKS_AT_RECOVERY = 2, 5, 3  # in a case of a single frame
 _ANSWERS_BEFORE, _LOOKS_BEFORE = 190, 60  # that are waited for before the first case
 _WATCHED_BEFORE = 1.8  # s for which a probe watches the robot before the first case
@@ -112,9 +112,9 @@ def _undelayed(protocol: Protocol, case: AnyCase, byte_time: float, timeout: flo
             total += timeout if burst.steps[-1].truncated else 0.0
             total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, 0.004)
         return total
-    if isinstance(case, WheelSweep):
-        each = (len(case.frame) + 1) * byte_time + (1 + _LOOKS) * _EXCHANGE
-        return home + case.frames * each
+    if isinstance(case, OrderCase):
+        size = sum(len(frame) + 1 for frame in case.sent)
+        return home + size * byte_time + case.frames * (1 + _LOOKS) * _EXCHANGE
     # A stop is preceded by a motion, and followed by a setting and a motion.
     frames = 10 if case.stop else 4
     total = (2 * frames + len(case.frame)) * byte_time + frames * _EXCHANGE
@@ -130,7 +130,7 @@ def answers_in(case: AnyCase) -> int:
     """How many times a case waits for an answer before it goes on, homing included."""
     if isinstance(case, SequenceCase):
         return len(case.setup) + len(case.bursts) + 2
-    if isinstance(case, WheelSweep):
+    if isinstance(case, OrderCase):
         return case.frames + 2
     return 9
 
@@ -142,7 +142,7 @@ def looks_in(case: AnyCase, *, few: bool = False) -> int:
     """
     if isinstance(case, SequenceCase):
         return 0 if few else 1 + sum(burst.looks for burst in case.bursts)
-    if isinstance(case, WheelSweep):
+    if isinstance(case, OrderCase):
         return 0 if few else _LOOKS * case.frames
     if few:
         return _LOOKS_ONCE * case.thorough
@@ -165,14 +165,14 @@ def pauses_after_faults(case: AnyCase) -> int:
     """How many pauses a case makes for a device that discards what follows a fault."""
     if isinstance(case, SequenceCase):
         return sum(any(step.faulty for step in burst.steps) for burst in case.bursts)
-    return 0 if isinstance(case, WheelSweep) else _PAUSES * case.faulty
+    return 0 if isinstance(case, OrderCase) else _PAUSES * case.faulty
 
 
 def cuts_short(case: AnyCase) -> bool:
     """Whether a case sends a frame that is cut short."""
     if isinstance(case, SequenceCase):
         return any(step.truncated for step in case.steps)
-    return not isinstance(case, WheelSweep) and case.truncated
+    return not isinstance(case, OrderCase) and case.truncated
 
 
 def before_the_cases(pace: Pace) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Self
 
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.oracle.state_model import NOTHING
@@ -34,7 +34,7 @@ class Case(Step):
     thorough: bool = False
 
     @classmethod
-    def of(cls, step: Step, **more: Any) -> Case:
+    def of(cls, step: Step, **more: Any) -> Self:
         """The case that sends this step; `more` are the fields that a step has not."""
         return cls(**{field.name: getattr(step, field.name) for field in fields(Step)}, **more)
 

@@ -44,7 +44,7 @@ from bilprov.conformance.cases.sweeps import (
     soak,
 )
 from bilprov.conformance.cases.tours import Tours
-from bilprov.conformance.cases.wheel_sweeps import wheel_sweeps
+from bilprov.conformance.cases.wheel_order import wheel_orders
 from bilprov.spec.protocol import Protocol
 
 AnyCase = Case | SequenceCase
@@ -239,11 +239,11 @@ def _of_soak(soaked: int) -> int:
 def single_cases(protocol: Protocol, name: str, seed: int) -> tuple[Case, ...]:
     """The cases of a level that are no sequences: they come first, and are soon made.
 
-    The sweeps of the wheels are the first of them: what they show holds for the cases after them.
+    The wheels' order comes first: a wrong one explains what the cases after it see.
     """
     level = LEVELS[name]
     singles = all_cases(protocol, seed, every_cut=level.singles == "all")
-    return tuple(_few(singles)) if level.singles == "few" else (*wheel_sweeps(protocol), *singles)
+    return tuple(_few(singles)) if level.singles == "few" else (*wheel_orders(protocol), *singles)
 
 
 def _few(singles: Sequence[Case]) -> Iterator[Case]:

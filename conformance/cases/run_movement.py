@@ -9,7 +9,6 @@ from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.opening import motion_first
 from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.cases.wheel_sweeps import WheelSweep
 from bilprov.spec.by_effect import frames_to, link_check, movers
 from bilprov.spec.movement import Movement, movement_of
 from bilprov.spec.protocol import Protocol
@@ -37,6 +36,4 @@ def _frames(protocol: Protocol, case: AnyCase) -> Iterator[bytes]:
         yield from (step.frame for step in (*case.setup, *case.steps))
         return
     yield from frames_to(protocol, case.setup)
-    if isinstance(case, WheelSweep):
-        yield from (frame for _, frame in case.settings)
     yield from case.sent

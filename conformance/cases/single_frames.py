@@ -22,7 +22,6 @@ from bilprov.conformance.cases.steps import (
     kind_of,
     one_of_each,
 )
-from bilprov.conformance.cases.wheel_sweeps import evenly
 from bilprov.spec.by_effect import after, fitted, movers, moving_motions, reached
 from bilprov.spec.codec import spaced
 from bilprov.spec.motion import Motion, State, rotates
@@ -196,3 +195,11 @@ def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
                 then=then,
                 after_then=after(spec, then, protocol.on_fault.apply(setup)),
             )
+
+
+def evenly(low: int, high: int, most: int) -> list[int]:
+    """At most so many integers (two or more) from `low` to `high`, both included, evenly spaced."""
+    count = min(most, high - low + 1)
+    if count == 1:
+        return [low]
+    return [low + (high - low) * step // (count - 1) for step in range(count)]

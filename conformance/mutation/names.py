@@ -90,7 +90,6 @@ def names(protocol: Protocol) -> dict[str, Any]:
         "unused": protocol.unused_ids,
         "longest": protocol.data_lengths[-1],
         "top": tops,
-        "half_speed": tops.get("speed", 0) // 2,
         "some": {name: tops.get(name, 0) // part for name, part in _SOME.items()},
         "timeout": int(timing.truncation_timeout),
         "late_answer": 1.2 * timing.answer_longest,
@@ -98,6 +97,8 @@ def names(protocol: Protocol) -> dict[str, Any]:
     }
     ends = {"last_motion": motions, "last_unused": protocol.unused_ids}
     found |= {name: values[-1] for name, values in ends.items() if values}
+    if "speed" in tops:
+        found |= {"half_speed": tops["speed"] // 2, "high_speed": tops["speed"] * 3 // 4}
     if protocol.instructions[-1].effect.assignments:
         found["last"] = _instruction(protocol, protocol.instructions[-1])
     return found

@@ -18,7 +18,6 @@ from bilprov.analyzer.client.operations import Received
 from bilprov.analyzer.foreign import from_toml
 from bilprov.captures.schemas import MS
 from bilprov.conformance.oracle.choices import Choices
-from bilprov.conformance.oracle.wheel_curve import WheelCurve
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
@@ -59,8 +58,8 @@ class Profile:
     `slowest` is the longest time to an answer, `delays` the three longest, `delays_by_frame` those
     of the last answers to each instruction that set a robot up, on a real line.
     `moves` are the kinds of motion in which it was seen moving, `facets` what of the state the
-    probe told each time, `wheels` the curves of its wheels' speeds, `preamble_speed` the speed at
-    which most faults are tried.
+    probe told each time, `graded` whether its wheels showed several speeds, `preamble_speed` the
+    speed at which most faults are tried.
     `round_trip` and `jitter` are the line's and the device's together, `pace` is how long an
     instruction that was sent ahead takes. `choices` are those that the
     device has shown where the document is silent.
@@ -85,7 +84,7 @@ class Profile:
     one_by_one: bool = False
     moves: set[Motion] | None = None
     facets: frozenset[str] = frozenset()
-    wheels: tuple[WheelCurve, ...] = ()
+    graded: bool = False
     preamble_speed: int | None = None
     choices: Choices = field(default_factory=Choices)
 
@@ -141,7 +140,6 @@ class Profile:
             facets=tuple(sorted(self.facets)),
             preamble_speed=self.preamble_speed,
             all_but_two_answers_ms=_ms(self.all_but_two),
-            wheels=self.wheels,
             readings={point: word for point, (word, _) in sorted(self.choices.shown.items())},
         )
 
@@ -173,7 +171,6 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     facets: tuple[str, ...] | None = None
     preamble_speed: int | None = None
     all_but_two_answers_ms: Milliseconds | None = None
-    wheels: tuple[WheelCurve, ...] | None = None
     readings: dict[str, str] | None = None
 
     def toml(self, protocol: Protocol) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from bilprov.analyzer.client.operations import Ended, Procedure
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.wheel_order import OrderCase
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.homing import home_after
 from bilprov.conformance.runner.run import Run
@@ -16,6 +17,7 @@ from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.single_frame import run_single_frame
 from bilprov.conformance.runner.trial import Homed, Trial
 from bilprov.conformance.runner.waiting import GaveUp
+from bilprov.conformance.runner.wheel_order import run_wheel_order
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,8 @@ def attempt(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     try:
         if isinstance(case, SequenceCase):
             mismatch = yield from run_sequence(trial, case)
+        elif isinstance(case, OrderCase):
+            yield from run_wheel_order(trial, case)
         else:
             yield from run_single_frame(trial, case)
     except Ended as ended:

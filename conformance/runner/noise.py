@@ -52,7 +52,7 @@ def case_bytes(case: Case | SequenceCase) -> int:
     """Bytes on the line in one try, answers included; an estimate for a single-frame case."""
     if isinstance(case, SequenceCase):
         return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
-    return _SINGLE + len(case.frame)
+    return _SINGLE + sum(map(len, case.sent))
 
 
 def burst_bytes(case: Case | SequenceCase, tried: Attempt) -> int:

@@ -16,7 +16,6 @@ from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.cases.wheel_sweeps import WheelSweep
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
@@ -25,7 +24,6 @@ from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.slow_preambles import was_too_slow
 from bilprov.conformance.runner.waiting import GaveUp
-from bilprov.conformance.runner.wheel_sweep import sweep_wheels
 from bilprov.spec.codec import spaced
 
 _TRIES, _TWICE = 3, 2
@@ -55,8 +53,6 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     if isinstance(case, SequenceCase) and (missing := set(case.facets) - run.profile.facets):
         why = f"no probe reports the robot's {' and '.join(sorted(missing))}"
         return Attempt(result_of(case, {"answer": Axis(Verdict.SKIPPED, "", "not run", why)}))
-    if isinstance(case, WheelSweep):
-        return Attempt((yield from sweep_wheels(run, case)))
     first = yield from attempt(run, case)
     if first.stopped or not first.failed:
         return first

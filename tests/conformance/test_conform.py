@@ -33,7 +33,6 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target, open_target, target_named
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import CaseResult
-from bilprov.conformance.oracle.wheel_curve import WheelCurve
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -119,7 +118,6 @@ class ProfileForm(msgspec.Struct, forbid_unknown_fields=True):
     facets: list[str]
     preamble_speed: int | None
     all_but_two_answers_ms: float | None
-    wheels: list[WheelCurve]
     readings: dict[str, str]
 
 
@@ -263,7 +261,7 @@ def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None
     assert all(ident.startswith("reading/") for ident in ids[len(OPENING) :][:READING_CASES])
     assert {"valid/Speed/255", "unused-id/9/0", "bad-data/LED/8"} <= set(ids)
     assert {sequence.id for sequence in sequences} <= set(ids)
-    singles = sum(FRAME_COUNTS.values()) - 1920 + 20 + 20 + 3  # few cuts, sweeps of the wheels
+    singles = sum(FRAME_COUNTS.values()) - 1920 + 20 + 20 + 2  # few cuts, the wheels' order
     assert len(ids) == len(set(ids)) == len(OPENING) + READING_CASES + singles + len(sequences)
 
 

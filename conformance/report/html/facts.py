@@ -76,7 +76,7 @@ def profile(reports: Sequence[Report], told: Sequence[str]) -> Safe:
         if any(told_of):
             lines[name] = [_value(value) for value in told_of]
     for key in figures[0]:
-        if key not in ("readings", "wheels"):
+        if key != "readings":
             lines[_words(key)] = [_value(told_of[key]) for told_of in figures]
     return joined([_table(lines, told), _readings(reports, told)])
 

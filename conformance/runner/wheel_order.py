@@ -1,0 +1,103 @@
+"""Executes a case on the wheels' order: sets each value in motion and looks until it has settled.
+
+It is skipped where the probe does not tell graded speeds.
+"""
+
+from __future__ import annotations
+
+from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
+from bilprov.captures.schemas import MS, Look
+from bilprov.conformance.cases.wheel_order import OrderCase
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.wheel_order import READING, Speeds, WheelOrder, sizes, tolerance
+from bilprov.conformance.oracle.wording import answer_words
+from bilprov.conformance.runner.homing import set_up, watch
+from bilprov.conformance.runner.trial import Trial
+from bilprov.spec.codec import judge
+
+_LOOKS = 3  # at each setting
+_PAUSE = 2 * MS  # between looks that differ
+_PATIENCE = 100 * MS  # for a setting to settle
+
+
+def run_wheel_order(trial: Trial, case: OrderCase) -> Procedure[None]:
+    """Execute the case on a homed line."""
+    run, expected = trial.run, f"each of {len(case.settings)} settings taken"
+    why = "" if run.config.observable else f"not observable ({run.config.observability.why})"
+    why = why or (yield from _unseen(trial, case))
+    trial.begin(case, {"answer": Axis(Verdict.PASS, expected, expected)}, Received((), 0), 0)
+    looks: dict[int, list[Speeds]] = {}
+    for value, frame in () if why else case.settings:
+        wrong = yield from _refusal(trial, case, frame)
+        if wrong:
+            reason = f"{case.variable} {value} was answered {wrong}"
+            trial.worsen("answer", Verdict.FAIL, wrong, reason)
+            return
+        looks[value] = yield from _settled(trial, looks)
+        why = why or ("" if looks[value] else "the probe reports no wheel speeds")
+    seen = sizes(looks)
+    run.profile.graded = run.profile.graded or len(seen) > 1
+    if not (why or run.profile.graded):
+        why = "the wheels show a single speed: the probe reports no graded speeds"
+    if why:
+        trial.axes = {"answer": Axis(Verdict.SKIPPED, case.requirement, "not run", why)}
+        return
+    order = WheelOrder(case.variable, case.setup.motion, looks)
+    verdict, reason = order.verdict()
+    reading = READING if reason else ""
+    trial.axes["state"] = Axis(verdict, case.requirement, order.words, reason, reading)
+
+
+def _unseen(trial: Trial, case: OrderCase) -> Procedure[str]:
+    """Set the robot in motion; returns why its wheels cannot be judged, "" if they can."""
+    run = trial.run
+    yield from set_up(run, case.setup)
+    seen = yield from watch(run, moving=True, patience=run.timers.deadline, trial=trial)
+    if _speeds(seen.look) is None:
+        return "the probe reports no wheel speeds"
+    moves = seen.look.moving or case.setup.motion in (run.profile.moves or ())
+    return "" if moves else "never seen moving in this motion"
+
+
+def _refusal(trial: Trial, case: OrderCase, frame: bytes) -> Procedure[str]:
+    """Send a setting; returns "" if it was taken, else the answers that came, in words.
+
+    Where a speed counts from the next motion on, or the robot stops by itself, the motion is sent
+    after the speed, or before a steering that it might reset.
+    """
+    run, choices = trial.run, trial.run.profile.choices
+    again = choices.differs("R-speed-moving") or run.profile.watchdog is not None
+    mover = (case.mover,) if again else ()
+    for data in (*mover, frame) if case.variable == "steering" else (frame, *mover):
+        yield from send(run.wire(data))
+        heard = yield from run.waiting.answers(1)
+        trial.hear(heard)
+        if heard.codes != (judge(run.protocol, data).response.code,):
+            return answer_words(run.protocol, heard.codes)
+    return ""
+
+
+def _settled(trial: Trial, before: dict[int, list[Speeds]]) -> Procedure[list[Speeds]]:
+    """Looks that agree, or the last when the time is up; none where the probe shows no speeds."""
+    waited, looks = 0, (yield from _looks())
+    while looks and waited < _PATIENCE:
+        full = max(sizes({**before, -1: looks}), default=0)
+        spread = max(max(wheel) - min(wheel) for wheel in zip(*looks, strict=True))
+        if spread <= tolerance(full):
+            break
+        trial.hear((yield from listen(None, _PAUSE)))
+        waited += _PAUSE
+        looks = yield from _looks()
+    return looks
+
+
+def _looks() -> Procedure[list[Speeds]]:
+    looks = []
+    for _ in range(_LOOKS):
+        looks.append(_speeds((yield from observe()).look))
+    return [speeds for speeds in looks if speeds] if all(looks) else []
+
+
+def _speeds(look: Look) -> Speeds | None:
+    """The wheels' speeds, None where the probe does not tell both."""
+    return None if look.left is None or look.right is None else (look.left, look.right)
