@@ -6,21 +6,15 @@ A probe, where there is one, looks at the robot after each of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
 from typing import Literal
 
 import click
 
-from bilprov.analyzer.cli.options import (
-    confirm_motion,
-    note,
-    note_hindrances,
-    note_suspension,
-)
+from bilprov.analyzer.cli.options import note, note_each
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
-from bilprov.analyzer.client.probes import open_probe
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.outputs import stream_output, write_out
@@ -41,6 +35,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.shell.looks import asked, look_text
+from bilprov.conformance.cli.shell.session import agreed
 from bilprov.spec.movement import movement_of, movement_words
 from bilprov.spec.protocol import Protocol
 
@@ -84,67 +79,59 @@ def send_items(
             )
     output, run, check = stream_output(style), ReplayRun(), AnswerCheck()
     pauses = [what for what in steps if isinstance(what, float)]  # those that are to come
-    first = _opened(port, settings, wait=wait)
-    if first is None:
+    opened = _opened(port, settings, wait=wait)
+    if opened is None:
         note("stopped before the port appeared: nothing was sent")
         return 1
-    with ExitStack() as stack:
-        opened = stack.enter_context(first)
-        eye = None if probe is None else open_probe(probe, opened)
-        if eye is not None:
-            stack.callback(eye.close)
-        note_hindrances(port)
-        words = movement_words(protocol, movement_of(protocol, frames))
-        confirm_motion(protocol, f"the robot at {port} will do what is sent: {words}", yes=yes)
-        with Stopper() as stopper:
+    words = f"what is sent: {movement_words(protocol, movement_of(protocol, frames))}"
+    with agreed(protocol, port, opened, probe, words, yes=yes) as (eye, stopper):
 
-            def heard(record: Record) -> None:
-                if check.flooded:
-                    return
-                check.record(record)
-                run.record(record)
-                output.records([record])
-                if check.flooded:
-                    stopper.stop()
+        def heard(record: Record) -> None:
+            if check.flooded:
+                return
+            check.record(record)
+            run.record(record)
+            output.records([record])
+            if check.flooded:
+                stopper.stop()
 
-            def done(what: bytes | float) -> None:
-                if isinstance(what, float):
-                    target.wait(what)
-                    if not stopper.stopped:
-                        pauses.remove(what)
-                    return
-                target.send(what)
-                if not together:
-                    target.settle()
+        def done(what: bytes | float) -> None:
+            if isinstance(what, float):
+                target.wait(what)
+                if not stopper.stopped:
+                    pauses.remove(what)
+                return
+            target.send(what)
+            if not together:
+                target.settle()
 
-            def look() -> None:
-                """After the last answer that is waited for, as long as the robot is let be."""
-                if together:
-                    target.settle()
-                if eye is None or target.ended:
-                    return
-                seen = asked(eye, target.pump, stopper, target.now)
-                if seen is not None:
-                    write_out(look_text(seen, style))
+        def look() -> None:
+            """After the last answer that is waited for, as long as the robot is let be."""
+            if together:
+                target.settle()
+            if eye is None or target.ended:
+                return
+            seen = asked(eye, target.pump, stopper, target.now)
+            if seen is not None:
+                write_out(look_text(seen, style))
 
-            place, gaps = Place(port), list[str]()
-            with Target(protocol, opened, timeout, stopper, heard, max_drive) as target:
-                target.begin()
-                actions: list[Callable[[], object]] = []
-                for what in steps:
-                    actions += [partial(done, what)] + [look] * (not together)
-                actions += [look] * together
-                # With --wait it is homed while a port that is lost can still be waited for.
-                for action in (*actions, target.finish, *([target.home] * wait)):
-                    if stopper.stopped or target.driven_out:
-                        break
-                    try:
-                        action()
-                    except LinkError as lost:
-                        if not wait:
-                            raise
-                        gaps.append(_resumed(target, place, settings, stopper, lost))
-            note_suspension(stopper)
+        place, gaps = Place(port), list[str]()
+        with Target(protocol, opened, timeout, stopper, heard, max_drive) as target:
+            target.begin()
+            actions: list[Callable[[], object]] = []
+            for what in steps:
+                actions += [partial(done, what)] + [look] * (not together)
+            actions += [look] * together
+            # With --wait it is homed while a port that is lost can still be waited for.
+            for action in (*actions, target.finish, *([target.home] * wait)):
+                if stopper.stopped or target.driven_out:
+                    break
+                try:
+                    action()
+                except LinkError as lost:
+                    if not wait:
+                        raise
+                    gaps.append(_resumed(target, place, settings, stopper, lost))
     told = [*gaps, target.driven_out_words]
     told.append(FLOOD_WORDS if check.flooded else check.unasked_words)
     if expectations:
@@ -157,10 +144,8 @@ def send_items(
         told.append("stopped before the end of the last pause")
     if not target.answered_stops:
         told.append(UNANSWERED_STOPS)
-    sentences = [sentence for sentence in told if sentence]
-    for sentence in sentences:
-        note(sentence)
-    return 1 if sentences else 0
+    note_each(told)
+    return 1 if any(told) else 0
 
 
 def _opened(port: str, settings: LineSettings, *, wait: bool) -> Port | None:

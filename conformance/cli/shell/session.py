@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Literal
 
-from bilprov.analyzer.cli.options import confirm_motion, note, note_hindrances, note_suspension
-from bilprov.analyzer.client.probes import PROBES, open_probe
+from bilprov.analyzer.cli.options import (
+    confirm_motion,
+    note_each,
+    note_hindrances,
+    note_suspension,
+)
+from bilprov.analyzer.client.probes import PROBES, Probe, open_probe
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
@@ -34,36 +41,50 @@ def drive(
     The values are those of the options of `bilprov send`; `timeout` (ns) is the longest pause
     inside a frame. Raises LinkError and ProbeError.
     """
-    with ExitStack() as stack:
-        opened = stack.enter_context(open_port(port, settings))
-        eye = open_probe(PROBES[-1].name if probe is None else probe, opened)
-        if eye is not None:
-            stack.callback(eye.close)
-        note_hindrances(port)
-        words = movement_words(protocol, all_movement(protocol))
-        confirm_motion(protocol, f"the robot at {port} will do what is typed: {words}", yes=yes)
-        stopper = stack.enter_context(Stopper())
-        driving = Driving(protocol, opened, timeout, stopper, style, eye, max_drive)
-        with driving:
-            driving.begin()
-            interactive = _on_terminal()
-            if interactive:
-                from bilprov.conformance.cli.shell.prompt import Prompt
+    words = f"what is typed: {movement_words(protocol, all_movement(protocol))}"
+    opened = open_port(port, settings)
+    with (
+        agreed(protocol, port, opened, probe, words, yes=yes) as (eye, stopper),
+        Driving(protocol, opened, timeout, stopper, style, eye, max_drive) as driving,
+    ):
+        driving.begin()
+        interactive = _on_terminal()
+        if interactive:
+            from bilprov.conformance.cli.shell.prompt import Prompt
 
-                Prompt(protocol, driving, stopper).run()
-            else:
-                from bilprov.conformance.cli.shell.piped import do_lines
+            Prompt(protocol, driving, stopper).run()
+        else:
+            from bilprov.conformance.cli.shell.piped import do_lines
 
-                done = do_lines(driving, stopper)
-                driving.target.finish()
-            note_suspension(stopper)
+            done = do_lines(driving, stopper)
+            driving.target.finish()
     told = [] if driving.target.answered_stops else [UNANSWERED_STOPS]
     if not interactive:
         check = driving.check
         told += filter(None, (check.unasked_words, check.wrong_words, check.missing_words))
-    for sentence in told:
-        note(sentence)
+    note_each(told)
     return 1 if told or not (interactive or done) else 0
+
+
+@contextmanager
+def agreed(
+    protocol: Protocol, name: str, port: Port, probe: str | None, what: str, *, yes: bool
+) -> Iterator[tuple[Probe | None, Stopper]]:
+    """Open the probe of the robot at a port and ask once whether the robot may move.
+
+    `what` it will do is in words. Gives the probe, None for none, and the stopper that handles
+    signals until the end of the block, which closes all. Raises ProbeError.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(port)
+        eye = open_probe(probe or PROBES[-1].name, port)
+        if eye is not None:
+            stack.callback(eye.close)
+        note_hindrances(name)
+        confirm_motion(protocol, f"the robot at {name} will do {what}", yes=yes)
+        stopper = stack.enter_context(Stopper())
+        yield eye, stopper
+        note_suspension(stopper)
 
 
 def _on_terminal() -> bool:

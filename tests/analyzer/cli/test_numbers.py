@@ -25,7 +25,7 @@ OPTIONS = [option for name in COMMANDS for option in _fractions(name)]
 
 def test_the_walk_meets_the_options() -> None:
     met = {(name, option) for name, option, _ in OPTIONS}
-    assert {("conform", "--budget"), ("capture cut", "--start"), ("sniff", "--duration")} <= met
+    assert {("conform", "--deadline"), ("capture cut", "--start"), ("sniff", "--duration")} <= met
 
 
 @pytest.mark.parametrize(("name", "option", "finite"), OPTIONS)
