@@ -2,17 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import comb
+from typing import NamedTuple
 
+from bilprov.analyzer.client.operations import Procedure
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.attempt import Attempt
 from bilprov.conformance.runner.run import Run
 
 _SPOILT, _UNLIKELY = 1e-3, 1e-4  # share of bytes that noise may spoil; what is no chance
 _FRAME = 3  # bytes on the line for a frame, its answer included, at least
+_TRIES, _MOST = 3, 12  # tries of what failed once, fewest and most
 _ENOUGH = 20  # failures: more make nothing surer
 _SINGLE = 20  # bytes of a single-frame case's preamble and recovery
+
+
+class Confirmed(NamedTuple):
+    """What the tries after a failure showed: of so many it failed again in `failed`.
+
+    It is `sure` where noise does not explain that.
+    """
+
+    sure: bool
+    tries: int
+    failed: int
+
+    def judged(self, run: Run, axis: Axis) -> Axis:
+        """The axis, flaky if it failed and that is not sure; on a lossless line it stays failed."""
+        if self.sure or axis.verdict is not Verdict.FAIL:
+            return axis
+        return run.config.not_reproduced(axis, self.tries, self.failed)
+
+
+def confirm(run: Run, size: int, fails: Callable[[], Procedure[bool]]) -> Procedure[Confirmed]:
+    """Repeat a trial of `size` bytes that failed, until noise does not explain its failures.
+
+    It is given up where most of the tries do not fail.
+    """
+    tries = failed = 0
+    while tries < _MOST and (tries < _TRIES or 2 * failed > tries):
+        failed += yield from fails()
+        tries += 1
+        if failed > 1 and is_no_chance(run, size, failed, tries):
+            return Confirmed(True, tries, failed)
+    return Confirmed(False, tries, failed)
 
 
 def is_no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:

@@ -6,8 +6,6 @@ The first frame is a setting and no Stop, which would hide a robot that moves at
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from bilprov.analyzer.client.homing import stops
 from bilprov.analyzer.client.operations import (
     Procedure,
@@ -25,6 +23,7 @@ from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, look_words
+from bilprov.conformance.runner.noise import case_bytes, confirm
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.codec import spaced
 from bilprov.spec.motion import State
@@ -32,7 +31,7 @@ from bilprov.spec.readings import FLUSH_POINTS
 
 _STOPPED = "stopped"
 _CALIBRATION = 20
-_TRIES = 3  # retries of a check that failed once
+_TRIES = 3  # bursts of stops sent ahead
 _CHATTER = 2  # most answers to the first instruction: more are a banner
 _FIRST_ANSWERS = 40  # of a real device: where none of them is a code, something else answers
 _SHOWN = 8  # of these, in the sentence that says so
@@ -159,8 +158,7 @@ def _again(run: Run, case: Case, first: Axis, *, fresh: bool) -> Procedure[Axis]
         heard, sent = yield from _exchange(run, case, 0)
         return _judged(run, case, heard, sent).verdict is Verdict.FAIL
 
-    again = yield from _reproduced(fails)
-    return first if again else run.config.not_reproduced(first, _TRIES)
+    return (yield from confirm(run, case_bytes(case), fails)).judged(run, first)
 
 
 def _still_again(run: Run, case: Case, first: Axis) -> Procedure[Axis]:
@@ -170,16 +168,7 @@ def _still_again(run: Run, case: Case, first: Axis) -> Procedure[Axis]:
         yield from _exchange(run, case, 0)
         return (yield from _still(run, case.expected, "")).verdict is Verdict.FAIL
 
-    again = yield from _reproduced(fails)
-    return first if again else run.config.not_reproduced(first, _TRIES)
-
-
-def _reproduced(fails: Callable[[], Procedure[bool]]) -> Procedure[bool]:
-    """Whether a failed check fails in two more of three tries; else it is flaky."""
-    hits = 0
-    for _ in range(_TRIES):
-        hits += yield from fails()
-    return hits > 1
+    return (yield from confirm(run, case_bytes(case), fails)).judged(run, first)
 
 
 def _judged(run: Run, case: Case, heard: Received, sent: int) -> Axis:
@@ -236,9 +225,8 @@ def _second_power_on(run: Run) -> Procedure[None]:
             again, _, _ = yield from _from_power_on(run, case)
             return any(again[name].verdict is Verdict.FAIL for name in failing)
 
-        if not (yield from _reproduced(fails)):
-            unsure = run.config.not_reproduced
-            axes |= {name: unsure(axes[name], _TRIES) for name in failing}
+        again = yield from confirm(run, case_bytes(case), fails)
+        axes = {name: again.judged(run, axis) for name, axis in axes.items()}
     run.conclude(case, axes, heard.answers, sent)
 
 

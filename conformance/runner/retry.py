@@ -19,7 +19,13 @@ from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
-from bilprov.conformance.runner.noise import burst_bytes, case_bytes, is_no_lie, is_no_noise
+from bilprov.conformance.runner.noise import (
+    Confirmed,
+    burst_bytes,
+    case_bytes,
+    is_no_lie,
+    is_no_noise,
+)
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.slow_preambles import was_too_slow
@@ -75,13 +81,13 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     known = _named(run, case, first) if run.config.lossless else first.result
     confirmed = False
     try:
-        same_place, tries, more = yield from _again(run, case, first)
-        if not same_place and run.config.lossless:
+        again = yield from _again(run, case, first)
+        if not again.sure and run.config.lossless:
             run.counters.reproduced += 1
-            return Attempt(_not_reproduced(run, known, tries, more))
-        if not same_place and not _cannot_be_noise(run, first):
+            return Attempt(_not_reproduced(run, known, again))
+        if not again.sure and not _cannot_be_noise(run, first):
             run.counters.flaky += 1
-            return Attempt(_not_reproduced(run, first.result, tries))
+            return Attempt(_not_reproduced(run, first.result, again))
         run.counters.reproduced += 1
         known, confirmed = _named(run, case, first), True
         if isinstance(case, SequenceCase) and first.mismatch:
@@ -124,8 +130,8 @@ def _shortened(
     return short if case.setup else replace(short, setup=())
 
 
-def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tuple[bool, int, int]]:
-    """Attempt a failed case again: whether it is reproduced, in how many tries, of which failed."""
+def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[Confirmed]:
+    """Attempt a failed case again, until it is sure that it is no noise, or not."""
     same_place = same_kind = tries = more = 0
     size = case_bytes(case)
     # On a line that was flaky before, the same failure in another place may be noise again.
@@ -147,13 +153,13 @@ def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[tup
             and same_place >= _TWICE
             and is_no_noise(run, first, burst_bytes(case, first), same_place, tries)
         ):
-            return True, tries, more
+            return Confirmed(True, tries, more)
         # Noise hits a long sequence more often than a short one, and in any place.
         if not seldom and same_kind >= needed and is_no_noise(run, first, size, same_kind, tries):
-            return True, tries, more
+            return Confirmed(True, tries, more)
         if tries >= _TRIES and same_kind + (most - tries) < needed:
             break
-    return False, tries, more
+    return Confirmed(False, tries, more)
 
 
 def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
@@ -234,13 +240,8 @@ def _unconfirmed(result: CaseResult, why: str) -> CaseResult:
     return msgspec.structs.replace(result, axes=axes, verdict=verdict)
 
 
-def _not_reproduced(run: Run, result: CaseResult, tries: int, again: int = 0) -> CaseResult:
+def _not_reproduced(run: Run, result: CaseResult, again: Confirmed) -> CaseResult:
     """The result of a failure that was not reproduced: inconclusive unless the line is lossless."""
-    axes = {
-        name: run.config.not_reproduced(axis, tries, again)
-        if axis.verdict is Verdict.FAIL
-        else axis
-        for name, axis in result.axes.items()
-    }
+    axes = {name: again.judged(run, axis) for name, axis in result.axes.items()}
     verdict = worst(axis.verdict for axis in axes.values())
     return msgspec.structs.replace(result, verdict=verdict, axes=axes)

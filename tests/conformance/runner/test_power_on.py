@@ -214,7 +214,7 @@ def test_a_code_that_comes_after_the_first_answers_does_not_count(protocol: Prot
 def test_a_device_object_is_judged_whatever_it_answers(protocol: Protocol) -> None:
     report = conform(Other(protocol, b"0"), grammar=protocol, options=FEW)
 
-    assert (report.exit, report.unusable) == (1, "")
+    assert (report.exit, report.unusable) == (1, None)
 
 
 class Notes(RunListener):
