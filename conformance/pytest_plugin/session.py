@@ -227,9 +227,6 @@ def _fault(protocol: Protocol, target: str, name: str | None) -> Fault | None:
         return None
     if target != SIM:
         raise ValueError("--robot-fault is for --robot-port sim")
-    from bilprov.conformance.mutation.faults import fault_bank
+    from bilprov.conformance.mutation.catalogue import find_fault
 
-    bank = fault_bank(protocol)
-    if name not in bank:
-        raise ValueError(f"there is no fault {name!r}; bilprov simulate --list-faults lists them")
-    return bank[name]
+    return find_fault(protocol, name)
