@@ -253,7 +253,7 @@ def test_files_that_are_named_leave_the_cases_out(run: pytest.Pytester) -> None:
 def test_the_first_failure_ends_the_run(run: pytest.Pytester) -> None:
     result = on_sim(run, "-x", "--robot-fault", "led-order-reversed")
 
-    result.assert_outcomes(passed=5 + 3 + PROBES, failed=1)
+    result.assert_outcomes(passed=5 + 2 + PROBES, failed=1)
     result.stdout.fnmatch_lines(["*stopping after 1 failures*"])
 
 
