@@ -216,6 +216,9 @@ def _changes(bags: Iterable[Bag]) -> Iterator[tuple[str, Callable[[int], int]]]:
     for most, _ in Counter(abs(s) for _, s in numbers).most_common(2):
         yield f"is {most} at most", lambda v, n=most: max(-n, min(v, n))  # type: ignore[misc]
     yield "has the other sign", lambda v: -v
+    for bits in (8, 16):
+        half = 1 << bits - 1
+        yield f"is that of a signed number of {bits} bits", lambda v, h=half: (v + h) % (2 * h) - h  # type: ignore[misc]
     for offset, _ in Counter(s - v for v, s in numbers).most_common(3):
         yield f"is off by {offset:+d}", lambda v, k=offset: v + k  # type: ignore[misc]
     for total, _ in Counter(s + v for v, s in numbers).most_common(2):

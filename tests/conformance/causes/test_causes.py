@@ -106,6 +106,18 @@ def test_causes_follow_the_grammar(horn: Protocol) -> None:
     assert cause.send == ("91 03",)
 
 
+def test_a_setting_kept_in_a_signed_byte_is_named_as_that(protocol: Protocol) -> None:
+    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+        kept = (reaction.state.steering + 128) % 256 - 128
+        return replace(reaction, state=replace(reaction.state, steering=kept))
+
+    report = report_of(protocol, replace(fault_bank(protocol)["always-0"], react=react))
+    [cause] = report.causes
+    assert cause.sentence.startswith("steering is that of a signed number of 8 bits")
+    assert len(cause.cases) == report.counts["fail"] > 10
+    assert cause.send == ("41 ff",)
+
+
 class Recorded:
     """The trace of a run against a faulty device, and the causes found in it."""
 
