@@ -17,7 +17,7 @@ from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.causes.wording import condition, deviations
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import Cause, Verdict, WireEvent
-from bilprov.conformance.runner.homing import home
+from bilprov.conformance.runner.homing import home_after
 from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.waiting import GaveUp
@@ -79,7 +79,7 @@ class Explainer:
         The device was just switched on where that can be done; it is always homed first.
         """
         begun = self._trace.now
-        for explanation in self._explained_once()[:_TRIED]:
+        for explanation in [] if self._run.gave_up else self._explained_once()[:_TRIED]:
             for line in explanation.lines:
                 if self._trace.now - begun > _WHILE:
                     return
@@ -108,17 +108,23 @@ class Explainer:
         if run.config.power:
             yield from power_cycle()
             yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
-        yield from followed(home(run), trace)
+        yield from followed(self._home(), trace)
         trace.begin("")
         sent = shown_by(line, self.timing, found.watched, looks=run.config.observable)
         log.begin("")
         yield from followed(sent, trace, log)
-        yield from home(run)
+        yield from self._home()
         exchanges = Exchanges(run.model, trace.events, self.timing)
         shown = bool(exchanges.all) and shows(found, exchanges)
         if shown:
             explanation.lines, explanation.log = [line], log.of("")
         return shown
+
+    def _home(self) -> Procedure[None]:
+        """Home the device; what it sends late is no result of the run any more."""
+        homed = yield from home_after(self._run, None)
+        if homed.stopped:
+            raise homed.stopped
 
     def causes(self) -> tuple[Cause, ...]:
         """Return the causes of the run's failures, those that keep the device moving first."""

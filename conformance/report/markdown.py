@@ -100,7 +100,7 @@ def _report(report: Report) -> Iterator[str]:
 def _causes(report: Report) -> Iterator[str]:
     """The causes of what failed, the worst first, each with the line that shows it."""
     if report.causes:
-        yield "### What to mend"
+        yield "### Causes"
     for number, cause in enumerate(report.causes[:_FIRST], 1):
         yield f"{number}. {prose(cause.sentence)}, {prose(cause.clause)}"
         yield _block(report.send_line(cause))

@@ -20,7 +20,7 @@ def causes(reports: Sequence[Report], told: Sequence[str], protocol: Protocol) -
         if not report.causes:
             continue
         words = WireWords(protocol, report)
-        title = "What to mend" if len(reports) == 1 else f"What to mend: {name}"
+        title = "Causes" if len(reports) == 1 else f"Causes: {name}"
         left = report.unexplained
         yield tag(
             "section",

@@ -23,6 +23,7 @@ from bilprov.conformance.cases.selection import reaches
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.cases.sweeps import soak
+from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge
 from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol, load
@@ -288,7 +289,7 @@ def require_agreement(protocol: Protocol, step: Step) -> None:
     assert len({other.codes for other in step.accepted}) == len(step.accepted), step
     assert step.reading in ("", *READING_IDS)
     for other in step.accepted[1:]:
-        assert other.verdict > 0
+        assert other.verdict > Verdict.PASS
         assert other.word, step
         assert other.reading in READING_IDS
         assert step.point.split(" ")[0] == step.reading, step

@@ -7,7 +7,7 @@ import pytest
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.pairs import _hooks, pairs
+from bilprov.conformance.mutation.pairs import hooks_of, pairs
 from bilprov.conformance.mutation.variants import variants
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
@@ -27,7 +27,7 @@ def test_almost_all_variants_are_in_pairs_and_none_that_needs_an_option() -> Non
 def test_a_pair_has_every_behaviour_of_both_parts(protocol: Protocol) -> None:
     for name, both in pairs(protocol).items():
         for part in (variants(protocol)[one].fault for one in name.split(" and ")):
-            assert _hooks(part).items() <= _hooks(both).items(), name
+            assert hooks_of(part).items() <= hooks_of(both).items(), name
             assert both.react or not part.react, name
 
 

@@ -33,7 +33,7 @@ def test_the_page_begins_with_what_to_mend_and_ends_with_the_facts(
     places = [
         page.index(part)
         for part in (
-            "What to mend",
+            "Causes",
             cause.sentence,
             "Matrix by clause",
             ">Coverage</h2>",
@@ -47,7 +47,7 @@ def test_the_page_begins_with_what_to_mend_and_ends_with_the_facts(
 
 def test_markdown_names_the_cause_before_the_table(report: Report, protocol: Protocol) -> None:
     text = as_markdown([report], protocol)
-    assert text.index("What to mend") < text.index(LINE) < text.index("| cases |")
+    assert text.index("Causes") < text.index(LINE) < text.index("| cases |")
 
 
 def test_the_first_suite_of_junit_has_the_causes_and_counts_nothing(
