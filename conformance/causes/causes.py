@@ -11,6 +11,8 @@ from bilprov.conformance.causes.learner import one_rule, rules
 from bilprov.conformance.causes.relations import Effect, Relation, relations
 from bilprov.conformance.causes.rules import Rule, matches
 
+_EFFECTS, _RULES = 12, 4
+"""Different deviations that are explained, those seen most, and rules for each of them, at most."""
 _LITERALS = 4
 """Conditions of one rule for everything that went wrong; with more it describes two causes."""
 _FEW, _FEW_SHARE = 4, 0.15
@@ -65,7 +67,7 @@ def find_causes(
     effects = _effects([bag for bag in bags if bag.exchanges[0].case in failed], clean)
     effects.sort(key=lambda effect: -len(effect.bags))
     causes: list[Cause] = []
-    for effect in effects:
+    for effect in effects[:_EFFECTS]:
         if not any(_joined(features, cause, effect) for cause in causes):
             causes += _causes(features, effect)
     return _without_leftovers(causes)
@@ -177,7 +179,9 @@ def _causes(features: Sequence[Feature], effect: Effect) -> list[Cause]:
         if rule is not None:
             return [Cause(rule, [likely])]
     causes, left = [], list(effect.bags)
-    for rule in rules([f for f in features if f.cost <= TIERS[-2]], effect.groups, effect.against):
+    for rule in rules(
+        [f for f in features if f.cost <= TIERS[-2]], effect.groups, effect.against, _RULES
+    ):
         whole = Effect(effect.relation, left, effect.against)
         taken = [
             bag

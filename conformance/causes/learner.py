@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -245,13 +244,6 @@ def _literals(column: Column, single: Mask) -> list[Literal]:
     return found
 
 
-class Explained(NamedTuple):
-    """A rule and which of the bags it takes in."""
-
-    rule: Rule
-    bags: frozenset[int]
-
-
 def one_rule(
     features: Sequence[Feature],
     bags: Sequence[Sequence[Exchange]],
@@ -268,7 +260,7 @@ def rules(
     features: Sequence[Feature],
     bags: Sequence[Sequence[Exchange]],
     right: Sequence[Exchange],
-    most: int = 8,
+    most: int,
 ) -> list[Rule]:
     """Return rules that together take in as many bags as they can, the widest first."""
     learner = _Learner(features, bags, right)
