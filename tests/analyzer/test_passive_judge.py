@@ -319,7 +319,15 @@ def test_no_legal_variant_is_accused(name: str, protocol: Protocol) -> None:
 
 BANK = fault_bank(DOCUMENT)
 # What shows only against a predicted state, not as an answer or as a stop that is missing.
-STATE_ONLY = ("-does-nothing", "-swapped", "led-", "speed-", "fault-changes", "never-moves")
+STATE_ONLY = (
+    "-does-nothing",
+    "no-faster-",
+    "-swapped",
+    "led-",
+    "speed-",
+    "fault-changes",
+    "never-moves",
+)
 OTHERS = ("stays-dead-after-fault", "moves-at-power-on", "bad-data-shown", "steering-starts-it")
 
 

@@ -137,6 +137,7 @@ class CauseForm(msgspec.Struct, forbid_unknown_fields=True):
     others: int
     send: list[str]
     tried: bool
+    log: list[EntryForm]
 
 
 class ReportForm(msgspec.Struct, forbid_unknown_fields=True):

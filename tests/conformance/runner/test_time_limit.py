@@ -89,7 +89,7 @@ def test_a_run_over_a_probe_that_became_slow_ends_in_order(protocol: Protocol) -
 def test_without_an_announcement_a_run_goes_to_its_end(protocol: Protocol) -> None:
     report = Robot(protocol, look=200 * MS, announced=None).judged()
 
-    assert (report.exit, report.ended) == (0, "")
+    assert (report.exit, report.ended) == (0, None)
 
 
 @pytest.mark.slow
@@ -109,7 +109,7 @@ def test_slow_answers_are_announced_anew_and_then_no_surprise(protocol: Protocol
     report = robot.judged()
 
     assert robot.link.now > 65 * SECOND
-    assert (report.exit, report.ended) == (0, "")
+    assert (report.exit, report.ended) == (0, None)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_answers_that_are_slower_than_was_thought_are_counted_though_not_told(
         patch.setattr("bilprov.conformance.runner.run.TimeLimit", Noting)
         report = robot.judged()
 
-    assert (report.exit, report.ended) == (0, "")
+    assert (report.exit, report.ended) == (0, None)
     assert len(told) == 1
     # It takes the waits for the wheels too, which nobody measures before.
     assert 0.5 < robot.link.now / 1e9 / told[0] < 2
