@@ -302,7 +302,13 @@ def test_only_the_first_violations_are_listed_and_all_are_counted(protocol: Prot
 
 # Losing, or cutting, what is sent ahead shifts the answers that follow; the suite's own probes send
 # ahead, and a banner comes again when it switches the robot off. See the README's limits.
-SHIFTING = ("R-drain", "R-pipelining=lost", "R-truncation-timeout=whole", "R-unsolicited=banner")
+SHIFTING = (
+    "R-drain",
+    "R-pipelining=lost",
+    "R-pipelining=flushed",
+    "R-truncation-timeout=whole",
+    "R-unsolicited=banner",
+)
 
 
 @pytest.mark.sample(8)
