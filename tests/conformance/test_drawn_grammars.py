@@ -78,7 +78,7 @@ def moved(protocol: Protocol, state: State, frame: bytes) -> State:
 
 
 @pytest.mark.slow
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("seeds", CHUNKS, ids=str)
 def test_the_simulator_of_each_drawn_grammar_conforms(seeds: range) -> None:
     conforming = 0
