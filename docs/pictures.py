@@ -16,7 +16,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from random import Random
-from urllib.parse import quote
 
 from rich.console import Console, RenderableType
 from rich.padding import Padding
@@ -43,7 +42,6 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.summary import show
 from bilprov.spec.codec import build, raw_frame
@@ -183,9 +181,7 @@ def draw(folder: Path) -> None:
     report = conform(Simulator(protocol, fault), options=options, fault=fault.name)
     show(report, console)
     console.save_svg(str(folder / "conform.svg"), title="bilprov conform", unique_id="conform")
-    failed = next(result.id for result in report.results if result.verdict is Verdict.FAIL)
-    case = f"case={quote(failed, safe='')}"
-    take(as_html([report], protocol), case, folder / "report.png")
+    take(as_html([report], protocol), "", folder / "report.png")
     plot_picture(protocol, folder / "plot.png")
 
 

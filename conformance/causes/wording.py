@@ -59,7 +59,7 @@ def deviations(protocol: Protocol, effects: Sequence[Effect]) -> str:
 def _effect(protocol: Protocol, effect: Effect) -> str:
     relation = effect.relation
     deviation = effect.bags[0].deviation
-    late = {"changed": " later, by itself", "late": " late"}.get(relation.how, "")
+    late = {"changed": " after a while", "late": " late"}.get(relation.how, "")
     if relation.facet == ANSWER:
         return _answer(protocol, effect)
     if relation.facet == MOTION:
@@ -67,7 +67,7 @@ def _effect(protocol: Protocol, effect: Effect) -> str:
         if relation.how == "late":
             return "stops late" if expected == {"stopped"} else "moves late"
         if effect.keeps_moving:
-            return "moves again, by itself" if late else "does not stop"
+            return "moves again by itself" if late else "does not stop"
         seen = {str(bag.deviation.seen) for bag in effect.bags}
         stays = relation.words.startswith("stays") and len(seen) > 1
         motion = "keeps its motion" if stays else relation.words

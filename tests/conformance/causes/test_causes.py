@@ -36,7 +36,7 @@ NAMED = [
     ("codes-reversed", "answer", "02 BAD_DATA instead of 03 TOO_MANY_DATA", "a faulty frame"),
     ("double-answer", "answer", "answers more than once", "any frame"),
     ("no-stop-on-bad-data", "stop", "does not stop", "bad data"),
-    ("restarts-by-itself", "stop", "moves again, by itself", "a faulty frame"),
+    ("restarts-by-itself", "stop", "moves again by itself", "a faulty frame"),
     ("rotateleft-does-nothing", "state", "is stopped", "RotateLeft"),
     ("speed-bit-0-lost", "state", "speed lacks bit 0", "Speed"),
     ("speed-is-signed", "state", "speed is 256 minus the value", "Speed, with speed 131 or more"),
