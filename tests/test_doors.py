@@ -36,8 +36,7 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.profile import Figures, profile_from
-from bilprov.conformance.report.expected import ExpectedError
-from bilprov.conformance.report.expected_file import ExpectedFile
+from bilprov.conformance.report.expected import ExpectedError, ExpectedFile
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import ReportError, as_json, parse_report
 from bilprov.conformance.report.junit import as_junit

@@ -299,7 +299,7 @@ def _run(
     # What can be written is, even if something else fails: the robot should not drive again for it.
     try:
         with Stopper():
-            report = with_expected(report, expected, known.expect_failures)
+            report = with_expected(report, expected)
             after = (plan.last or no_run(protocol, robot.target)).after(report)
             after.keep()
     finally:

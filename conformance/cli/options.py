@@ -20,7 +20,7 @@ from bilprov.conformance.cli import completion
 if TYPE_CHECKING:
     from bilprov.conformance.api import Options
     from bilprov.conformance.dut.fault import Fault
-    from bilprov.conformance.report.expected_file import ExpectedFile
+    from bilprov.conformance.report.expected import ExpectedFile
     from bilprov.conformance.report.run_report import Report
     from bilprov.spec.protocol import Protocol
 
@@ -67,8 +67,6 @@ def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -
     return text
 
 
-_SHOWN = 8  # changed lines
-
 # Options of several commands.
 expect_failures_option = partial(
     option,
@@ -101,7 +99,7 @@ def expected_file(
         return None
     from bilprov.conformance.api import suite_ids
     from bilprov.conformance.cases.levels import COMPLETE, DEEP
-    from bilprov.conformance.report.expected_file import ExpectedFile
+    from bilprov.conformance.report.expected import ExpectedFile
 
     def known() -> dict[str, None]:
         levels = (replace(options, level=level.name) for level in (DEEP, COMPLETE))
@@ -111,17 +109,11 @@ def expected_file(
     return ExpectedFile(path, known, suite, update=update)
 
 
-def with_expected(report: Report, file: ExpectedFile | None, path: str | None) -> Report:
-    """The report with its comparison; prints the lines of the file that were changed."""
+def with_expected(report: Report, file: ExpectedFile | None) -> Report:
+    """The report with its comparison; prints how many lines of the file were changed."""
     if file is None:
         return report
-    compared, change = file.applied(report)
-    if change is not None:
-        for sign, lines in (("-", change.removed), ("+", change.added)):
-            for line in lines[:_SHOWN]:
-                note(f"{sign} {line}")
-            if len(lines) > _SHOWN:
-                note(f"{sign} and {len(lines) - _SHOWN} more")
-        added, removed = len(change.added), len(change.removed)
-        note(f"{path}: {added} added, {removed} removed" if added + removed else f"{path} fits")
+    compared, changed = file.applied(report)
+    if changed:
+        note(changed)
     return compared

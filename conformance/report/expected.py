@@ -1,9 +1,9 @@
-"""Compares a run's results with expected failures: finds unexpected ones and stale entries. No I/O.
+"""The file of `--expect-failures`: read before a run, compared with its report, and updated.
 
-The text of a file of expected failures has one entry per line, `GLOB : AXIS` or
-`GLOB : AXIS: MESSAGE`. Empty lines and lines that begin with # are ignored. GLOB matches case ids,
-* crosses /. AXIS is the axis that fails (`answer`, `stop` or `state`). MESSAGE is for the reader
-alone: another version of the kit may word a failure differently, and means the same one:
+Its text has one entry per line, `GLOB : AXIS` or `GLOB : AXIS: MESSAGE`. Empty lines and lines that
+begin with # are ignored. GLOB matches case ids, * crosses /. AXIS is the axis that fails (`answer`,
+`stop` or `state`). MESSAGE is for the reader alone: another version of the kit may word a failure
+differently, and means the same one:
 
     # the board takes all eight bits of the LED byte (issue 12)
     bad-data/LED/* : answer: OK instead of BAD_DATA
@@ -14,25 +14,24 @@ and itself a failure, when all of its cases were judged and none of them fails a
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+import glob
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-import msgspec
-
+from bilprov.analyzer.files import read_bounded, why_not_writable, write_whole
 from bilprov.captures.text import escape_controls, printable
 from bilprov.conformance.cases.selection import CONDITIONAL_CASES, LONGEST_GLOB, matching
-from bilprov.conformance.oracle.verdicts import CaseResult, Count, Verdict
-from bilprov.spec.errors import UserError
+from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict
+from bilprov.conformance.report.run_report import Comparison, Report, compared
+from bilprov.spec.errors import UserError, one_line
 
 _SEPARATOR = " : "
-_AXES = ("answer", "stop", "state")
 _FINE = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)
 _MOST = 10_000  # entries: each is compared with each case
-FORM = "GLOB : AXIS: MESSAGE"
-"""How an entry is written."""
-
-_NEW_FILE = f"# Failures that are expected, {FORM}; see bilprov conform --help\n"
+_BYTES = 1 << 20
+_FORM = "GLOB : AXIS: MESSAGE"
+_NEW_FILE = f"# Failures that are expected, {_FORM}; see bilprov conform --help\n"
 
 
 class ExpectedError(UserError):
@@ -52,194 +51,188 @@ class Entry:
         failure = f"{self.axis}: {self.message}" if self.message else self.axis
         return f"{self.glob}{_SEPARATOR}{failure}"
 
-
-class Comparison(msgspec.Struct, frozen=True):
-    """The result of comparing a run with the entries of `file`.
-
-    `expected` is how many cases fail only as entries say, `unexpected` how many others fail,
-    `stale` has a sentence for each entry that no longer fails.
-    """
-
-    file: str
-    expected: Count
-    unexpected: Count
-    stale: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Update:
-    """The file's new text, and the lines that were added and removed."""
-
-    text: str
-    added: tuple[str, ...]
-    removed: tuple[str, ...]
+    def among(self, ids: Collection[str]) -> list[str]:
+        """The ids that the glob matches."""
+        return [self.glob] if self.glob in ids else list(filter(matching([self.glob]), ids))
 
 
 def parse_expected(text: str, file: str) -> tuple[Entry, ...]:
     """The entries of a file's text. Raises ExpectedError, naming file and line."""
     entries = []
-    for number, line in enumerate(_lines(text), 1):
+    for number, line in enumerate(text.split("\n"), 1):  # as an editor counts them
         words = escape_controls(line.replace("\t", " ").strip())
         if not words or words.startswith("#"):
             continue
-        glob, _, failure = words.partition(_SEPARATOR)
+        pattern, _, failure = words.partition(_SEPARATOR)
         axis, _, message = failure.partition(":")
-        glob, axis = glob.strip(), axis.strip()
-        if not glob or axis not in _AXES:
+        pattern, axis = pattern.strip(), axis.strip()
+        if not pattern or axis not in AXES:
             raise ExpectedError(
-                f"{file}, line {number} is {printable(words)!r}; write {FORM} (a glob of case "
-                f"ids; {', '.join(_AXES[:-1])} or {_AXES[-1]}; a message if you like), or # and a "
+                f"{file}, line {number} is {printable(words)!r}; write {_FORM} (a glob of case "
+                f"ids; {', '.join(AXES[:-1])} or {AXES[-1]}; a message if you like), or # and a "
                 "comment"
             )
-        if len(glob) > LONGEST_GLOB:
+        if len(pattern) > LONGEST_GLOB:
             raise ExpectedError(
-                f"{file}, line {number}: the glob {printable(glob)!r} has {len(glob)} characters, "
-                f"allowed are {LONGEST_GLOB}; see the ids with bilprov conform sim --list"
+                f"{file}, line {number}: the glob {printable(pattern)!r} has {len(pattern)} "
+                f"characters, allowed are {LONGEST_GLOB}; see the ids with "
+                "bilprov conform sim --list"
             )
-        entries.append(Entry(glob, axis, printable(_plain(message)), number))
+        entries.append(Entry(pattern, axis, printable(_plain(message)), number))
         if len(entries) > _MOST:
             raise ExpectedError(f"{file} has more than {_MOST} entries; name several with one glob")
     return tuple(entries)
 
 
-def all_fit(entries: Iterable[Entry], ids: Collection[str]) -> bool:
-    """Whether each entry fits a case of these ids."""
-    return all(_ids(entry, ids) for entry in entries)
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """What entries and failures have in common.
+
+    `expected` are the ids of the cases that fail only as entries say, `unexpected` has a new entry
+    for each axis that fails otherwise, `stale` are the entries that no longer fail.
+    """
+
+    expected: frozenset[str]
+    unexpected: tuple[str, ...]
+    stale: tuple[Entry, ...]
 
 
-def require_known(entries: Iterable[Entry], file: str, known: Collection[str]) -> None:
-    """Raise ExpectedError, naming file and line, for an entry that no case of the suite fits."""
-    for entry in entries:
-        if not _ids(entry, known):
-            raise ExpectedError(
-                f"{file}, line {entry.line}: no case matches "
-                f"{entry.glob!r}; see the ids "
-                "with bilprov conform sim --list, or take the entry out"
-            )
-
-
-def failures(result: CaseResult) -> dict[str, str]:
-    """Each axis that fails, with its reason in one line."""
-    return {
-        name: _plain(axis.reason or f"{axis.actual} instead of {axis.expected}")
-        for name, axis in result.axes.items()
-        if axis.verdict is Verdict.FAIL
-    }
-
-
-def compare(
+def match(
     entries: Sequence[Entry],
-    file: str,
     results: Sequence[CaseResult],
     suite: Collection[str],
     *,
     whole: bool = True,
-) -> tuple[Comparison, set[str]]:
-    """Compare a run's results with the entries; the ids are those that fail as expected.
+) -> Matches:
+    """Match the failures of a run with the entries.
 
     `suite` are the ids of all cases that a run of this kind has, also of those that this one left
     out (--only). `whole` says that the run went to its end: only then does the absence of
     a conditional case (such as an unsolicited answer) show that it does not fail.
     """
-    used, expected, unexpected = _used(entries, results)
-    fine = {r.id for r in results if r.verdict in _FINE}
+    tests = [(entry, matching([entry.glob])) for entry in entries]
+    used, expected, unexpected = set(), set(), []
+    for result in results:
+        if result.verdict is not Verdict.FAIL:
+            continue
+        its = {entry for entry, fits in tests if fits(result.id)}
+        failing = {n: axis for n, axis in result.axes.items() if axis.verdict is Verdict.FAIL}
+        used |= {entry for entry in its if entry.axis in failing}
+        left = {n: axis for n, axis in failing.items() if n not in {e.axis for e in its}}
+        if failing and not left:
+            expected.add(result.id)
+        for name, axis in left.items():
+            reason = axis.reason or f"{axis.actual} instead of {axis.expected}"
+            unexpected.append(f"{glob.escape(result.id)}{_SEPARATOR}{name}: {_plain(reason)}")
+    fine = {result.id for result in results if result.verdict in _FINE}
     if whole:
-        fine |= set(CONDITIONAL_CASES) - {r.id for r in results}
-    stale = []
-    for entry in entries:
-        its = _ids(entry, suite)
-        if entry not in used and its and fine.issuperset(its):
-            what = f"{its[0]} does" if len(its) == 1 else f"its {len(its)} cases do"
-            stale.append(
-                f"{file}, line {entry.line}: {entry}: {what} "
-                "not fail any more; take the entry out, or run with --update-expected"
-            )
-    return Comparison(file, len(expected), unexpected, tuple(stale)), expected
-
-
-def updated(
-    text: str,
-    file: str,
-    results: Sequence[CaseResult],
-    suite: Collection[str],
-    known: Collection[str],
-    *,
-    whole: bool = True,
-) -> Update:
-    """The file's text brought up to date: failures of this run are added, stale entries removed.
-
-    Comments stay where they are, and so do entries that still fit and those whose cases were not
-    all judged; entries that no case of `known` fits are removed. Raises ExpectedError as
-    `parse_expected` does.
-    """
-    entries = parse_expected(text, file)
-    used, _, _ = _used(entries, results)
-    judged = {r.id for r in results if r.verdict in (*_FINE, Verdict.FAIL)}
-    if whole:
-        judged |= set(CONDITIONAL_CASES)
-    gone = set()
-    for entry in entries:
-        its = _ids(entry, suite)
-        over = its and judged.issuperset(its)
-        if entry not in used and (over or not _ids(entry, known)):
-            gone.add(entry)
-    kept = [entry for entry in entries if entry not in gone]
-    dropped = {entry.line for entry in gone}
-    lines = _lines(text)
-    left = [line for number, line in enumerate(lines, 1) if number not in dropped]
-    new = tuple(dict.fromkeys(_new_lines(kept, results)))
-    ending = "\r\n" if "\r\n" in text else "\n"
-    body = "\n".join(left)
-    if body and not body.endswith("\n"):
-        body += ending
-    body = body or _NEW_FILE
-    body += "".join(f"{line}{ending}" for line in new)
-    removed = tuple(lines[number - 1].strip() for number in sorted(dropped))
-    return Update(body if new or removed else text, new, removed)
-
-
-def _lines(text: str) -> list[str]:
-    """The lines as an editor counts them; a form feed or U+2028 does not end a line."""
-    return text.split("\n")
+        fine |= set(CONDITIONAL_CASES) - {result.id for result in results}
+    stale = [
+        entry
+        for entry in entries
+        if entry not in used and (its_ids := entry.among(suite)) and fine.issuperset(its_ids)
+    ]
+    return Matches(frozenset(expected), tuple(unexpected), tuple(stale))
 
 
 def _plain(message: str) -> str:
     return " ".join(message.split())
 
 
-def _ids(entry: Entry, known: Collection[str]) -> list[str]:
-    """The ids of `known` that an entry's glob matches."""
-    if entry.glob in known:
-        return [entry.glob]
-    fits = matching([entry.glob])
-    return [ident for ident in known if fits(ident)]
+class ExpectedFile:
+    """A file of expected failures; with `update` it is rewritten after the run.
+
+    `suite` are the ids of all cases that a run of this kind has when nothing is left out, `known`
+    gives those of the whole suite, and is called only for an entry that fits none of `suite`.
+    Raises ExpectedError, before the robot moves, for a file that cannot be read (or, with `update`,
+    written; it then need not exist), a line that is no entry, and an entry that matches no case.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        known: Callable[[], Collection[str]],
+        suite: Collection[str],
+        *,
+        update: bool = False,
+    ) -> None:
+        self._path, self._name = Path(path), one_line(path)
+        self._suite, self._update = suite, update
+        self._text = _read(self._path, self._name, missing_ok=update)
+        self._entries = parse_expected(self._text, self._name)
+        why_not = why_not_writable(self._path) if update else ""
+        if why_not:
+            raise ExpectedError(f"{self._name} cannot be written: {why_not}")
+        strange = [entry for entry in self._entries if not entry.among(suite)]
+        every = known() if strange else ()
+        for entry in strange:
+            if not entry.among(every):
+                raise ExpectedError(
+                    f"{self._name}, line {entry.line}: no case matches {entry.glob!r}; see the ids "
+                    "with bilprov conform sim --list, or take the entry out"
+                )
+
+    def applied(self, report: Report) -> tuple[Report, str]:
+        """The report with its comparison, and a sentence on what was changed in the file, or "".
+
+        A run that could not judge anything does not change the file. Raises ExpectedError.
+        """
+        whole, said = not (report.ended or report.unusable), ""
+        found = match(self._entries, report.results, self._suite, whole=whole)
+        if self._update and not report.unusable:
+            new = tuple(dict.fromkeys(found.unexpected))
+            self._rewrite({entry.line for entry in found.stale}, new)
+            changed = f": {len(new)} added, {len(found.stale)} removed"
+            said = self._name + (changed if new or found.stale else " fits")
+            found = match(self._entries, report.results, self._suite, whole=whole)
+        failed = report.counts[Verdict.FAIL.label]
+        comparison = Comparison(
+            file=self._name,
+            expected=len(found.expected),
+            unexpected=failed - len(found.expected),
+            stale=tuple(map(self._stale, found.stale)),
+        )
+        return compared(report, comparison, found.expected), said
+
+    def _stale(self, entry: Entry) -> str:
+        its = entry.among(self._suite)
+        what = f"{its[0]} does" if len(its) == 1 else f"its {len(its)} cases do"
+        return (
+            f"{self._name}, line {entry.line}: {entry}: {what} "
+            "not fail any more; take the entry out, or run with --update-expected"
+        )
+
+    def _rewrite(self, gone: Collection[int], new: Sequence[str]) -> None:
+        """Write the file without the lines that are `gone` and with new ones; comments stay."""
+        lines = self._text.split("\n")
+        left = "\n".join(line for number, line in enumerate(lines, 1) if number not in gone)
+        if left and not left.endswith("\n"):
+            left += "\n"
+        text = (left or _NEW_FILE) + "".join(f"{line}\n" for line in new)
+        self._entries = parse_expected(text, self._name)
+        try:
+            if text != self._text:
+                write_whole(self._path, text.encode())
+        except OSError as error:
+            raise ExpectedError(
+                f"{self._name} cannot be written ({error.strerror}); it is as it was before"
+            ) from error
 
 
-def _used(
-    entries: Sequence[Entry], results: Sequence[CaseResult]
-) -> tuple[set[Entry], set[str], int]:
-    """The entries that fit a failure, the ids that fail as expected, and how many others fail."""
-    tests: list[tuple[Entry, Callable[[str], bool]]] = [(e, matching([e.glob])) for e in entries]
-    used: set[Entry] = set()
-    expected: set[str] = set()
-    failed = [result for result in results if result.verdict is Verdict.FAIL]
-    for result in failed:
-        its = [entry for entry, fits in tests if fits(result.id)]
-        axes = failures(result).keys()
-        used.update(entry for entry in its if entry.axis in axes)
-        if axes and axes <= {entry.axis for entry in its}:
-            expected.add(result.id)
-    return used, expected, sum(result.id not in expected for result in failed)
-
-
-def _new_lines(kept: Sequence[Entry], results: Sequence[CaseResult]) -> Iterable[str]:
-    """A line for each failure that none of the kept entries covers."""
-    tests = [(entry, matching([entry.glob])) for entry in kept]
-    for result in results:
-        if result.verdict is not Verdict.FAIL:
-            continue
-        allowed = {entry.axis for entry, fits in tests if fits(result.id)}
-        for axis, reason in failures(result).items():
-            if axis not in allowed:
-                glob = re.sub(r"([*?[])", r"[\1]", result.id)
-                yield f"{glob}{_SEPARATOR}{axis}: {reason}"
+def _read(path: Path, name: str, *, missing_ok: bool) -> str:
+    if missing_ok and not path.exists():
+        return ""
+    try:
+        text = read_bounded(path, _BYTES).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ExpectedError(
+            f"{name} is not UTF-8 text (byte {error.start}); it takes lines of {_FORM}"
+        ) from error
+    except OSError as error:
+        hint = f"it takes lines of {_FORM}"
+        if isinstance(error, FileNotFoundError):
+            hint = "--update-expected makes a new one"
+        raise ExpectedError(f"{name} cannot be read ({error.strerror}); {hint}") from error
+    if "\0" in text:
+        raise ExpectedError(f"{name} has zero bytes in it; it takes lines of {_FORM}")
+    return text.removeprefix("\ufeff")

@@ -26,7 +26,6 @@ from bilprov.conformance.oracle.verdicts import (
     exit_code,
     worst,
 )
-from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.proof import proven
 from bilprov.spec.protocol import Protocol
 
@@ -45,6 +44,19 @@ class Covered(msgspec.Struct, frozen=True):
 
     done: Count
     of: Count
+
+
+class Comparison(msgspec.Struct, frozen=True):
+    """The result of comparing a run with the entries of `file`.
+
+    `expected` is how many cases fail only as entries say, `unexpected` how many others fail,
+    `stale` has a sentence for each entry that no longer fails.
+    """
+
+    file: str
+    expected: Count
+    unexpected: Count
+    stale: tuple[str, ...]
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True):

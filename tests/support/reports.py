@@ -12,9 +12,8 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, WireEvent
-from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.json_report import as_json, parse_report
-from bilprov.conformance.report.run_report import Covered, Grammar, Report
+from bilprov.conformance.report.run_report import Comparison, Covered, Grammar, Report
 from bilprov.spec.protocol import Protocol
 
 EVIL = (

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.conformance import api
@@ -17,15 +18,15 @@ from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.report.expected import (
     Entry,
     ExpectedError,
-    compare,
-    failures,
+    ExpectedFile,
+    Matches,
+    match,
     parse_expected,
-    require_known,
-    updated,
 )
-from bilprov.conformance.report.expected_file import ExpectedFile
+from bilprov.conformance.report.run_report import Comparison
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
+from tests.support.reports import every_verdict
 from tests.support.robots import sentence
 
 FAIL = Verdict.FAIL
@@ -78,12 +79,13 @@ def test_a_line_that_is_no_entry_is_named(line: str) -> None:
     assert str(raised.value).isprintable()
 
 
-def test_an_entry_that_no_case_fits_is_wrong_use() -> None:
-    entries = parse_expected("a : answer\n\nb* : answer\n", "F")
+def test_an_entry_that_no_case_fits_is_wrong_use(tmp_path: Path) -> None:
+    path = tmp_path / "known"
+    path.write_text("a : answer\n\nb* : answer\n")
 
-    with pytest.raises(ExpectedError, match="F, line 3: no case matches 'b"):
-        require_known(entries, "F", ["a", "c"])
-    require_known(entries, "F", ["a", "bc"])
+    with pytest.raises(ExpectedError, match="known, line 3: no case matches 'b"):
+        ExpectedFile(str(path), lambda: ["a", "c"], ["a"])
+    ExpectedFile(str(path), lambda: ["a", "bc"], ["a"])
 
 
 def test_so_many_entries_that_each_run_would_crawl_are_refused() -> None:
@@ -96,49 +98,49 @@ def test_so_many_entries_that_each_run_would_crawl_are_refused() -> None:
 SUITE = ("a/1", "a/2", "b/1")
 
 
+def matched(text: str, *results: CaseResult, **more: Any) -> Matches:
+    return match(parse_expected(text, "F"), results, more.pop("suite", SUITE), **more)
+
+
 def test_a_failure_as_an_entry_says_is_expected() -> None:
-    results = [failed("a/1"), passed("a/2"), failed("b/1")]
+    found = matched("a/* : answer: no\n", failed("a/1"), passed("a/2"), failed("b/1"))
 
-    found, ids = compare(parse_expected("a/* : answer: no\n", "F"), "F", results, SUITE)
-
-    assert (ids, found.unexpected, found.stale) == ({"a/1"}, 1, ())
+    assert found == Matches(frozenset({"a/1"}), ("b/1 : answer: no answer came",), ())
 
 
 @pytest.mark.parametrize("message", ["", ": no answer came", ": as an older kit worded it"])
 def test_a_failure_is_known_by_its_axis_however_it_is_worded(message: str) -> None:
-    found, ids = compare(parse_expected(f"a/1 : answer{message}", "F"), "F", [failed("a/1")], SUITE)
+    found = matched(f"a/1 : answer{message}", failed("a/1"))
 
-    assert (ids, found.unexpected, found.stale) == ({"a/1"}, 0, ())
+    assert found == Matches(frozenset({"a/1"}), (), ())
 
 
 @pytest.mark.parametrize("line", ["a/1 : stop: no", "a/2 : answer: no"])
 def test_a_failure_of_another_axis_or_case_is_not_expected(line: str) -> None:
-    found, ids = compare(parse_expected(line, "F"), "F", [failed("a/1")], SUITE)
+    found = matched(line, failed("a/1"))
 
-    assert (ids, found.unexpected) == (set(), 1)
+    assert (found.expected, len(found.unexpected)) == (frozenset(), 1)
 
 
 def test_a_second_axis_that_fails_is_not_hidden_by_the_first() -> None:
-    both = result("a/1", answer=(FAIL, "no answer came"), stop=(FAIL, "still moves"))
+    both = result("a/1", answer=(FAIL, "no answer came"), stop=(FAIL, ""))
 
-    one, one_ids = compare(parse_expected("a/1 : answer: no\n", "F"), "F", [both], SUITE)
-    two, two_ids = compare(
-        parse_expected("a/1 : answer: no\na/* : stop\n", "F"), "F", [both], SUITE
-    )
+    none, one = matched("", both), matched("a/1 : answer: no\n", both)
+    two = matched("a/1 : answer: no\na/* : stop\n", both)
 
-    assert (one_ids, one.unexpected, one.stale) == (set(), 1, ())
-    assert (two_ids, two.unexpected) == ({"a/1"}, 0)
+    assert none.unexpected == ("a/1 : answer: no answer came", "a/1 : stop: a instead of e")
+    assert (one.expected, one.unexpected) == (frozenset(), none.unexpected[1:])
+    assert (two.expected, two.unexpected) == ({"a/1"}, ())
 
 
 @pytest.mark.parametrize("verdict", [Verdict.ERROR, Verdict.INCONCLUSIVE, Verdict.NON_STRICT])
 def test_only_a_failure_is_ever_expected(verdict: Verdict) -> None:
     case = result("a/1", answer=(FAIL, "no"), stop=(verdict, "no"))
     worse = result("a/2", answer=(verdict, "no"))
-    entries = parse_expected("a/* : answer: no\n", "F")
 
-    _, ids = compare(entries, "F", [case, worse], SUITE)
+    found = matched("a/* : answer: no\n", case, worse)
 
-    assert ids == ({"a/1"} if verdict < FAIL else set())
+    assert found.expected == ({"a/1"} if verdict < FAIL else frozenset())
 
 
 STALE = [
@@ -157,18 +159,16 @@ STALE = [
 def test_an_entry_is_stale_when_all_of_its_cases_were_judged_and_none_fails(
     results: list[CaseResult], count: int
 ) -> None:
-    found, _ = compare(parse_expected("\na/* : answer: no\n", "F"), "F", results, SUITE)
+    found = matched("\na/* : answer: no\n", *results)
 
-    assert len(found.stale) == count
-    assert all(s.startswith("F, line 2: a/* : answer: no: its 2 cases") for s in found.stale)
+    assert found.stale == (Entry("a/*", "answer", "no", 2),) * count
 
 
 def test_an_answer_that_nobody_asked_for_is_stale_only_after_a_whole_run() -> None:
-    entries = parse_expected("line/unsolicited : answer\n", "F")
-    suite = (*SUITE, "line/unsolicited")
+    line, suite = "line/unsolicited : answer\n", (*SUITE, "line/unsolicited")
 
-    whole, _ = compare(entries, "F", [passed("a/1")], suite)
-    broken_off, _ = compare(entries, "F", [passed("a/1")], suite, whole=False)
+    whole = matched(line, passed("a/1"), suite=suite)
+    broken_off = matched(line, passed("a/1"), suite=suite, whole=False)
 
     assert (len(whole.stale), len(broken_off.stale)) == (1, 0)
 
@@ -176,42 +176,39 @@ def test_an_answer_that_nobody_asked_for_is_stale_only_after_a_whole_run() -> No
 # -- the update -----------------------------------------------------------------------------------
 
 
-def test_an_update_says_what_fails_now_and_keeps_comments_and_what_was_not_run() -> None:
-    text = "# one\na/1 : answer: no\n# two\na/2 : answer: no\nc/1 : stop\ngone/1 : stop\n# end"
-    results = [passed("a/1"), failed("a/2"), failed("b/1", "answered after 103 ms")]
-    suite = (*SUITE, "c/1")
+def test_an_update_says_what_fails_now_and_keeps_comments_and_what_was_not_run(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    path = tmp_path / "known"
+    path.write_text("# one\na/1 : answer: no\n# two\na/2 : answer: no\nc/1 : stop\n# end")
+    results = (passed("a/1"), failed("a/2"), failed("b/1", "answered after 103 ms"))
+    report, suite = replace(every_verdict(protocol), results=results), (*SUITE, "c/1")
 
-    change = updated(text, "F", results, suite, suite)
+    file = ExpectedFile(str(path), lambda: suite, suite, update=True)
+    after, said = file.applied(report)
 
-    assert change.text == (
+    assert path.read_text() == (
         "# one\n# two\na/2 : answer: no\nc/1 : stop\n# end\nb/1 : answer: answered after 103 ms\n"
     )
-    assert change.removed == ("a/1 : answer: no", "gone/1 : stop")
-    assert change.added == ("b/1 : answer: answered after 103 ms",)
-    again = updated(change.text, "F", results, suite, suite)
-    assert (again.text, again.added, again.removed) == (change.text, (), ())
-    after, after_ids = compare(parse_expected(change.text, "F"), "F", results, suite)
-    assert (after_ids, after.unexpected, after.stale) == ({"a/2", "b/1"}, 0, ())
+    assert said == f"{path}: 1 added, 1 removed"
+    assert after.comparison == Comparison(str(path), 2, 0, ())
+    assert [r.expected_failure for r in after.results] == [False, True, True]
+    assert file.applied(report)[1] == f"{path} fits"
 
 
-def test_an_update_gives_each_axis_that_fails_an_entry() -> None:
-    both = result("a/1", answer=(FAIL, "no answer came"), stop=(FAIL, "still moves 3 ms after"))
+def test_a_stale_entry_is_a_failure_and_is_said_with_its_line(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    path = tmp_path / "known"
+    path.write_text("\na/* : answer: no\n")
+    report = replace(every_verdict(protocol), results=(passed("a/1"), passed("a/2")), exit=0)
 
-    change = updated("", "F", [both], SUITE, SUITE)
+    after, said = ExpectedFile(str(path), lambda: SUITE, SUITE).applied(report)
 
-    assert change.added == ("a/1 : answer: no answer came", "a/1 : stop: still moves 3 ms after")
-    assert change.text.startswith("# ")
-    assert compare(parse_expected(change.text, "F"), "F", [both], SUITE)[0].unexpected == 0
-
-
-def test_line_ends_stay_what_they_were() -> None:
-    change = updated("# x\r\na/1 : stop: no\r\n", "F", [passed("a/1"), failed("b/1")], SUITE, SUITE)
-
-    assert change.text == "# x\r\nb/1 : answer: no answer came\r\n"
-
-
-def test_a_reason_that_is_missing_is_made_of_what_came() -> None:
-    assert failures(result("a", answer=(FAIL, ""))) == {"answer": "a instead of e"}
+    assert after.comparison is not None
+    (sentence,) = after.comparison.stale
+    assert sentence.startswith(f"{path}, line 2: a/* : answer: no: its 2 cases do not fail")
+    assert (after.exit, said) == (1, "")
 
 
 # -- the command ----------------------------------------------------------------------------------

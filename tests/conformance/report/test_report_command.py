@@ -20,12 +20,11 @@ from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cli.outputs import Output, require_writable
 from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict
 from bilprov.conformance.report.changes import changed_cases, changed_causes
-from bilprov.conformance.report.expected import Comparison
 from bilprov.conformance.report.grouping import names, rows
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import ReportError, as_json, parse_report, read_report
 from bilprov.conformance.report.junit import as_junit
-from bilprov.conformance.report.run_report import Report, reproducer
+from bilprov.conformance.report.run_report import Comparison, Report, reproducer
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
 from tests.support.reports import a_case, a_run, every_verdict, hostile
