@@ -20,7 +20,7 @@ def matrix(told: Sequence[str], cases: Sequence[Row]) -> Safe:
     clauses: dict[str, list[Row]] = {}
     for row in cases:
         clauses.setdefault(row.clause, []).append(row)
-    columns = list(reversed(tally(result for row in cases for result in row.results)))
+    columns = list(tally(result for row in cases for result in row.results))  # the worst first
     several = len(told) > 1
     titles = (
         [tag("th", name, scope="col", class_="run") for name in told]
