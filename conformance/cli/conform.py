@@ -285,31 +285,34 @@ def _run(
     settings: LineSettings,
     plan: _Plan,
 ) -> Run:
-    """Test the device, write and show the report, and keep what failed."""
+    """Test the device, write and show the report, and keep what failed.
+
+    From the consent on a signal ends the run itself, and nothing else until the files are written.
+    """
     robot, known = options.robot, options.known
     outputs = outputs_of(options.reports.outputs)
     expected = expected_file(
         protocol, plan.suite, known.expect_failures, update=known.update_expected
     )
-    report, broken = _tested(protocol, options, name, settings, plan)
-    console = _console(outputs)
-    fresh = None if report.unusable else plan.fresh
-    if fresh is not None:
-        outputs.append(Output("--profile", fresh, _profile))
-    # What can be written is, even if something else fails: the robot should not drive again for it.
-    try:
-        with Stopper():
+    with ExitStack() as signals:
+        report, broken = _tested(protocol, options, name, settings, plan, signals)
+        console = _console(outputs)
+        fresh = None if report.unusable else plan.fresh
+        if fresh is not None:
+            outputs.append(Output("--profile", fresh, _profile))
+        # What can be written is, even if something else fails: the robot should not drive again.
+        try:
             report = with_expected(report, expected)
             after = (plan.last or no_run(protocol, robot.target)).after(report)
             after.keep()
-    finally:
-        try:
-            deliver(outputs, [report], protocol)
         finally:
-            from bilprov.conformance.report.summary import show
+            try:
+                deliver(outputs, [report], protocol, signals)
+            finally:
+                from bilprov.conformance.report.summary import show
 
-            everything = options.reports.verbose
-            show(report, console, everything=everything, brief=options.watches and not everything)
+                all_of_it = options.reports.verbose
+                show(report, console, everything=all_of_it, brief=options.watches and not all_of_it)
     if fresh is not None:
         note(f"{fresh}: the profile of this device; give it again with --profile")
     if broken:
@@ -336,10 +339,12 @@ def _tested(
     name: TargetName,
     settings: LineSettings,
     plan: _Plan,
+    signals: ExitStack,
 ) -> tuple[Report, Exception | None]:
     """Open the target, ask whether a robot may move, and run the cases.
 
-    Gives the report, and why the recording ended before the run did, None if it did not.
+    From the consent on signals are handled, after the run by `signals`. Gives the report, and why
+    the recording ended before the run did, None if it did not.
     """
     from bilprov.conformance.cli.progress import Progress
 
@@ -348,6 +353,11 @@ def _tested(
     count = planned(protocol, suite, plan.cases)
 
     def agreed(target: Target) -> Target:
+        target = asked(target)
+        signals.enter_context(Stopper())
+        return target
+
+    def asked(target: Target) -> Target:
         complete = suite.level == COMPLETE.name
         seconds = estimated(target, suite, plan.cases) if target.moves or complete else 0.0
         if complete:
@@ -374,7 +384,7 @@ def _tested(
     opened = robot.driven(protocol, name, settings, agreed, options.reconnect or 0.0)
     with opened as (target, stopper), ExitStack() as stack:
         start = time.monotonic()  # the time until the user confirmed does not count
-        if options.watches and ending_requested():  # while the port was opened
+        if ending_requested():  # while the port was opened
             stopper.stop()
         listeners: list[RunListener] = []
         if record is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
 import click
@@ -52,20 +53,28 @@ def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> N
     output_files.require_writable(((output.option, output.path) for output in outputs), inputs)
 
 
-def deliver(outputs: Iterable[Output], reports: Sequence[Report], protocol: Protocol) -> None:
+def deliver(
+    outputs: Iterable[Output],
+    reports: Sequence[Report],
+    protocol: Protocol,
+    signals: AbstractContextManager[object] | None = None,
+) -> None:
     """Write every output as `write_each` does."""
-    write_each((output.path, output.write(reports, protocol)) for output in outputs)
+    write_each(((output.path, output.write(reports, protocol)) for output in outputs), signals)
 
 
-def write_each(texts: Iterable[tuple[str, str]]) -> None:
+def write_each(
+    texts: Iterable[tuple[str, str]], signals: AbstractContextManager[object] | None = None
+) -> None:
     """Write texts to their paths, the files first, even if one of them cannot be written.
 
-    Ctrl-C and the like take effect only when the files are written. Raises UserError, one sentence
-    that names each file that could not be written; one that existed stays as it was.
+    Ctrl-C and the like change nothing until the files are written. `signals` is what has handled
+    them since before the call, and is left then. Raises UserError, one sentence that names each
+    file that could not be written; one that existed stays as it was.
     """
     failed: list[str] = []
     onto_stdout: list[bytes] = []
-    with Stopper():
+    with signals or Stopper():
         for path, text in texts:
             data = text.encode(errors="backslashreplace")
             if path == output_files.STANDARD_OUTPUT:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import select
 import socket
+import struct
 import threading
 import tracemalloc
 import tty
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
+from xml.etree import ElementTree
 
 import msgspec
 import pytest
@@ -18,6 +21,7 @@ import pytest
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
@@ -170,82 +174,103 @@ def test_one_that_reboots_ends_by_itself_and_keeps_what_was_judged(
     assert of(report, Verdict.INCONCLUSIVE)
 
 
-def served(protocol: Protocol, read: int, write: int, after: int) -> None:
-    """The reference over descriptors, closed after so many bytes."""
+# -- a line that is lost --------------------------------------------------------------------------
+
+LAST = 400  # bytes that the device still takes: the opening's, and those of some cases
+
+
+def served(robot: Moody, descriptor: int) -> None:
+    """The device behind a descriptor, until it has taken its last byte."""
     clock = 0
-    robot = Moody(protocol, after)
     while robot.left > 0:
-        ready = select.select([read], [], [], 0.02)[0]
+        ready = select.select([descriptor], [], [], 0.02)[0]
         clock += MS if ready else 60 * MS
         if ready:
-            data = os.read(read, 64)
-            if not data:
-                return
+            data = os.read(descriptor, 64)
             robot.due(len(data))
             robot.receive(data, clock)
-        os.write(write, robot.advance(clock))
+        os.write(descriptor, robot.advance(clock))
 
 
-def told(port: str, report: Path) -> tuple[int, str, dict[str, object]]:
-    words = ("conform", port, "--yes", "--json", str(report), "--level", "smoke")
-    result = process(*words)
-    assert b"Traceback" not in result.stderr
-    return result.returncode, result.stderr.decode(), msgspec.json.decode(report.read_bytes())
-
-
-@pytest.mark.timeout(120)
-def test_a_socket_that_closes_ends_the_run_in_2_with_what_was_judged_kept(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    listener = socket.create_server(("127.0.0.1", 0))
-
-    def serve() -> None:
-        peer, _ = listener.accept()
-        with peer, suppress(OSError):
-            served(protocol, peer.fileno(), peer.fileno(), 400)
-
+@contextmanager
+def in_a_thread(serve: Callable[[], None]) -> Iterator[None]:
+    """Serve in a thread, which has ended at the end of the block."""
     thread = threading.Thread(target=serve)
     thread.start()
-    port = f"socket://127.0.0.1:{listener.getsockname()[1]}"
-    code, said, report = told(port, tmp_path / "r.json")
+    yield
     thread.join(PATIENCE)
-    listener.close()
-    assert_kept(code, said, report)
+    assert not thread.is_alive()
 
 
-@pytest.mark.waits
-@pytest.mark.timeout(120)
-def test_a_pty_that_is_gone_ends_the_run_in_2_with_what_was_judged_kept(
-    protocol: Protocol, tmp_path: Path
-) -> None:
+@contextmanager
+def behind_a_socket(robot: Moody, *, reset: bool) -> Iterator[str]:
+    """The URL of the device behind a connection that it closes, or resets, at its last byte."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            peer, _ = listener.accept()
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", reset, 0))
+            with peer, suppress(OSError):
+                served(robot, peer.fileno())
+
+        with in_a_thread(serve):
+            yield f"socket://127.0.0.1:{listener.getsockname()[1]}"
+
+
+@contextmanager
+def behind_a_pty(robot: Moody) -> Iterator[str]:
+    """The name of a pty whose other side goes away after the device's last byte."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
-    port = os.ttyname(theirs)
 
     def serve() -> None:
         with suppress(OSError):
-            served(protocol, ours, ours, 400)
+            served(robot, ours)
         os.close(ours)
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    code, said, report = told(port, tmp_path / "r.json")
-    thread.join(PATIENCE)
+    with in_a_thread(serve):
+        yield os.ttyname(theirs)
     os.close(theirs)
-    assert_kept(code, said, report)
 
 
-def assert_kept(code: int, said: str, report: dict[str, object]) -> None:
-    counts = report["counts"]
-    assert isinstance(counts, dict)
-    assert code == report["exit"] == 2
+LINES = {
+    "a socket that is closed": partial(behind_a_socket, reset=False),
+    "a socket that is reset": partial(behind_a_socket, reset=True),
+    "a pty that is gone": behind_a_pty,
+}
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize("fault", ["", "ok-to-unknown-id"])
+@pytest.mark.parametrize("line", LINES)
+def test_a_line_that_is_lost_ends_the_run_and_what_was_judged_is_in_every_report(
+    protocol: Protocol, tmp_path: Path, line: str, fault: str
+) -> None:
+    """Exit status 2, but 1 where a case had failed before."""
+    robot = Moody(protocol, LAST)
+    robot.robot = Simulator(protocol, fault_bank(protocol)[fault] if fault else None)
+    asked = {name: tmp_path / name for name in ("json", "junit", "markdown", "html")}
+    files = [word for name, file in asked.items() for word in (f"--{name}", str(file))]
+    with LINES[line](robot) as port:
+        done = process("conform", port, "--yes", "--level", "smoke", *files)
+
+    assert b"Traceback" not in done.stderr
+    told = msgspec.json.decode(asked["json"].read_bytes())
+    assert done.returncode == told["exit"] == (1 if fault else 2)
+    assert told["ended_by"] == "error"
+    assert port in told["ended"]
+    assert "\n" not in told["ended"]
+    counts = told["counts"]
     assert counts["pass"] > 3
-    assert counts["error"] == 1
-    assert counts["fail"] == 0
+    assert (counts["fail"] > 0) is bool(fault)
     assert counts["inconclusive"] > 10
-    cases = report["cases"]
-    assert isinstance(cases, list)
-    (error,) = [case for case in cases if case["verdict"] == "error"]
-    reasons = [axis["reason"] for axis in error["axes"].values() if axis["reason"]]
-    assert reasons
-    assert "\n" not in reasons[0]
+    assert counts["error"] == 1
+    (error,) = (case for case in told["cases"] if case["verdict"] == "error")
+    assert [axis["reason"] for axis in error["axes"].values() if axis["reason"]]
+    junit = ElementTree.fromstring(asked["junit"].read_bytes())
+    assert len(junit.findall(".//testcase/error")) == 1
+    assert len(junit.findall(".//testcase/failure")) == counts["fail"]
+    assert told["ended"] in asked["markdown"].read_text().replace("<!-- -->", "")
+    page = asked["html"].read_text()
+    assert told["ended"] in page
+    assert page.endswith("</html>\n")
