@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from msgspec.structs import replace
 
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.oracle.profile import Figures
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
@@ -238,8 +239,57 @@ def test_the_timing_picture_has_a_mark_for_each_entry(protocol: Protocol, show: 
     assert page.eval("document.querySelectorAll('.timing .moving').length") == sum(
         event.look.startswith("moving") for event in case.log
     )
-    # The pause of the silence is drawn short and says how long it was.
     assert "20.0 ms" in page.eval("document.querySelector('.timing').textContent")
+
+
+# Pauses of a log (s), and their labels in the picture; the shortest has none.
+PAUSES = {
+    3e-6: "",
+    20e-6: "20 µs",
+    200e-6: "200 µs",
+    0.0012: "1.2 ms",
+    0.02: "20.0 ms",
+    0.2: "200 ms",
+    2.0: "2.00 s",
+    20.0: "20.00 s",
+}
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [1280, 400])
+def test_the_timing_picture_shows_pauses_of_20_us_and_of_20_s_beside_each_other(
+    protocol: Protocol, show: Open, width: int
+) -> None:
+    times = [0.0]
+    for pause in (*PAUSES, *reversed(PAUSES)):
+        times.append(times[-1] + pause)
+    log = tuple(WireEvent(t, "look", look="moving") for t in times)
+    case = replace(a_case("made/1", Verdict.FAIL), log=log)
+    page = show(replace(every_verdict(protocol), results=(case,)))
+    page.size(width)
+    open_case(page, "made/1")
+
+    marks = page.eval(
+        "[...document.querySelectorAll('.timing circle')].map(mark => mark.cx.baseVal.value)"
+    )
+    widths = [after - before for before, after in pairwise(marks)]
+    half = len(PAUSES)
+    assert widths[:half] == sorted(widths[:half])  # a longer pause is drawn wider
+    assert widths[half:] == pytest.approx(widths[:half][::-1], abs=0.01)
+    assert min(widths) > 10  # the marks of two entries, 10 wide, do not cover each other
+    assert max(widths) < 300
+    labels = page.eval(
+        "[...document.querySelectorAll('.timing .pause')].map(label => "
+        "[label.textContent, label.getBBox().x, label.getBBox().x + label.getBBox().width])"
+    )
+    named = list(filter(None, PAUSES.values()))
+    assert [label for label, _, _ in labels] == named + named[::-1]
+    spans = [(a, b) for a, b in pairwise(marks) if b - a > widths[0] + 1]
+    assert len(spans) == len(labels)
+    for (begin, end), (_, left, right) in zip(spans, labels, strict=True):
+        assert begin < left < right < end
+    assert page.eval("document.querySelector('.timing').width.baseVal.value") > marks[-1]
+    assert page.eval("document.documentElement.scrollWidth") <= width  # the picture alone scrolls
 
 
 @needs_chromium

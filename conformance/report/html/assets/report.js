@@ -236,28 +236,26 @@
   const LEFT = 62;
   const LANES = { [SENT]: 36, [RECEIVED]: 78, [LOOK]: 120 };
 
-  // A pause that is long beside the others is drawn short, with a break that says how long it was.
+  const LABELED = 20; // µs; there is no room for a label at a shorter pause
+
+  // How wide a pause is drawn: by its logarithm, so that 20 µs and 20 s both show, and each label fits.
+  function room(gap) {
+    if (!gap) return 0;
+    if (gap < LABELED) return 10 + 0.3 * gap;
+    return 14 + 6.7 * duration(gap).length + 14 * Math.log10(gap / LABELED);
+  }
+
   function places(events, width) {
     const gaps = events.slice(1).map(([t], index) => t - events[index][0]);
-    const real = gaps.filter((gap) => gap > 0).sort((a, b) => a - b);
-    const usual = real.length ? real[Math.floor(real.length / 4)] : 1;
-    const longest = Math.max(usual * 6, 1);
-    const drawn = gaps.map((gap) => Math.min(gap, longest));
-    const sum = drawn.reduce((a, b) => a + b, 0);
-    const room = Math.max(width - LEFT - 80, real.length * 20);
-    const scale = sum ? room / sum : 0;
+    const sum = gaps.reduce((total, gap) => total + room(gap), 0);
+    const scale = Math.max(sum ? (width - LEFT - 80) / sum : 1, 1);
     const xs = [LEFT + 14];
-    const breaks = [];
-    drawn.forEach((gap, index) => {
-      const x = xs[index] + gap * scale;
-      if (gaps[index] > longest) breaks.push([xs[index], x, gaps[index]]);
-      xs.push(x);
-    });
-    return { xs, breaks, width: Math.max(xs[xs.length - 1] + 66, width) };
+    for (const gap of gaps) xs.push(xs[xs.length - 1] + room(gap) * scale);
+    return { xs, gaps, width: Math.max(xs[xs.length - 1] + 66, width) };
   }
 
   function timing(events, text, available) {
-    const { xs, breaks, width } = places(events, Math.max(available - 2, 300));
+    const { xs, gaps, width } = places(events, Math.max(available - 2, 300));
     const last = events[events.length - 1][0];
     const picture = draw("svg", {
       class: "timing", width, height: 168, viewBox: `0 0 ${width} 168`, role: "img",
@@ -270,13 +268,14 @@
         draw("text", { x: 4, y: y + 4, class: "name" }, name),
       );
     }
-    for (const [from, to, gap] of breaks) {
-      const middle = (from + to) / 2;
+    gaps.forEach((gap, index) => {
+      if (gap < LABELED) return;
+      const [from, to] = [xs[index], xs[index + 1]];
       picture.append(
-        draw("rect", { x: from + 6, y: 20, width: Math.max(to - from - 12, 2), height: 118, class: "break" }),
-        draw("text", { x: middle, y: 154, class: "pause" }, duration(gap)),
+        draw("path", { d: `M${from} 138v6M${from} 141H${to}M${to} 138v6`, class: "span" }),
+        draw("text", { x: (from + to) / 2, y: 158, class: "pause" }, duration(gap)),
       );
-    }
+    });
     const free = {};
     events.forEach(([t, kind, hex, meaning], index) => {
       const x = xs[index];
@@ -301,8 +300,7 @@
     });
     const legend = make("p", { class: "legend dim" },
       make("span", { class: "dot moving" }), " seen moving ",
-      make("span", { class: "dot still" }), " seen at rest",
-      breaks.length ? "; shaded: a pause drawn short" : "");
+      make("span", { class: "dot still" }), " seen at rest; widths by the logarithm of the pause");
     return make("div", {}, make("div", { class: "scroll picture", tabindex: 0 }, picture), legend);
   }
 
