@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from itertools import chain
 from pathlib import Path
@@ -14,7 +15,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded
-from bilprov.analyzer.replay.capture_session import capture_decoder
+from bilprov.analyzer.replay.capture_session import capture_decoder, capture_protocol, said_of_other
 from bilprov.analyzer.taps.sources import open_taps
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.reader import open_capture
@@ -77,13 +78,19 @@ def decode(
 def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator[Record]:
     """Decode a capture from its raw bytes and yield the records in order.
 
-    Records are frames, answers, line events and anomalies.
+    Records are frames, answers, line events and anomalies. Unless a protocol is given, it is
+    decoded by the grammar that it carries; of one that carries none, and was recorded with another
+    grammar than the kit's own, a warning says so.
 
     Times are ns since the capture's start. Raises CaptureError, in one sentence, when the file
-    cannot be read as a capture.
+    cannot be read as a capture, and GrammarError for a grammar in it that cannot be used.
     """
     capture = open_capture(path)
-    decoder = capture_decoder(capture, protocol or load_protocol())
+    if protocol is None:
+        protocol = capture_protocol([capture], load_protocol())
+        if other := said_of_other(capture, protocol):
+            warnings.warn(other, stacklevel=2)
+    decoder = capture_decoder(capture, protocol)
     for batch in decoded(decoder, capture.batches(), largest=TEXT_BATCH):
         yield from batch.records()
 

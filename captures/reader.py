@@ -94,11 +94,12 @@ class Capture:
 
     All that it gives is safe to show and to compute with: texts print and have 200 characters at
     most, and times are within `LONGEST` of the start. As stored, for a copy, are `messages()`,
-    `recorded()`, `attachments()`, and the texts of `contents.metadata` but for their escapes.
+    `recorded()`, `attachments()`, `grammar_text` and the values of `contents.metadata`.
 
-    `start` is the wall clock in ns at `t` = 0; `metadata` is the record `bilprov`, empty if there
-    is none; `library` names the writer. `unfinished` is true if the writer never closed the file:
-    then the complete records are read. `damage` has a sentence for each part that is left out.
+    `start` is the wall clock in ns at `t` = 0; `metadata` is the record `bilprov` without the
+    grammar's text, empty if there is none; `library` names the writer. `unfinished` is true if the
+    writer never closed the file: then the complete records are read. `damage` has a sentence for
+    each part that is left out.
 
     `volumes` are its files: of a recording that is kept in parts, those that are there. `path` is
     then the name that stands for all of them, and `contents` are those of all together.
@@ -182,6 +183,11 @@ class Capture:
         return stated_number(self.metadata.get(key))
 
     @property
+    def grammar_text(self) -> str:
+        """The text of the grammar by which it was recorded, as stored; "" if the file has none."""
+        return self.contents.metadata.get(topics.GRAMMAR_TEXT, "")
+
+    @property
     def in_parts(self) -> bool:
         """Whether it is the parts of a recording, and not one file."""
         return self.volumes[0].path.name != self.path.name
@@ -205,7 +211,7 @@ class Capture:
         not what it says it is, is passed over for the one before it. There is none in a capture
         that was not opened by its index. Raises CaptureError as `events` does.
         """
-        recorded = self.metadata.get("grammar_sha256")
+        recorded = self.metadata.get(topics.GRAMMAR_HASH)
         if not self.contents.counts.get(topics.CHECKPOINT) or (
             grammar and recorded and recorded != grammar
         ):
@@ -400,6 +406,11 @@ def open_indexed(path: str | Path) -> Capture | None:
     return _capture_of(path, contents, volumes, fitting)
 
 
+def open_quickly(path: str | Path) -> Capture:
+    """Open a capture by its index, or as `open_capture` does where that is not possible."""
+    return open_indexed(path) or open_capture(path)
+
+
 def _index_of(path: Path) -> Index | None:
     """The index of a file with traffic that says when it began; None if there is none."""
     from bilprov.captures.storage.index import read_index
@@ -426,7 +437,11 @@ def _capture_of(
     return Capture(
         path=path,
         start=start,
-        metadata={printable(key): printable(text) for key, text in contents.metadata.items()},
+        metadata={
+            printable(key): printable(text)
+            for key, text in contents.metadata.items()
+            if key != topics.GRAMMAR_TEXT
+        },
         library=contents.library,
         unfinished=contents.unfinished,
         damage=contents.damage,

@@ -44,6 +44,8 @@ CHECKPOINT = "/checkpoint"
 METADATA_NAME = "bilprov"
 START_KEY = "start"  # in the metadata: the wall clock at t = 0, ns
 MACHINE = "machine"  # in the metadata: the name of the machine that recorded
+GRAMMAR_HASH = "grammar_sha256"  # of the grammar by which it was recorded
+GRAMMAR_TEXT = "grammar_text"  # that grammar itself, as far as it fits
 HISTORY = "history"  # what was done to the recording, edit by edit
 PART = "part"  # the number of this part, from 1, of a recording that is kept in several
 CUT_START = "cut_start_ns"  # where a part, also one that was cut out, begins, ns since `start`

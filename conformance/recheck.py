@@ -16,6 +16,7 @@ import msgspec
 
 from bilprov.analyzer.foreign import from_json, safe
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.replay.capture_session import capture_protocol
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
@@ -32,12 +33,13 @@ from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.discovery.discover import READING
 from bilprov.conformance.runner.listeners.listener import RunListener
-from bilprov.conformance.runner.listeners.recorder import GRAMMAR, RUN, VERDICT
-from bilprov.spec.protocol import GrammarError, Protocol, load
-from bilprov.spec.safe_grammar import NotDeclared, require_declarations
+from bilprov.conformance.runner.listeners.recorder import RUN, VERDICT
+from bilprov.spec.protocol import Protocol
 
 SUMMED = ("verdict", "exit", "counts", "coverage", "profile")
 """The parts of a report, besides its cases, that must come out the same."""
+
+GRAMMAR = "grammar.py"  # the attachment with the grammar's text in older recordings
 
 # Keys that were added to a report later: older recordings lack them.
 _LATER = (
@@ -139,7 +141,7 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     """
     evidence = open_evidence(path, (GRAMMAR, RUN, VERDICT))
     run = _run(path, evidence)
-    grammar = grammar or _grammar(path, evidence, run)
+    grammar = grammar or _grammar(evidence, run)
     listener = _Results()
     report, strayed, cut = None, "", False
     try:
@@ -213,23 +215,11 @@ def _run(path: str, evidence: Evidence) -> _Run:
         raise CaptureError(f"{path}: {RUN} cannot be read: {error}") from error
 
 
-def _grammar(path: str, evidence: Evidence, run: _Run) -> Protocol:
-    """The grammar in the recording; one that is not the kit's own is run only if it just declares.
-
-    Raises GrammarError.
-    """
-    text = evidence.attachments.get(GRAMMAR, b"").decode("utf-8", "replace")
-    own = load_protocol()
-    if text == own.source:
-        return own
-    try:
-        require_declarations(text)
-    except NotDeclared as error:
-        raise GrammarError(
-            f"the grammar in {path} is not run, because it does more than declare "
-            f"({error}): give the grammar's file, bilprov --grammar FILE.py recheck ..."
-        ) from error
-    return load(text, run.grammar.get("file", GRAMMAR))
+def _grammar(evidence: Evidence, run: _Run) -> Protocol:
+    """The grammar in the recording; older ones have it as an attachment. Raises GrammarError."""
+    attached = evidence.attachments.get(GRAMMAR, b"").decode("utf-8", "replace")
+    file = run.grammar.get("file", GRAMMAR)
+    return capture_protocol([evidence.capture], load_protocol(), attached, file)
 
 
 def _experiments(evidence: Evidence) -> frozenset[str]:

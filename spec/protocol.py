@@ -141,7 +141,7 @@ class Protocol:
     @cached_property
     def sha256(self) -> str:
         """The hash of the grammar's text."""
-        return hashlib.sha256(_ONE_PACKAGE.sub("from spec.", self.source).encode()).hexdigest()
+        return grammar_hash(self.source)
 
     @cached_property
     def by_id(self) -> Mapping[int, InstructionSpec]:
@@ -243,6 +243,11 @@ class Protocol:
 # grammar: the hash is taken over the older spelling, so that older recordings still match.
 _BARE = re.compile(r"^from spec\.", re.MULTILINE)
 _ONE_PACKAGE = re.compile(r"^from bilprov\.spec\.", re.MULTILINE)
+
+
+def grammar_hash(source: str) -> str:
+    """The SHA-256, in hex, by which the text of a grammar is known."""
+    return hashlib.sha256(_ONE_PACKAGE.sub("from spec.", source).encode()).hexdigest()
 
 
 def load(source: str, origin: str = "grammar") -> Protocol:

@@ -27,7 +27,7 @@ from bilprov.analyzer.cli.output_files import (
     require_writable,
     write_output,
 )
-from bilprov.analyzer.cli.reading import opened_captures, reading
+from bilprov.analyzer.cli.reading import opened_captures, protocol_of, reading
 from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
@@ -57,11 +57,12 @@ def info(options: InfoOptions) -> None:
     from bilprov.analyzer.output.console import show_as
     from bilprov.captures.reader import open_capture
 
-    summary = summarized(open_capture(options.file), protocol_in_use())
+    capture = open_capture(options.file)
+    summary = summarized(capture, protocol_in_use())
     show_as(
         "json" if options.as_json else options.style,
         lambda: asdict(summary),
-        lambda: drawn(summary),
+        lambda: drawn(summary, carried=bool(capture.grammar_text)),
     )
 
 
@@ -121,14 +122,16 @@ def cut(options: CutOptions) -> None:
     from bilprov.analyzer.edit.new_capture import cut_metadata, new_capture
     from bilprov.analyzer.replay.capture_session import require_begun, said_about
     from bilprov.analyzer.replay.seek import opened_at
+    from bilprov.captures.reader import open_quickly
 
     path, new = options.path, options.new
     window = options.span.window()
     if not window.bounded and options.expression is None:
         raise click.UsageError("name what OUT is to hold: --start, --end, --filter or some of them")
-    protocol = protocol_in_use()
+    found = open_quickly(path)
+    protocol = protocol_of(found, copied=True)
     test = compiled(options.expression, protocol)
-    opened = opened_at(path, protocol, window.first or 0)
+    opened = opened_at(found, protocol, window.first or 0)
     capture = opened.capture
     require_begun(capture, window.first)
     require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
@@ -146,7 +149,7 @@ def cut(options: CutOptions) -> None:
         else:
             held = test.started(capture.start)
             size = write_selected(
-                lambda t: opened_at(path, protocol, t), protocol, out, window, held, progress
+                lambda t: opened_at(found, protocol, t), protocol, out, window, held, progress
             )
     note(f"{new} holds {quantity(size, 'byte')} of {path}")
 
@@ -176,9 +179,9 @@ def repair(options: RepairOptions) -> None:
     from bilprov.analyzer.replay.seek import opened_at
     from bilprov.captures.reader import open_capture
 
-    protocol = protocol_in_use()
     path, new = options.path, options.new
     capture = open_capture(path)  # surveyed: an index tells nothing of damage
+    protocol = protocol_of(capture, copied=True)
     require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
     note_each((*said_about(capture, protocol), *left_out(capture)))
     metadata = edited_metadata(capture, protocol, f"repair {printable(path.name)}")
@@ -188,7 +191,7 @@ def repair(options: RepairOptions) -> None:
     ):
         for file in capture.attachments():
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
-        size = write_window(opened_at(path, protocol, 0), protocol, out, Window(), progress)
+        size = write_window(opened_at(capture, protocol, 0), protocol, out, Window(), progress)
     note(f"{new} holds {quantity(size, 'byte')} of {path}")
     if capture.left_out or not capture.damage:
         note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
@@ -233,11 +236,11 @@ def join(options: JoinOptions) -> None:
 
     if len(options.paths) < 2:
         raise click.UsageError("name two captures or more to join")
-    protocol = protocol_in_use()
     new = options.new
     captures = [open_capture(path) for path in options.paths]
     inputs = map(str, options.paths)
     require_writable([("-o", str(new))], inputs, force=options.force, regular=True)
+    protocol = protocol_of(*captures, copied=True)
     joined = Joined(protocol, captures)
     for capture in captures:
         note_each((*said_about(capture, protocol), *left_out(capture)))
@@ -270,8 +273,7 @@ def decode(options: DecodeOptions) -> None:
     """
     from bilprov.analyzer.replay.conversion import write_decoded
 
-    protocol = protocol_in_use()
-    (capture,) = opened_captures([options.path], protocol)
+    (capture,), protocol = opened_captures([options.path], copied=True)
     note_each(left_out(capture))
     with reading([capture], least=0) as progress:  # each frame is written: that takes long
         write_decoded(capture, protocol, options.new, progress)
@@ -321,8 +323,7 @@ def diff(options: DiffOptions) -> int:
     output, paths = options.output, (options.first, options.second)
     outputs = [] if output is None else [("--json", output)]
     require_writable(outputs, paths, force=options.force)
-    protocol = protocol_in_use()
-    captures = opened_captures(paths, protocol)
+    captures, protocol = opened_captures(paths)
     with reading(captures) as progress:
         one, other = (exchanges(capture, protocol, progress) for capture in captures)
         comparison = compared(one, other, protocol, round(options.tolerance * 1e6))

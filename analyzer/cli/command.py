@@ -30,6 +30,9 @@ Options = TypeVar("Options")
 # In a field's metadata: a function that gives the field's parameters by its name, and one that
 # gives its value by its name and the values of all parameters.
 _PARAMETERS, _VALUE = "parameters", "value"
+TYPED_GRAMMAR = "bilprov.typed-grammar"
+"""The key in the `meta` of click's contexts: whether the grammar is named on the command line."""
+
 _FILE = re.compile(r"\[?(FILE|IN|OUT|REPORT|A)\b")  # how the metavar of a file begins
 
 
@@ -122,3 +125,12 @@ def protocol_in_use() -> Protocol:
     from bilprov.analyzer.grammar_file import load_protocol
 
     return load_protocol(click.get_current_context().obj)
+
+
+def typed_protocol() -> Protocol | None:
+    """The protocol of a grammar that was typed; None where it is a setting or the kit's own.
+
+    Raises GrammarError.
+    """
+    typed = click.get_current_context().meta.get(TYPED_GRAMMAR)
+    return protocol_in_use() if typed else None

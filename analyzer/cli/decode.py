@@ -53,13 +53,14 @@ def decode(options: DecodeOptions) -> None:
     HEX is bytes like 81 05, FILE a file of raw bytes or a capture, - standard input. The bytes are
     taken as sent without a pause: only the last frame can be cut short.
     """
-    protocol, sender = protocol_in_use(), options.sender
-    test = compiled(options.expression, protocol)
+    sender = options.sender
     if not options.words and sys.stdin.isatty():
         raise click.UsageError("nothing to decode: give HEX, a FILE or - for standard input")
     out = stream_output(options.style)
     source = _source(options.words)
     if isinstance(source, bytes):
+        protocol = protocol_in_use()
+        test = compiled(options.expression, protocol)
         session = Session(protocol, heard=frozenset({sender}))
         records = session.feed(Chunk(0, sender, source)) + session.finish()
         if test is None:  # and so without numpy, which takes longer to load than all else here
@@ -69,7 +70,8 @@ def decode(options: DecodeOptions) -> None:
 
         Shown(out, test.started(0)).show(Records(records))
         return
-    batches, start = _decoded(source, sender, protocol)
+    batches, start, protocol = _decoded(source, sender)
+    test = compiled(options.expression, protocol)
     shown = Shown(out, test and test.started(start))
     for batch in batches:
         shown.show(batch)
@@ -89,20 +91,20 @@ def _source(words: Sequence[str]) -> bytes | Path | None:
         raise click.ClickException(f"{files}{error}") from None
 
 
-def _decoded(
-    path: Path | None, sender: Direction, protocol: Protocol
-) -> tuple[Iterator[Batch], int]:
+def _decoded(path: Path | None, sender: Direction) -> tuple[Iterator[Batch], int, Protocol]:
     """What is decoded from a file, or from standard input as it comes.
 
-    And the wall clock (ns since 1970) at its start, 0 where nobody knows it.
+    And the wall clock (ns since 1970) at its start, 0 where nobody knows it, and the protocol.
     """
     if path is None or not (kept_parts(path) or _begins_like_a_capture(path)):
-        return _of_bytes(path, sender, protocol), 0
+        protocol = protocol_in_use()
+        return _of_bytes(path, sender, protocol), 0, protocol
     from bilprov.analyzer.replay.capture_parts import decoded
     from bilprov.analyzer.replay.capture_session import capture_decoder
 
-    (capture,) = opened_captures([path], protocol)
-    return decoded(capture_decoder(capture, protocol), capture.batches()), capture.start
+    (capture,), protocol = opened_captures([path])
+    batches = decoded(capture_decoder(capture, protocol), capture.batches())
+    return batches, capture.start, protocol
 
 
 def _is_file(path: Path) -> bool:

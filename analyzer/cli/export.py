@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import click
 
-from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, group, option
 from bilprov.analyzer.cli.options import (
     RowOptions,
     WindowOptions,
@@ -76,7 +76,6 @@ def export(options: ExportOptions) -> None:
     """
     from bilprov.analyzer.replay.capture_session import require_begun
 
-    protocol = protocol_in_use()
     path, output = options.path, options.output
     if path is None or output is None:
         raise click.UsageError(
@@ -90,10 +89,10 @@ def export(options: ExportOptions) -> None:
             f"{'|'.join(FORMATS)}"
         )
     form = FORMATS[style]
-    more = _choices(form, style, options.rows.style(protocol))
     window = options.span.window()
+    (capture,), protocol = opened_captures([path])
+    more = _choices(form, style, options.rows.style(protocol))
     test = compiled(options.expression, protocol)
-    (capture,) = opened_captures([path], protocol)
     require_begun(capture, window.first)
     write = _writer(style)
     started = test and test.started(capture.start)

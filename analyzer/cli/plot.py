@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, option
 from bilprov.analyzer.cli.output_files import force_option, require_writable, write_output
 from bilprov.analyzer.cli.reading import opened_captures, reading
 
@@ -40,8 +40,7 @@ def plot(options: PlotOptions) -> None:
     from bilprov.analyzer.version import kit_version
 
     require_writable([("--html", options.page)], inputs=[options.file], force=options.force)
-    protocol = protocol_in_use()
-    (capture,) = opened_captures([options.file], protocol)
+    (capture,), protocol = opened_captures([options.file])
     totals, timeline = Totals(protocol), Timeline(protocol)
     with reading([capture]) as progress:
         for batch in decoded_batches(capture, protocol, progress):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from bilprov.analyzer.cli.command import protocol_in_use, typed_protocol
 from bilprov.analyzer.cli.options import note, note_each
 
 if TYPE_CHECKING:
@@ -21,15 +22,35 @@ _LONG = 1 << 20  # raw bytes from which on a bar is drawn
 _STEPS = 200  # of the bar
 
 
-def opened_captures(paths: Iterable[str | Path], protocol: Protocol) -> list[Capture]:
-    """Open captures, and print what there is to note about each. Raises CaptureError."""
+def opened_captures(
+    paths: Iterable[str | Path], *, copied: bool = False
+) -> tuple[list[Capture], Protocol]:
+    """Open captures, and print what there is to note about each; with the protocol of all.
+
+    `copied` is as in `protocol_of`. Raises CaptureError, and GrammarError as that does.
+    """
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.captures.reader import open_capture
 
     captures = [open_capture(path) for path in paths]
+    protocol = protocol_of(*captures, copied=copied)
     for capture in captures:
         note_each(said_about(capture, protocol))
-    return captures
+    return captures, protocol
+
+
+def protocol_of(*captures: Capture, copied: bool = False) -> Protocol:
+    """The protocol by which captures are decoded: of the grammar that was typed, else of theirs.
+
+    Where a capture is `copied` and its grammar is not known, there is none. Raises GrammarError.
+    """
+    from bilprov.analyzer.replay.capture_session import capture_protocol, require_known
+
+    typed = typed_protocol()
+    protocol = typed or capture_protocol(captures, protocol_in_use())
+    if copied and typed is None:
+        require_known(captures, protocol)
+    return protocol
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, flag, group, option
 from bilprov.analyzer.cli.options import (
     Finite,
     LineOptions,
@@ -26,6 +26,7 @@ from bilprov.analyzer.cli.options import (
     plain_option,
     timeout_option,
 )
+from bilprov.analyzer.cli.reading import protocol_of
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import HostRecord
@@ -50,7 +51,7 @@ from bilprov.analyzer.replay.capture_session import (
 from bilprov.analyzer.replay.playback import interruptible, played
 from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.reader import Capture, open_capture, open_indexed
+from bilprov.captures.reader import Capture, open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.topics import HOST_RAW
 from bilprov.spec.movement import movement_of, movement_words
@@ -129,13 +130,12 @@ def replay(options: ReplayOptions) -> int:
     if options.judged:
         promise_verdict()
     window = options.span.window(options.duration)
-    protocol = protocol_in_use()
     style = options.shown.style(options.plain, options.in_lines)
-    rows = options.shown.rows.style(protocol, style)
-    test = compiled(options.shown.expression, protocol)
     timeout = options.truncation_timeout
     timeout = None if timeout is None else round(timeout * MS)
-    opened = _opened(options, protocol, timeout, window, style)
+    opened, protocol = _opened(options, timeout, window, style)
+    rows = options.shown.rows.style(protocol, style)
+    test = compiled(options.shown.expression, protocol)
     capture = opened.capture
     test = test and test.started(capture.start)
     require_begun(capture, window.first)
@@ -211,17 +211,19 @@ def _movement(protocol: Protocol, capture: Capture, timeout: int | None, window:
 
 
 def _opened(
-    options: ReplayOptions, protocol: Protocol, timeout: int | None, window: Window, style: Format
-) -> Opened:
+    options: ReplayOptions, timeout: int | None, window: Window, style: Format
+) -> tuple[Opened, Protocol]:
     """Open the capture, from where the window begins; all of it for what is compared or judged.
 
     For the screen its index is enough, so that the first rows are there at once.
     """
-    if window.first is not None and not options.in_lines:
-        return opened_at(options.path, protocol, window.first, timeout)
-    indexed = open_indexed(options.path) if style == "live" else None
-    capture = indexed or open_capture(options.path)
-    return Opened(capture, capture_decoder(capture, protocol, timeout))
+    seeks = window.first is not None and not options.in_lines
+    opened = open_quickly if seeks or style == "live" else open_capture
+    capture = opened(options.path)
+    protocol = protocol_of(capture)
+    if seeks:
+        return opened_at(capture, protocol, window.first or 0, timeout), protocol
+    return Opened(capture, capture_decoder(capture, protocol, timeout)), protocol
 
 
 def _look_through(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, option
 from bilprov.analyzer.cli.options import compiled, filter_option
 from bilprov.analyzer.cli.output_files import (
     STANDARD_OUTPUT,
@@ -57,9 +57,8 @@ def stats(options: StatsOptions) -> None:
     named = {"--json": options.json_file, "--csv": options.csv_file}
     outputs = [(option, path) for option, path in named.items() if path is not None]
     require_writable(outputs, inputs=options.files, force=options.force)
-    protocol = protocol_in_use()
+    captures, protocol = opened_captures(options.files)
     test = compiled(options.expression, protocol)
-    captures = opened_captures(options.files, protocol)
     each, together = [], Totals(protocol)
     with reading(captures) as progress:
         for capture in captures:

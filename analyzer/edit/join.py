@@ -35,7 +35,7 @@ from bilprov.analyzer.edit.recorded_values import (
 )
 from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_settings
-from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
+from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter, grammar_metadata
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
@@ -82,8 +82,8 @@ class Joined:
         ]
         self.sources = sorted(sources, key=lambda source: (source.first, -source.last))
         self.start = min(capture.start for capture in captures)
-        _require_one_grammar(captures)
         _require_apart(self.sources)
+        self._protocol = protocol
         self.settings = _settings(self.sources)
 
     def notes(self) -> Iterator[str]:
@@ -105,9 +105,10 @@ class Joined:
     def metadata(self) -> dict[str, str]:
         """The metadata of all: what they agree on, and the rest with the number of its capture."""
         abouts = [source.capture.contents.metadata for source in self.sources]
-        about: dict[str, str] = {}
+        grammar = grammar_metadata(self._protocol)
+        about: dict[str, str] = dict(grammar)
         for key in dict.fromkeys(key for one in abouts for key in one):
-            if key in _OF_ONE:
+            if key in _OF_ONE or key in grammar:
                 continue
             if len({one[key] for one in abouts if key in one}) == 1:
                 about[key] = next(one[key] for one in abouts if key in one)
@@ -233,22 +234,6 @@ def _settings(sources: Sequence[_Source]) -> SessionSettings:
         "heard": heard,
         "attached": first.settings["attached"],
     }
-
-
-def _require_one_grammar(captures: Sequence[Capture]) -> None:
-    """Raise CaptureError if captures were recorded with different grammars."""
-    known = [one for one in captures if one.metadata.get("grammar_sha256")]
-    for other in known[1:]:
-        if other.metadata["grammar_sha256"] != known[0].metadata["grammar_sha256"]:
-            said = [
-                f"{printable(one.path)} ({one.metadata.get('grammar_name', '?')} "
-                f"{one.metadata.get('grammar_version', '')})"
-                for one in (known[0], other)
-            ]
-            raise CaptureError(
-                f"{said[0]} and {said[1]} were recorded with different grammars: join only "
-                "captures of one"
-            )
 
 
 def _require_apart(sources: Sequence[_Source]) -> None:

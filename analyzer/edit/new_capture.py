@@ -11,7 +11,7 @@ from bilprov.analyzer.decode.checkpoint import DecoderState, encoded
 from bilprov.analyzer.decode.session import SessionSettings
 from bilprov.analyzer.files import replaced_whole
 from bilprov.analyzer.replay.capture_session import capture_settings
-from bilprov.analyzer.replay.recorder import CHECKPOINT_STATE, RecordWriter
+from bilprov.analyzer.replay.recorder import CHECKPOINT_STATE, RecordWriter, grammar_metadata
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
@@ -58,10 +58,12 @@ def new_capture(
 def edited_metadata(capture: Capture, protocol: Protocol, edit: str) -> dict[str, str]:
     """The metadata of a capture for an edited copy, with a word about the edit.
 
-    The settings of its decoding are said, so that they do not depend on what is left of it.
+    The settings of its decoding and the grammar are said, so that they do not depend on what is
+    left of it.
     """
     own = {topics.START_KEY, topics.PART}
     about = {key: text for key, text in capture.contents.metadata.items() if key not in own}
+    about |= grammar_metadata(protocol)
     about |= decoding_metadata(capture_settings(capture, protocol))
     done = f"{edit} (bilprov {kit_version()})"
     before = about.get(topics.HISTORY)

@@ -11,7 +11,7 @@ since 1970, where a file claims one outside the calendar):
 - `duration`: from `start` to `end`, in seconds.
 - `host`: the name of the machine on which it was recorded, null if the file does not say.
 - `kit`: the version of bilprov by which it was recorded, null if by another program.
-- `metadata`: the record `bilprov`, as it is in the file.
+- `metadata`: the record `bilprov`, as it is in the file, without the grammar's text.
 - `same_grammar`: whether it was recorded with the grammar in use, null if the file does not say.
 - `counts`: messages by topic. `bytes`: raw bytes, by `host` and `device`.
 - `unfinished`: whether the recording was cut short (killed, a full disk).
@@ -98,10 +98,10 @@ def _moment(wall: int) -> str:
         return str(wall)
 
 
-def drawn(summary: Summary) -> Iterator[RenderableType]:
-    """Yield the parts to print."""
+def drawn(summary: Summary, *, carried: bool) -> Iterator[RenderableType]:
+    """Yield the parts to print; `carried` is whether the file has its grammar's text."""
     yield heading(printable(summary.path))
-    yield facts(_about(summary))
+    yield facts(_about(summary, carried))
     yield Text()
     yield table(
         ("topic", "messages"),
@@ -118,7 +118,7 @@ def drawn(summary: Summary) -> Iterator[RenderableType]:
         yield Text(f"  damaged: {sentence}", style="yellow")
 
 
-def _about(summary: Summary) -> Iterator[tuple[str, str]]:
+def _about(summary: Summary, carried: bool) -> Iterator[tuple[str, str]]:
     yield "size", quantity(summary.size, "byte")
     if summary.parts:
         named = printable(" to ".join(dict.fromkeys((summary.parts[0], summary.parts[-1]))))
@@ -134,7 +134,10 @@ def _about(summary: Summary) -> Iterator[tuple[str, str]]:
     for key, value in sorted(summary.metadata.items()):
         if key not in ("start", "version", MACHINE, CUT_START, CUT_END):  # shown above
             yield key.replace("_", " "), printable(value)
-    if summary.same_grammar is not None:
-        yield "recorded with", f"{'the' if summary.same_grammar else 'not the'} grammar in use"
+    if summary.same_grammar:
+        yield "recorded with", "the grammar in use"
+    elif summary.same_grammar is False:
+        which = "another grammar, which is in the file" if carried else "not the grammar in use"
+        yield "recorded with", which
     yield "host sent", quantity(summary.bytes["host"], "byte")
     yield "device sent", quantity(summary.bytes["device"], "byte")

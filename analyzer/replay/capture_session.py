@@ -3,19 +3,71 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from bilprov.analyzer.decode.session import BOTH, SKEW, Session, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS, Direction
 from bilprov.captures.text import printable
-from bilprov.captures.topics import CUT_START, DEVICE_RAW, HOST_RAW
+from bilprov.captures.topics import CUT_START, DEVICE_RAW, GRAMMAR_HASH, HOST_RAW
 from bilprov.spec.errors import UserError
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import GrammarError, Protocol, grammar_hash
 
 _LONGEST = 60_000.0  # ms that a file may ask for
+
+
+def capture_protocol(
+    captures: Sequence[Capture], in_use: Protocol, text: str = "", origin: str = ""
+) -> Protocol:
+    """The grammar by which captures are decoded, which they carry: one for all of them.
+
+    Of captures without a grammar's text it is the one in use (`said_about` tells of a difference).
+    `text` is the grammar where a file has it elsewhere than in its metadata, `origin` the name of
+    the grammar's file. Raises GrammarError, in one sentence, for captures of different grammars,
+    and as `carried_protocol` does.
+    """
+    stated = {known: one for one in captures if (known := one.metadata.get(GRAMMAR_HASH, ""))}
+    if len(stated) > 1:
+        first, second, *_ = (f"{printable(one.path)} ({_known(one)})" for one in stated.values())
+        raise GrammarError(
+            f"{first} and {second} were recorded with different grammars: name captures of one, "
+            "or give one grammar for all with --grammar FILE.py"
+        )
+    if in_use.sha256 in stated:  # so that nothing is loaded twice
+        return in_use
+    for one in captures:
+        text = one.grammar_text or text
+        if text and grammar_hash(text) != in_use.sha256:
+            told = one.metadata.get(GRAMMAR_HASH, "")
+            return carried_protocol(text, told, str(one.path), origin)
+    return in_use
+
+
+def require_known(captures: Sequence[Capture], protocol: Protocol) -> None:
+    """Raise GrammarError for captures of another grammar, which they do not carry.
+
+    A copy of them would be taken for one of `protocol`.
+    """
+    for one in captures:
+        if _is_other(one, protocol):
+            raise GrammarError(
+                f"{printable(one.path)} was recorded with another grammar ({_known(one)}), which "
+                "is not in it: give that grammar's file with --grammar FILE.py"
+            )
+
+
+def _is_other(capture: Capture, protocol: Protocol) -> bool:
+    """Whether a capture says that it was recorded with another grammar."""
+    return capture.metadata.get(GRAMMAR_HASH, "") not in ("", protocol.sha256)
+
+
+def _known(capture: Capture) -> str:
+    """The grammar that a capture was recorded with, in words."""
+    name = capture.metadata.get("grammar_name", "without a name")
+    return f"{name} {capture.metadata.get('grammar_version', '')}".strip()
 
 
 def capture_settings(
@@ -90,14 +142,20 @@ def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
         first = capture.damage[0]
         more = f" and {len(capture.damage) - 1} more" if len(capture.damage) > 1 else ""
         yield f"{name} is damaged: {first}{more}; the rest is shown"
-    recorded = capture.metadata.get("grammar_sha256")
-    if recorded and recorded != protocol.sha256:
-        known = capture.metadata.get("grammar_name", "another grammar")
-        version = capture.metadata.get("grammar_version", "")
-        yield (
-            f"{name} was recorded with another grammar ({known} {version}); decoded with "
-            f"{protocol.origin} ({protocol.name} {protocol.version})"
-        )
+    if other := said_of_other(capture, protocol):
+        yield other
+
+
+def said_of_other(capture: Capture, protocol: Protocol) -> str:
+    """A note that the capture was recorded with another grammar than this, "" if it was not."""
+    if not _is_other(capture, protocol):
+        return ""
+    by_default = protocol == load_protocol()
+    advice = "; give its own with --grammar FILE.py" if by_default else ""
+    return (
+        f"{printable(capture.path)} was recorded with another grammar ({_known(capture)}); decoded "
+        f"with {protocol.origin} ({protocol.name} {protocol.version}){advice}"
+    )
 
 
 def _nanoseconds(capture: Capture, key: str) -> int | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_session
-from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
+from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter, grammar_metadata
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
@@ -45,9 +45,7 @@ def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordW
         key: text for key, text in capture.contents.metadata.items() if key != topics.START_KEY
     }
     # The new file's records are those of this grammar, whatever the old one's were.
-    metadata["grammar_name"] = protocol.name
-    metadata["grammar_version"] = protocol.version
-    metadata["grammar_sha256"] = protocol.sha256
+    metadata |= grammar_metadata(protocol)
     try:
         return RecordWriter(path, capture.start, metadata)
     except ValueError as error:

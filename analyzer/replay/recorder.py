@@ -26,6 +26,7 @@ from bilprov.captures.schemas import (
     State,
     Time,
 )
+from bilprov.captures.storage.records import STRING_BYTES
 from bilprov.captures.topics import Written
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
@@ -54,9 +55,7 @@ def session_metadata(
     """
     return {
         "version": kit_version(),
-        "grammar_name": protocol.name,
-        "grammar_version": protocol.version,
-        "grammar_sha256": protocol.sha256,
+        **grammar_metadata(protocol),
         topics.MACHINE: platform.node(),
         **{f"port_{part}": name for part, name in ports.items()},
         "line": line,
@@ -65,6 +64,20 @@ def session_metadata(
         "skew_ms": f"{skew / MS:g}",
         "heard": " ".join(sorted(heard)),
         "attached": "yes" if attached else "no",
+    }
+
+
+def grammar_metadata(protocol: Protocol) -> dict[str, str]:
+    """The grammar as the metadata of a capture say it: names, hash, and its text.
+
+    A text that is too long for a metadata record is left out.
+    """
+    fits = len(protocol.source.encode()) <= STRING_BYTES
+    return {
+        "grammar_name": protocol.name,
+        "grammar_version": protocol.version,
+        topics.GRAMMAR_HASH: protocol.sha256,
+        topics.GRAMMAR_TEXT: protocol.source if fits else "",
     }
 
 
@@ -169,7 +182,7 @@ class Recorder(Closing):
         )
         self._throttle = Throttle()
         self._state: State | None = None
-        self._checkpoints = Checkpoints(metadata["grammar_sha256"])
+        self._checkpoints = Checkpoints(metadata[topics.GRAMMAR_HASH])
 
     @property
     def failure(self) -> str:

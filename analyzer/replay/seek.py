@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.capture_session import capture_decoder
-from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture, open_indexed
+from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture
 from bilprov.captures.schemas import Chunk, Line, Recorded
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CHECKPOINT
@@ -45,19 +44,19 @@ class Opened(NamedTuple):
 
 
 def opened_at(
-    path: str | Path, protocol: Protocol, start: int, timeout: int | None = None
+    capture: Capture, protocol: Protocol, start: int, timeout: int | None = None
 ) -> Opened:
-    """Open a capture to decode what comes from `start` (ns since its start) on.
+    """Prepare to decode what comes from `start` (ns since the capture's start) on.
 
-    `timeout` is as in `capture_timeout`. A checkpoint that does not fit this protocol or these
-    settings is not used. Raises CaptureError as `open_capture` does.
+    Only a capture that was opened by its index has checkpoints to go on from; without a fitting
+    one it is opened again, as a whole. `timeout` is as in `capture_timeout`. A checkpoint that does
+    not fit this protocol or these settings is not used. Raises CaptureError as `open_capture` does.
     """
-    indexed = open_indexed(path)
-    if indexed is not None:
-        opened = _from_checkpoint(indexed, protocol, start, timeout)
+    if capture.indexes:
+        opened = _from_checkpoint(capture, protocol, start, timeout)
         if opened is not None:
             return opened
-    capture = open_capture(path)
+        capture = open_capture(capture.path)
     note = ""
     if not capture.contents.counts.get(CHECKPOINT):
         note = (

@@ -133,7 +133,7 @@ def mended(path: Path) -> Hashable:
             for file in capture.attachments():
                 at = file.log_time - capture.start
                 out.attach(file.name, file.media_type, file.data, at)
-            opened = opened_at(path, protocol, 0)
+            opened = opened_at(capture, protocol, 0)
             size = write_window(opened, protocol, out, Window(), lambda count: None)
         whole = open_capture(new)
         require(not whole.damage and not whole.unfinished, "what was recovered is damaged")

@@ -51,7 +51,7 @@ def _selected(path: Path, capture: Capture) -> int:
 
     def write(out: RecordWriter) -> int:
         return write_selected(
-            lambda t: opened_at(path, protocol, t), protocol, out, Window(), test, _told
+            lambda t: opened_at(capture, protocol, t), protocol, out, Window(), test, _told
         )
 
     metadata = cut_metadata(capture, protocol, None, None, "faulty")

@@ -108,18 +108,22 @@ class _Cursor:
 
     def text(self) -> str:
         """Read the next string; invalid UTF-8 and characters that do not print become escapes."""
+        return escape_controls(self.lines())
+
+    def lines(self) -> str:
+        """Read the next string, in which only invalid UTF-8 becomes escapes."""
         length = self.field("I")
         if length > STRING_BYTES:
             raise Damaged(f"a string is {length} bytes, allowed are {STRING_BYTES}")
-        return escape_controls(self.block(length).decode("utf-8", "backslashreplace"))
+        return self.block(length).decode("utf-8", "backslashreplace")
 
     def texts(self) -> dict[str, str]:
-        """Read the next map of strings."""
+        """Read the next map of strings, whose values may have several lines."""
         end = self.field("I") + self.at
         pairs: dict[str, str] = {}
         while self.at < end:
             name = self.text()
-            pairs[name] = self.text()
+            pairs[name] = self.lines()
             if len(pairs) > PAIRS:
                 raise Damaged(f"a map has more than the {PAIRS} strings allowed")
         if self.at != end:

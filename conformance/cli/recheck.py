@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import click
 
-from bilprov.analyzer.cli.command import argument, command, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, typed_protocol
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.captures.errors import CaptureError
@@ -52,7 +52,7 @@ def recheck(options: RecheckOptions) -> int:
     path, outputs = options.path, outputs_of(options.outputs)
     require_writable(outputs, inputs=[path])
     to_stdout = onto_standard_output(outputs)
-    found = judged_again(path, protocol_in_use() if click.get_current_context().obj else None)
+    found = judged_again(path, typed_protocol())
     try:
         if found.report is not None:
             text = as_json(found.report).decode()

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import click
 from click import exceptions
+from click.core import ParameterSource
 
 from bilprov.analyzer.former_names import former_name
 from bilprov.analyzer.output.help import HELP_NAMES, Group
@@ -136,7 +137,10 @@ COMMANDS = {
 def _use_grammar(ctx: click.Context, param: click.Parameter, path: str | None) -> None:
     """Use a grammar from here on, the last one where several are named."""
     if path is not None:
+        from bilprov.analyzer.cli.command import TYPED_GRAMMAR
+
         ctx.find_root().params["grammar"] = ctx.obj = path
+        ctx.meta[TYPED_GRAMMAR] = ctx.get_parameter_source("grammar") is ParameterSource.COMMANDLINE
 
 
 def _grammar_option(help: str) -> click.Option:

@@ -121,8 +121,8 @@ def test_the_official_reader_reads_messages_attachments_and_metadata(
     assert summary is not None
     assert summary.statistics is not None
     assert count == summary.statistics.message_count > 100
-    assert list(attached) == ["grammar.py", "run.json", "profile.json", "verdict.json"]
-    assert attached["grammar.py"].decode() == protocol.source
+    assert list(attached) == ["run.json", "profile.json", "verdict.json"]
+    assert metadata["bilprov"]["grammar_text"] == protocol.source
     assert metadata["bilprov"]["grammar_sha256"] == protocol.sha256
     assert json.loads(attached["run.json"])["options"]["only"] == ["unused-id/9/0"]
     assert json.loads(attached["profile.json"]) == json.loads(attached["verdict.json"])["profile"]
@@ -149,7 +149,7 @@ def test_what_the_run_rests_on_stands_before_its_first_byte(small: Path) -> None
         if topics.TOPICS[0].channel in index.message_index_offsets
     ]
 
-    assert max(attached["grammar.py"], attached["run.json"]) < min(with_host_bytes)
+    assert attached["run.json"] < min(with_host_bytes)
     assert max(with_host_bytes) < attached["verdict.json"]
 
 
@@ -179,7 +179,7 @@ def test_an_attachment_with_a_wrong_checksum_is_damage_also_in_an_unfinished_fil
     small: Path, tmp_path: Path
 ) -> None:
     content = bytearray(small.read_bytes())
-    content[content.index(b"Stops the robot")] ^= 1
+    content[content.index(b"short_homing")] ^= 1
     path = tmp_path / "cut.mcap"
     path.write_bytes(content[: content.index(b"verdict.json")])  # never finished
 
@@ -207,7 +207,7 @@ def test_a_file_of_another_program_is_no_evidence(tmp_path: Path) -> None:
 
 def test_attachment_checksums_are_those_of_the_format(small: Path) -> None:
     content = small.read_bytes()
-    start = content.index(b"\x0a\0\0\0grammar.py") - 16
+    start = content.index(b"\x08\0\0\0run.json") - 16
     length = int.from_bytes(content[start - 8 : start], "little")
     record = content[start : start + length]
 

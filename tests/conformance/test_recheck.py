@@ -450,12 +450,16 @@ def test_a_grammar_that_cannot_be_used_is_one_sentence(
     assert piece in sentence(result)
 
 
+@pytest.mark.parametrize("older", [False, True])
 def test_a_grammar_that_does_more_than_declare_is_not_run(
-    faulty: Path, tmp_path: Path, grammar_text: str
+    faulty: Path, tmp_path: Path, grammar_text: str, older: bool
 ) -> None:
     witness = tmp_path / "witness"
     evil = f"{grammar_text}\nopen({str(witness)!r}, 'w')\n"
-    file = forged(faulty, tmp_path / "f.mcap", grammar_py=evil.encode())
+    if older:
+        file = forged(faulty, tmp_path / "f.mcap", grammar_py=evil.encode())
+    else:
+        file = forged(faulty, tmp_path / "f.mcap", grammar=evil)
 
     result = command("recheck", str(file))
 
@@ -480,7 +484,7 @@ def test_a_grammar_that_is_given_is_used_instead(
     other = command("--grammar", "spec/grammar.py", "recheck", str(run))
 
     assert (refused.returncode, judged.returncode) == (2, 0)
-    assert "bilprov --grammar FILE.py recheck" in sentence(refused)
+    assert "give the grammar's file with --grammar FILE.py" in sentence(refused)
     assert judged.stdout.startswith(b"the same: ")
     assert other.returncode == 2
     assert "no case matches" in sentence(other)

@@ -24,7 +24,7 @@ from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, grammar_hash
 from tests.support.robots import BYTE_TIME, MS
 
 WALL = 1_790_000_000_000_000_000
@@ -89,12 +89,20 @@ def forged(
     path: Path,
     to: Path,
     change: Callable[[Message], Message | None] = lambda message: message,
+    grammar: str = "",
     **attached: bytes,
 ) -> Path:
-    """The same recording written anew, hash and all, with messages or attachments changed."""
+    """The same recording written anew, hash and all, with messages or attachments changed.
+
+    A `grammar` stands in the metadata; as the attachment `grammar_py` older recordings have it.
+    """
     capture = open_capture(path)
     kinds = {topic.name: topic.value for topic in topics.TOPICS}
-    metadata = {k: v for k, v in capture.metadata.items() if k != topics.START_KEY}
+    metadata = {k: v for k, v in capture.contents.metadata.items() if k != topics.START_KEY}
+    older = attached.get("grammar_py", b"").decode()
+    if grammar or older:
+        metadata[topics.GRAMMAR_HASH] = grammar_hash(grammar or older)
+        metadata[topics.GRAMMAR_TEXT] = grammar
     others = attachments_of(path) | {n.replace("_", "."): data for n, data in attached.items()}
     with CaptureWriter(to, start_wall=capture.start, metadata=metadata, version="0.1.0") as out:
         for name, data in others.items():

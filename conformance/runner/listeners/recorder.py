@@ -1,7 +1,7 @@
 """Records a run as evidence: all that is needed to judge it again, and the verdict beside it.
 
 Messages: the raw bytes both ways and their decoding, each case's begin and end, each look, each
-operation of the runner. Attached at the start: the grammar's text (`grammar.py`), options and
+operation of the runner. The metadata hold the grammar's text. Attached at the start: options and
 environment (`run.json`); at the end: what was measured (`profile.json`) and the report
 (`verdict.json`, as `--json` writes it).
 """
@@ -38,7 +38,7 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 
-GRAMMAR, RUN, PROFILE, VERDICT = "grammar.py", "run.json", "profile.json", "verdict.json"
+RUN, PROFILE, VERDICT = "run.json", "profile.json", "verdict.json"
 """The names of the attachments."""
 
 
@@ -126,7 +126,7 @@ class RunRecorder(Closing, RunListener):
         self._mark(CaseMark(self._now, result.id, "end", result.verdict.label, result.reason))
 
     def begins(self, protocol: Protocol, options: object, environment: Environment) -> None:
-        """The run begins: grammar, options and environment are written before anything is sent."""
+        """The run begins: options and environment are written before anything is sent."""
         about = msgspec.json.encode(
             {
                 "kit": kit_version(),
@@ -138,7 +138,6 @@ class RunRecorder(Closing, RunListener):
                 "retries_causes": True,
             }
         )
-        self._attach(GRAMMAR, "text/x-python", protocol.source.encode())
         self._attach(RUN, "application/json", about)
 
     def done(self, operation: Operation | None, reply: Reply | Ended) -> None:

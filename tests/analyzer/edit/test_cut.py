@@ -27,7 +27,7 @@ from bilprov.analyzer.edit.cut import CUT_THROUGH, write_selected, write_window
 from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.seek import opened_at
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
@@ -84,11 +84,11 @@ def cut(
     test = compiled(expression, protocol)
     with new_capture(out, capture.start, metadata, force=True) as writer:
         if test is None:
-            opened = opened_at(path, protocol, window.first or 0)
+            opened = opened_at(open_quickly(path), protocol, window.first or 0)
             write_window(opened, protocol, writer, window, lambda size: True)
         else:
             write_selected(
-                lambda t: opened_at(path, protocol, t),
+                lambda t: opened_at(open_quickly(path), protocol, t),
                 protocol,
                 writer,
                 window,
@@ -404,7 +404,7 @@ def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:
     capture = open_capture(SAMPLE)
     metadata = edited_metadata(capture, protocol, "cut")
     out = tmp_path / "out.mcap"
-    opened = opened_at(SAMPLE, protocol, 0)
+    opened = opened_at(open_quickly(SAMPLE), protocol, 0)
 
     def stop(size: int) -> None:
         raise KeyboardInterrupt

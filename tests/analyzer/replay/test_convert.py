@@ -26,7 +26,7 @@ from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, session_met
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Message, open_capture
+from bilprov.captures.reader import Message, open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.codec import all_data, raw_frame
@@ -148,7 +148,7 @@ def test_the_new_file_has_checkpoints_to_go_on_from(
 ) -> None:
     live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
     new, _ = converted(live)
-    opened = opened_at(new, protocol, start * MS)
+    opened = opened_at(open_quickly(new), protocol, start * MS)
 
     assert opened.decoder.saved() != StreamDecoder(protocol).saved()
     from_there = records_of(opened.decoder.feed(list(opened.events())) + opened.decoder.finish())

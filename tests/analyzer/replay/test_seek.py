@@ -16,7 +16,7 @@ from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.seek import opened_at
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.topics import CHECKPOINT
 from bilprov.captures.writer import CaptureWriter
@@ -85,7 +85,7 @@ def _turn(protocol: Protocol, draw: random.Random, t: int) -> tuple[list[Chunk |
 def lines(path: Path, protocol: Protocol, start: int, *, seek: bool) -> list[str]:
     """The JSON lines of a replay from `start` (ns) on."""
     text: list[str] = []
-    opened = opened_at(path, protocol, start if seek else 0)
+    opened = opened_at(open_quickly(path), protocol, start if seek else 0)
     pipeline = Pipeline(
         opened.decoder,
         Statistics(),
@@ -123,7 +123,7 @@ def test_what_stands_before_the_checkpoint_is_not_read(protocol: Protocol, tmp_p
     path = made(protocol, tmp_path / "made.mcap", 5)
     all_events = sum(1 for _ in open_capture(path))
 
-    opened = opened_at(path, protocol, 5_000 * MS)
+    opened = opened_at(open_quickly(path), protocol, 5_000 * MS)
 
     assert sum(1 for _ in opened.events()) < all_events / 3
 
@@ -133,7 +133,7 @@ def test_an_older_capture_is_replayed_and_said_to_be_slow(protocol: Protocol, sa
     full = lines(sample, protocol, 0, seek=False)
     draw = random.Random(sample.name)
 
-    assert "no checkpoints" in opened_at(sample, protocol, 1).note
+    assert "no checkpoints" in opened_at(open_quickly(sample), protocol, 1).note
     for start in (draw.randrange(2_000 * MS) for _ in range(20)):
         assert lines(sample, protocol, start, seek=True) == later(full, start)
 

@@ -28,7 +28,7 @@ from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_
 from bilprov.analyzer.screen.figures import figures
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.row_export import export
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import Chunk, State
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
@@ -115,7 +115,7 @@ def test_the_screen_gets_what_a_filter_hides_and_nothing_outside_the_window(
 
 def rows_of(protocol: Protocol, **limits: Any) -> list[Record]:
     """The rows that the screen has of the sample."""
-    feed = capture_feed(opened_at(SAMPLE, protocol, 0), protocol, **limits)
+    feed = capture_feed(opened_at(open_quickly(SAMPLE), protocol, 0), protocol, **limits)
     feed.start()
     feed.join()
     return feed.recording.records(range(feed.recording.rows))
@@ -175,7 +175,7 @@ def test_a_capture_whose_writer_is_gone_is_not_waited_for(
     path = tmp_path / "cut.mcap"
     path.write_bytes(SAMPLE.read_bytes()[:-2000])
     os.utime(path, (0, 0))
-    feed = capture_feed(opened_at(path, protocol, 0), protocol)
+    feed = capture_feed(opened_at(open_quickly(path), protocol, 0), protocol)
     assert not feed.live
     feed.start()
     feed.join()
