@@ -11,8 +11,9 @@ from collections.abc import Iterable, Mapping
 
 import msgspec
 
+from bilprov.spec.data import FieldSpec
 from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol, ResponseSpec
+from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 
 
 class Judgement(msgspec.Struct, frozen=True, gc=False):

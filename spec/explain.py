@@ -6,11 +6,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from bilprov.spec.codec import Judgement, judge, nearest, spaced
+from bilprov.spec.data import FieldSpec
 from bilprov.spec.errata import Finding, check
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import VARIABLES, Effect, Motion
-from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol, ResponseSpec
+from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import READINGS, Erratum, Reading
 
 

@@ -25,6 +25,12 @@ from bilprov.spec.value_checks import (
     shown,
 )
 
+__all__ = [
+    *("Address", "Answer", "Answers", "Clauses", "Crc", "Data", "From", "Instruction", "Length"),
+    *("LineDefaults", "Outcome", "Ranged", "Same", "Sets", "Sum", "Timing", "Xor"),
+    *("asked", "question"),
+]
+
 _LONGEST_TIME = 3_600_000.0  # ms
 _SHORTEST_TIME = 0.001
 _FASTEST = 1_000_000_000  # bits/s
@@ -40,6 +46,19 @@ class Outcome(Enum):
     BAD_DATA = "bad data"
     TOO_MANY = "too many data bytes"
     TOO_FEW = "too few data bytes"
+    BAD_CHECKSUM = "bad checksum"
+    BAD_SYNC = "bad sync"
+    OTHER_ADDRESS = "other address"
+
+
+OF_HEADERS = (
+    Outcome.VALID,
+    Outcome.UNKNOWN_ID,
+    Outcome.BAD_DATA,
+    Outcome.TOO_MANY,
+    Outcome.TOO_FEW,
+)
+"""The outcomes that a frame of a header and data can have."""
 
 
 class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
@@ -47,18 +66,26 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
 
     `bits` names its lowest bits, most significant first, if each has a meaning: "RGB" says that R
     is bit 2, G bit 1 and B bit 0. `reading` names the reading by which a value out of the range is
-    bad data.
+    bad data, and `code` the answer to it where it is not that to any bad data.
     """
 
     def __init__(
-        self, subcon: Construct, low: int, high: int, bits: str = "", reading: str = ""
+        self,
+        subcon: Construct,
+        low: int,
+        high: int,
+        bits: str = "",
+        reading: str = "",
+        code: str = "",
     ) -> None:
         require_kind("the type of a field", subcon, Construct)
         require_whole("the lowest value of a field", low)
         require_whole("the highest value of a field", high)
         require_text("the bits of a field", bits)
         require_text("the reading of a field", reading)
+        require_text("the code of a field", code)
         super().__init__(subcon)
+        self.code = code
         self.reading = reading
         self.low = low
         self.high = high
@@ -97,52 +124,92 @@ class Sets:
         self.values = values
 
 
-class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
-    """The data of one instruction (its fields in order), its name in the document, its effect."""
+NO_DATA = Struct()
+"""The answer of an instruction that asks for no data."""
 
-    def __init__(self, *fields: Construct, document: str, effect: Sets | None = None) -> None:
+
+class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
+    """The data of one instruction (its fields in order), its name in the document, its effect.
+
+    `answer` is the data of its answer, None where it is not answered at all.
+    """
+
+    def __init__(
+        self,
+        *fields: Construct,
+        document: str,
+        effect: Sets | None = None,
+        answer: Construct | None = NO_DATA,
+    ) -> None:
         for field in fields:
             require_kind("a field of an Instruction", field, Construct)
         require_text("the document of an Instruction", document)
         if effect is not None:
             require_kind("the effect of an Instruction", effect, Sets)
+        if answer is not None:
+            require_kind("the answer of an Instruction", answer, Construct)
         super().__init__(*fields)
         self.document = document
+        self.answer = answer
         self.effect = effect or Sets()
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A response: its name, the outcome it stands for, the document's text and our description."""
+    """A response: its name, the outcome it stands for, the document's text and our description.
+
+    It may stand for several outcomes, and with () for none: it tells the device's own condition.
+    """
 
     name: str
-    outcome: Outcome
+    outcome: Outcome | tuple[Outcome, ...]
     document: str
     prose: str
 
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """The outcomes that it stands for."""
+        return self.outcome if isinstance(self.outcome, tuple) else (self.outcome,)
+
     def __post_init__(self) -> None:
         require_name("the name of an Answer", self.name)
-        require_kind(f"the outcome of {self.name}", self.outcome, Outcome)
+        for outcome in self.outcomes:
+            require_kind(f"the outcome of {self.name}", outcome, Outcome)
         require_text(f"the document of {self.name}", self.document)
         require_text(f"the prose of {self.name}", self.prose)
 
 
 class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
-    """A response byte that is one of `answers` (code -> Answer); parses to the answer's name."""
+    """A response code that is one of `answers` (code -> Answer); parses to the answer's name.
 
-    def __init__(self, subcon: Construct, answers: Mapping[int, Answer]) -> None:
+    With `flags` a code other than 0 is one bit, and several may be set: it parses to their names.
+    """
+
+    def __init__(
+        self, subcon: Construct, answers: Mapping[int, Answer], flags: bool = False
+    ) -> None:
         require_kind("the type of a response", subcon, Construct)
         require_kind("the responses", answers, dict)
+        require_kind("the flags of the responses", flags, bool)
         for code, answer in answers.items():
             require_whole("the code of a response", code, 0, 255)
             require_kind(f"the response {code}", answer, Answer)
+            if flags and code.bit_count() > 1:
+                raise WrongValue(f"the response {code} is not one bit, as flags must be")
         codes = {answer.name: code for code, answer in answers.items()}
         super().__init__(
             subcon,
-            decoder=lambda code, _: answers[code].name,
-            encoder=lambda name, _: codes[name],
+            decoder=lambda code, _: " ".join(answers[one].name for one in _codes(code, flags)),
+            encoder=lambda names, _: sum(codes[name] for name in names.split()),
         )
         self.answers = answers
+        self.flags = flags
+
+
+def _codes(code: int, flags: bool) -> list[int]:
+    """The codes in a code: itself, or each bit that is set."""
+    bits = [1 << place for place in range(code.bit_length()) if code >> place & 1]
+    return bits if flags and code else [code]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,27 +11,29 @@ import hashlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from math import prod
 from typing import Any
 
-from construct import BitsInteger, BitStruct, Construct, Renamed, Struct
+from construct import Construct, FixedSized, Struct, Switch
 
+from bilprov.spec.data import DataSpec, FieldSpec, prose_of, read_data, unwrapped
 from bilprov.spec.errors import UserError, one_line
 from bilprov.spec.fields import (
+    OF_HEADERS,
     Answers,
     Clauses,
     From,
     Instruction,
     LineDefaults,
     Outcome,
-    Ranged,
     Sets,
     Timing,
 )
+from bilprov.spec.layout import Layout, read_layout
 from bilprov.spec.motion import Effect, Motion, State
+from bilprov.spec.numbers import LayoutError
 from bilprov.spec.value_checks import (
     WrongValue,
     require_name,
@@ -40,8 +42,8 @@ from bilprov.spec.value_checks import (
     shown,
 )
 
+_LONGEST_DATA = 255  # bytes of data that are expected where a header byte does not bound them
 _LONGEST = 200  # characters of what Python says about a grammar, and of the name of its file
-_MOST_FIELDS = 32  # of an instruction: the suite's frames grow with the square of their number
 
 
 class GrammarError(UserError):
@@ -49,66 +51,73 @@ class GrammarError(UserError):
 
 
 @dataclass(frozen=True, slots=True)
-class FieldSpec:
-    """One data field: its place in the data (bytes), its range, and the names of its bits.
-
-    `reading` is the reading by which a value out of the range is bad data, "" if the document says
-    it. `parse` and `build` convert between the field's bytes and its value.
-    """
-
-    name: str
-    prose: str
-    offset: int
-    size: int
-    low: int
-    high: int
-    bits: str
-    reading: str
-    parse: Callable[[bytes], int] = field(repr=False, compare=False)
-    build: Callable[[int], bytes] = field(repr=False, compare=False)
-
-
-@dataclass(frozen=True, slots=True)
 class InstructionSpec:
-    """One instruction: its ID, names, prose, data length in bytes, fields and effect."""
+    """One instruction: its ID, names, prose, data, effect, and the data of its answer.
+
+    `answer` is None where it is not answered at all.
+    """
 
     id: int
     name: str
     document: str
     prose: str
-    length: int
-    fields: tuple[FieldSpec, ...]
+    data: DataSpec
     effect: Effect
+    answer: DataSpec | None
+
+    @property
+    def fields(self) -> tuple[FieldSpec, ...]:
+        """The fields of its data."""
+        return self.data.fields
+
+    @property
+    def length(self) -> int:
+        """The bytes of its data; those that they have in any case, if the last field is counted."""
+        return self.data.length
 
     @property
     def valid_count(self) -> int:
         """How many valid frames there are."""
-        return prod(part.high - part.low + 1 for part in self.fields)
+        return self.data.valid_count
 
     @property
     def bad_data_count(self) -> int:
         """How many frames of the right length there are whose data are out of range."""
         return int(256**self.length) - self.valid_count
 
-    def decode(self, data: bytes) -> dict[str, int]:
+    def decode(self, data: bytes) -> dict[str, Any]:
         """The value of each field, in data at least as long as this instruction's."""
-        return {part.name: part.parse(data[part.offset :][: part.size]) for part in self.fields}
+        return self.data.decode(data)
 
     def in_range(self, data: bytes) -> bool:
         """Whether every field's value in such data is in its range."""
-        values = self.decode(data)
-        return all(part.low <= values[part.name] <= part.high for part in self.fields)
+        return self.data.wrong(data) is None
 
 
 @dataclass(frozen=True, slots=True)
 class ResponseSpec:
-    """One response: its code, names, prose and the outcome it stands for."""
+    """One response: its code, names, prose and the outcomes it stands for.
+
+    `code` is -1 where the answer has none.
+    """
 
     code: int
     name: str
     document: str
     prose: str
-    outcome: Outcome
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """The outcome that it stands for, the first of several; None if it stands for none."""
+        return self.outcomes[0] if self.outcomes else None
+
+
+PLAIN_ANSWER = ResponseSpec(-1, "answer", "", "an answer without a code", (Outcome.VALID,))
+"""What a valid frame gets where the answers of valid frames have no code."""
+
+NO_ANSWER = ResponseSpec(-1, "no answer", "", "nothing is answered", ())
+"""What a frame gets that is not answered."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +125,9 @@ class Protocol:
     """The whole protocol as plain values.
 
     `source` is the grammar's text and `origin` its file name; two protocols are equal when their
-    texts are. `headers` is the (ID, length) of each header byte, `header_bits` the (name, width in
-    bits, prose) of each part of the header.
+    texts are. `layout` is that of a request, `reply` that of an answer with data,
+    `acknowledgement` that of one without, `errors` those of errors, tried in order. With `flags` a
+    code is some bits, each a response.
     """
 
     source: str
@@ -127,8 +137,11 @@ class Protocol:
     document: str = field(compare=False)
     instructions: tuple[InstructionSpec, ...] = field(compare=False)
     responses: tuple[ResponseSpec, ...] = field(compare=False)
-    headers: tuple[tuple[int, int], ...] = field(compare=False, repr=False)
-    header_bits: tuple[tuple[str, int, str], ...] = field(compare=False)
+    layout: Layout = field(compare=False, repr=False)
+    reply: Layout = field(compare=False, repr=False)
+    acknowledgement: Layout = field(compare=False, repr=False)
+    errors: tuple[Layout, ...] = field(compare=False, repr=False)
+    flags: bool = field(compare=False)
     on_fault: Effect = field(compare=False)
     power_on: State = field(compare=False)
     timing: Timing = field(compare=False)
@@ -160,8 +173,48 @@ class Protocol:
 
     @cached_property
     def answers(self) -> Mapping[Outcome, ResponseSpec]:
-        """The response for each outcome."""
-        return {spec.outcome: spec for spec in self.responses}
+        """The response for each outcome, NO_ANSWER where there is none."""
+        found = {outcome: spec for spec in reversed(self.responses) for outcome in spec.outcomes}
+        plain = PLAIN_ANSWER if self.reply.part("code") is None else NO_ANSWER
+        return {Outcome.VALID: plain, **dict.fromkeys(tuple(Outcome)[1:], NO_ANSWER), **found}
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether a header byte tells ID and length, and one byte answers each frame.
+
+        So it is in the protocol of the car and its family. Everything about frames then follows
+        from the first byte, and no answer has data of its own.
+        """
+        layout, header = self.layout, self.layout.part("id")
+        alone = (
+            layout.head == 1
+            and not layout.tail
+            and {p.role for p in layout.parts} == {"id", "length"}
+        )
+        fields = [part for spec in self.instructions for part in spec.fields]
+        return (
+            alone
+            and header is not None
+            and header.width > 0
+            and self.reply.head == 1
+            and self.reply.part("code") is not None
+            and not (self.reply.has_data or self.errors or self.flags)
+            and not any(part.many or part.names or part.flags or part.constant for part in fields)
+        )
+
+    @cached_property
+    def headers(self) -> tuple[tuple[int, int], ...]:
+        """The (ID, length) of each header byte; none where the header is not one byte."""
+        if not self.plain:
+            return ()
+        frames = [bytes([byte]) for byte in range(256)]
+        read = [(self.layout.id_of(frame), self.layout.length_of(frame)) for frame in frames]
+        return tuple((i, n) for i, n in read if i is not None and n is not None)
+
+    @cached_property
+    def header_bits(self) -> tuple[tuple[str, int, str], ...]:
+        """The name, width in bits and prose of each part of the header byte."""
+        return tuple((part.name, part.width, part.prose) for part in self.layout.parts)
 
     @cached_property
     def header_bytes(self) -> Mapping[tuple[int, int], int]:
@@ -176,12 +229,13 @@ class Protocol:
     @cached_property
     def ids(self) -> range:
         """Every ID that a header can carry."""
-        return range(max(identity for identity, _ in self.headers) + 1)
+        part = self.layout.part("id")
+        return range(part.most + 1 if part else 1)
 
     @cached_property
     def data_lengths(self) -> range:
         """Every number of data bytes that a header can announce."""
-        return range(max(self.lengths) + 1)
+        return range(max(self.lengths, default=_LONGEST_DATA) + 1)
 
     @cached_property
     def unused_ids(self) -> tuple[int, ...]:
@@ -190,8 +244,11 @@ class Protocol:
 
     @cached_property
     def longest_frame(self) -> int:
-        """The length of the longest frame in bytes, its header included."""
-        return 1 + max(self.lengths)
+        """The length of the longest frame in bytes, its header included.
+
+        Where nothing bounds it, that of the longest that is expected.
+        """
+        return self.layout.head + self.data_lengths[-1] + self.layout.tail
 
     @cached_property
     def limits(self) -> Mapping[str, tuple[int, int]]:
@@ -279,7 +336,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
     try:
         _require_each_id_once(tree)
         return _read(space, source, origin)
-    except (GrammarError, WrongValue) as error:
+    except (GrammarError, LayoutError, WrongValue) as error:
         raise GrammarError(f"the grammar {origin} cannot be used: {error}") from None
     except Exception as error:  # construct raises many kinds for declarations that make no sense
         raise GrammarError(
@@ -311,31 +368,23 @@ def _require_each_id_once(tree: ast.Module) -> None:
 
 
 def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
-    headers, header_bits = _headers(_take(space, "HEADER", Construct))
-    longest = max(length for _, length in headers)
+    layout, place_of_data = read_layout("FRAME", _take(space, "FRAME", Construct))
     declared = _take(space, "INSTRUCTIONS", dict)
-    carried = {identity for identity, _ in headers}
+    _require_place_of_data(place_of_data, declared)
+    identities = layout.part("id")
+    if identities is None:
+        raise GrammarError("FRAME has no part id; it tells which instruction a frame is")
     for identity in declared:
         require_whole("an ID in INSTRUCTIONS", identity)
-        if identity not in carried:
+        if not 0 <= identity <= identities.most:
             raise GrammarError(f"the header cannot carry the ID {identity}")
-    instructions = tuple(_instruction(i, declared[i], longest) for i in sorted(declared))
+    reply, acknowledgement, errors, flags = _replies(space)
+    instructions = tuple(_instruction(i, declared[i], layout, reply) for i in sorted(declared))
     _require_each_name_once("two instructions are named", (spec.name for spec in instructions))
+    responses = _responses(space)
+    _require_each_outcome(space, layout, instructions, responses)
     if not any(s.effect.motion is Motion.STOPPED and not s.length for s in instructions):
         raise GrammarError("no instruction without data stops the robot; the kit needs one to home")
-    response = _take(space, "RESPONSE", Answers)
-    if response.sizeof() != 1:
-        raise GrammarError("RESPONSE must be one byte")
-    responses = tuple(
-        ResponseSpec(code, answer.name, answer.document, answer.prose, answer.outcome)
-        for code, answer in sorted(response.answers.items())
-    )
-    _require_each_name_once("two responses are named", (spec.name for spec in responses))
-    missing = [o.value for o in Outcome if o not in {spec.outcome for spec in responses}]
-    if missing:
-        raise GrammarError(f"no response stands for {', '.join(missing)}")
-    _require_each_name_once("two responses stand for", (o.outcome.value for o in responses))
-    _require_bare_frame(_take(space, "FRAME", Construct))
     on_fault = _effect(_take(space, "FAULTY", Sets), ())
     if on_fault.motion is not Motion.STOPPED:
         raise GrammarError(
@@ -354,8 +403,11 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         document=_text(space, "DOCUMENT"),
         instructions=instructions,
         responses=responses,
-        headers=headers,
-        header_bits=header_bits,
+        layout=layout,
+        reply=reply,
+        acknowledgement=acknowledgement,
+        errors=errors,
+        flags=flags,
         on_fault=on_fault,
         power_on=power_on,
         timing=_take(space, "TIMING", Timing),
@@ -380,42 +432,6 @@ def _text(space: dict[str, Any], name: str) -> str:
     return text
 
 
-def _headers(
-    header: BitStruct,
-) -> tuple[tuple[tuple[int, int], ...], tuple[tuple[str, int, str], ...]]:
-    """Return (ID, length) of every header byte, and (name, width in bits, prose) of each part."""
-    if header.sizeof() != 1:
-        raise GrammarError(f"HEADER is {shown(header.sizeof())} bytes long; it must be one byte")
-    struct = getattr(header, "subcon", None)
-    members: list[Construct] = struct.subcons if isinstance(struct, Struct) else []
-    if sorted(str(part.name) for part in members) != ["id", "length"]:
-        raise GrammarError("HEADER must have the parts id and length")
-    for part in members:
-        bits = _unwrap(part)
-        if type(bits) is not BitsInteger or bits.signed or bits.swapped:
-            raise GrammarError(f"HEADER.{part.name} must be written BitsInteger(width)")
-        require_whole(f"the width of HEADER.{part.name}", bits.length, 1, 8)
-        require_text(f"the prose of HEADER.{part.name}", _prose(part))
-    parts = tuple((part.name, part.sizeof(), _prose(part)) for part in members)
-    bits = sum(width for _, width, _ in parts)
-    if bits != 8:
-        raise GrammarError(f"the parts of HEADER have {bits} bits together; they must have 8")
-    parsed = [header.parse(bytes([byte])) for byte in range(256)]
-    return tuple((one.id, one.length) for one in parsed), parts
-
-
-def _require_bare_frame(frame: Construct) -> None:
-    """Raise GrammarError for a FRAME that is more than header and data: no other part is read."""
-    members: list[Construct] = frame.subcons if isinstance(frame, Struct) else []
-    names = [str(part.name) for part in members]
-    if names != ["header", "data"]:
-        parts = ", ".join(map(shown, names)) if names else "none"
-        raise GrammarError(
-            f"the parts of FRAME are {parts}; allowed are header and data, without a sync or a "
-            "checksum around them"
-        )
-
-
 def _twice(values: Iterable[Hashable]) -> Any:
     """Return the first value that stands twice, None if there is none."""
     return next((value for value, count in Counter(values).items() if count > 1), None)
@@ -430,87 +446,123 @@ def _require_each_name_once(what: str, names: Iterable[str]) -> None:
         by_name[name.lower()] = name
 
 
-def _prose(declaration: Construct) -> str:
-    return declaration.docs if isinstance(declaration, Renamed) else ""
+def _require_place_of_data(declared: Any, instructions: dict[Any, Any]) -> None:
+    """Raise GrammarError unless FRAME has a place for the data of the instructions."""
+    body = unwrapped(declared) if declared is not None else None
+    if isinstance(body, FixedSized):
+        body = unwrapped(body.subcon)
+    if not isinstance(body, Switch) or body.cases is not instructions:
+        raise GrammarError('FRAME must have "data" / Switch(this.id, INSTRUCTIONS)')
 
 
-def _unwrap(declaration: Construct) -> Construct:
-    while isinstance(declaration, Renamed):
-        declaration = declaration.subcon
-    return declaration
+def _replies(space: dict[str, Any]) -> tuple[Layout, Layout, tuple[Layout, ...], bool]:
+    """The layouts of an answer, of one without data, of errors, and whether codes are flags."""
+    response = space.get("RESPONSE")
+    if "REPLY" not in space:
+        reply, _ = read_layout("RESPONSE", _take(space, "RESPONSE", Answers))
+        if reply.head != 1:
+            raise GrammarError("RESPONSE must be one byte")
+        return reply, reply, (), False
+    reply, _ = read_layout("REPLY", space["REPLY"])
+    acknowledgement = reply
+    if "ACK" in space:
+        acknowledgement, _ = read_layout("ACK", space["ACK"])
+    declared = space.get("ERROR", ())
+    declared = declared if isinstance(declared, tuple) else (declared,)
+    errors = tuple(read_layout("ERROR", one)[0] for one in declared)
+    return reply, acknowledgement, errors, isinstance(response, Answers) and response.flags
 
 
-def _instruction(identity: int, declaration: Construct, longest: int) -> InstructionSpec:
-    body = _unwrap(declaration)
+def _responses(space: dict[str, Any]) -> tuple[ResponseSpec, ...]:
+    """The responses that RESPONSE declares."""
+    if "REPLY" in space and "RESPONSE" not in space:
+        return ()
+    response = _take(space, "RESPONSE", Answers)
+    responses = tuple(
+        ResponseSpec(code, answer.name, answer.document, answer.prose, answer.outcomes)
+        for code, answer in sorted(response.answers.items())
+    )
+    _require_each_name_once("two responses are named", (spec.name for spec in responses))
+    return responses
+
+
+def _require_each_outcome(
+    space: dict[str, Any],
+    layout: Layout,
+    instructions: tuple[InstructionSpec, ...],
+    responses: tuple[ResponseSpec, ...],
+) -> None:
+    """Raise GrammarError unless each outcome that a frame can have is answered, or is in SILENT."""
+    answered = [outcome for spec in responses for outcome in spec.outcomes]
+    if "REPLY" not in space:
+        possible: tuple[Outcome, ...] = OF_HEADERS
+        silent: tuple[Outcome, ...] = ()
+    else:
+        possible = tuple(_outcomes(layout, instructions))
+        silent = space.get("SILENT", ())
+        if not isinstance(silent, tuple) or not all(isinstance(one, Outcome) for one in silent):
+            raise GrammarError(f"SILENT is {shown(silent)}, it must be a tuple of Outcome")
+        both = [one.value for one in silent if one in answered]
+        if both:
+            raise GrammarError(
+                f"{both[0]} stands in RESPONSE and in SILENT, allowed is one of them"
+            )
+    missing = [one.value for one in possible if one not in answered and one not in silent]
+    if missing:
+        where = ", and it is not in SILENT" if "REPLY" in space else ""
+        raise GrammarError(f"no response stands for {', '.join(missing)}{where}")
+    if "REPLY" not in space:
+        _require_each_name_once("two responses stand for", (o.value for o in answered))
+
+
+def _outcomes(layout: Layout, instructions: tuple[InstructionSpec, ...]) -> Iterable[Outcome]:
+    """The faults that a frame of this layout can have, of those that a device may answer."""
+    yield Outcome.UNKNOWN_ID
+    if any(not part.unlimited for spec in instructions for part in spec.fields):
+        yield Outcome.BAD_DATA
+    if layout.part("length"):
+        yield from (Outcome.TOO_MANY, Outcome.TOO_FEW)
+    if layout.check:
+        yield Outcome.BAD_CHECKSUM
+    if any(offset < 0 for offset, _ in layout.constants):
+        yield Outcome.BAD_SYNC
+
+
+def _instruction(
+    identity: int, declaration: Construct, layout: Layout, reply: Layout
+) -> InstructionSpec:
+    body = unwrapped(declaration)
     if not isinstance(body, Instruction) or not declaration.name:
         raise GrammarError(f'instruction {identity} must be written "Name" / Instruction(...)')
     name = declaration.name
     require_name(f"the name of instruction {identity}", name)
-    require_text(f"the prose of {name}", _prose(declaration))
-    if len(body.subcons) > _MOST_FIELDS:
-        raise GrammarError(f"{name} has {len(body.subcons)} fields, allowed are {_MOST_FIELDS}")
-    fields: list[FieldSpec] = []
-    for member in body.subcons:
-        fields.append(_field(name, member, sum(part.size for part in fields)))
-    _require_each_name_once(f"{name} has two fields named", (part.name for part in fields))
-    length = sum(part.size for part in fields)
-    if length > longest:
-        raise GrammarError(f"{name} has {length} data bytes; a header announces at most {longest}")
+    require_text(f"the prose of {name}", prose_of(declaration))
+    announced = layout.part("length")
+    data = read_data(name, body.subcons, framed=announced is not None)
+    if announced and data.length > announced.most:
+        raise GrammarError(
+            f"{name} has {data.length} data bytes; a header announces at most {announced.most}"
+        )
     return InstructionSpec(
         id=identity,
         name=name,
         document=body.document,
-        prose=_prose(declaration),
-        length=length,
-        fields=tuple(fields),
-        effect=_effect(body.effect, tuple(spec.name for spec in fields)),
+        prose=prose_of(declaration),
+        data=data,
+        effect=_effect(body.effect, tuple(spec.name for spec in data.fields)),
+        answer=_answer(name, body.answer, reply),
     )
 
 
-def _field(instruction: str, member: Construct, offset: int) -> FieldSpec:
-    require_name(f"the name of a field of {instruction}", member.name)
-    name = f"{instruction}.{member.name}"
-    require_text(f"the prose of {name}", _prose(member))
-    ranged = _unwrap(member)
-    if not isinstance(ranged, Ranged):
-        raise GrammarError(f"{name} has no range: write Ranged(Byte, low, high)")
-    size = ranged.sizeof()
-    require_whole(f"the size of {name} in bytes", size, 1, 255)
-    _require_whole_numbers(name, ranged, size)
-    low, high = ranged.low, ranged.high
-    if low > high:
-        raise GrammarError(f"{name} has the range {low} to {high}, which holds nothing")
-    if len(ranged.bits) > 8 * size:
-        raise GrammarError(f"{name} names {len(ranged.bits)} bits, it has {8 * size}")
-    return FieldSpec(
-        name=member.name,
-        prose=_prose(member),
-        offset=offset,
-        size=size,
-        low=low,
-        high=high,
-        bits=ranged.bits,
-        reading=ranged.reading,
-        parse=ranged.subcon.parse,
-        build=ranged.subcon.build,
-    )
-
-
-def _require_whole_numbers(name: str, ranged: Ranged, size: int) -> None:
-    """Raise GrammarError unless any bytes are a whole number, and both ends of the range bytes."""
-    inner = ranged.subcon
-    try:
-        for raw in (bytes(size), b"\xff" * size):
-            value = inner.parse(raw)
-            if type(value) is not int or inner.build(value) != raw:
-                raise GrammarError(f"{name} is not a whole number")
-    except Exception as error:
-        raise GrammarError(f"the type of {name} must be a whole number, such as Byte") from error
-    try:
-        inner.build(ranged.low)
-        inner.build(ranged.high)
-    except Exception:
-        raise GrammarError(f"{name} cannot carry its range {ranged.low} to {ranged.high}") from None
+def _answer(name: str, declared: Construct | None, reply: Layout) -> DataSpec | None:
+    """The data of an instruction's answer; None where it is not answered."""
+    if declared is None:
+        return None
+    members = declared.subcons if isinstance(declared, Struct) else [declared]
+    if members and not reply.has_data:
+        raise GrammarError(f"the answer of {name} has data; REPLY has no part Data()")
+    framed = reply.part("length") is not None
+    return read_data(f"the answer of {name}", members, framed=framed)
 
 
 def _effect(sets: Sets, fields: tuple[str, ...]) -> Effect:

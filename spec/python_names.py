@@ -7,7 +7,8 @@ import unicodedata
 from collections.abc import Collection, Iterable, Mapping
 from typing import TypeVar
 
-from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.data import FieldSpec
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 T = TypeVar("T")
 

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bilprov.spec.data import FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import VARIABLES, Motion, is_moving
-from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.steps import Steps, data_decide
 
 OUTCOMES = tuple(Outcome)
@@ -55,7 +56,9 @@ class FrameTables:
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
         self.sizes = np.array([1 + length for length in protocol.lengths], np.int64)
-        self.codes = np.array([protocol.answers[outcome].code for outcome in OUTCOMES], np.uint8)
+        self.codes = np.array(
+            [max(0, protocol.answers[outcome].code) for outcome in OUTCOMES], np.uint8
+        )
         self.used = np.isin(np.arange(256), list(protocol.codes))
         self._verdict = np.zeros(1 << 16, np.uint8)
         # Instructions with more than one data byte: their data are judged field by field.

@@ -11,8 +11,9 @@ from typing import TypeAlias, get_args
 
 from bilprov.analyzer.decode.anomalies import KINDS, LINE_SEVERITY
 from bilprov.captures.schemas import Direction, FrameKind
+from bilprov.spec.data import FieldSpec
 from bilprov.spec.motion import VARIABLES, Motion
-from bilprov.spec.protocol import FieldSpec, Protocol
+from bilprov.spec.protocol import Protocol
 
 Value: TypeAlias = "bool | int | str"
 

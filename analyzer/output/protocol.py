@@ -14,7 +14,7 @@ from bilprov.spec.codec import judge, spaced
 from bilprov.spec.errata import Finding
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Effect
-from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Reading
 
 
@@ -101,10 +101,7 @@ def protocol_json(protocol: Protocol) -> dict[str, Any]:
         ],
         "instructions": [_instruction_json(protocol, spec) for spec in protocol.instructions],
         "unused_ids": list(protocol.unused_ids),
-        "responses": [
-            {**asdict(response), "outcome": response.outcome.value}
-            for response in protocol.responses
-        ],
+        "responses": [_response_json(response) for response in protocol.responses],
         "on_fault": _effect_json(protocol.on_fault),
         "power_on": asdict(protocol.power_on),
         "timing_ms": asdict(protocol.timing),
@@ -216,3 +213,9 @@ def errata_json(findings: Sequence[Finding]) -> dict[str, Any]:
         ],
         "all": [asdict(erratum) for erratum in ERRATA],
     }
+
+
+def _response_json(response: ResponseSpec) -> dict[str, Any]:
+    values = asdict(response)
+    del values["outcomes"]
+    return {**values, "outcome": ", ".join(outcome.value for outcome in response.outcomes)}

@@ -5,9 +5,10 @@ from __future__ import annotations
 from rich.text import Text
 
 from bilprov.captures.schemas import State
+from bilprov.spec.data import FieldSpec
 from bilprov.spec.motion import Motion, wheels
 from bilprov.spec.motion import State as MotionState
-from bilprov.spec.protocol import FieldSpec, Protocol
+from bilprov.spec.protocol import Protocol
 from bilprov.spec.tables import MOTIONS
 
 WIDTH = 26

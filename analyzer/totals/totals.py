@@ -133,7 +133,7 @@ class Totals:
         """How often each response is the one that a conforming device gives."""
         answers = self._protocol.answers
         counts = dict(zip(OUTCOMES, self._verdicts.tolist(), strict=True))
-        return {spec.name: counts[spec.outcome] for spec in answers.values()}
+        return {spec.name: counts[outcome] for outcome, spec in answers.items() if spec.outcomes}
 
     def responses(self) -> dict[str, int]:
         """How often the device has given each response, and each unused code."""

@@ -5,8 +5,8 @@ A value counts only by its range and its sign: too low, negative, zero, positive
 
 from __future__ import annotations
 
+from bilprov.spec.data import FieldSpec
 from bilprov.spec.errors import UserError
-from bilprov.spec.protocol import FieldSpec
 
 
 class FieldPrefixes:
@@ -48,7 +48,7 @@ class FieldPrefixes:
     def _value(self, data: bytes) -> int:
         """The value of the field's first bytes, the others zero."""
         parts = zip(self._parts, data, strict=False)
-        return self._base + sum(part[byte] for part, byte in parts)
+        return int(self._base + sum(part[byte] for part, byte in parts))
 
     def _following(self, done: int) -> tuple[int, int, int, int]:
         left = self._parts[done:]

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, History
 from bilprov.spec.codec import Judgement
-from bilprov.spec.fields import Outcome
+from bilprov.spec.fields import OF_HEADERS
 from bilprov.spec.motion import Moment, Motion, moment_of, rotates
 from bilprov.spec.open_points import open_point, points_after
 
 Subject = Callable[[Event], Any]
 
-OUTCOMES = {outcome.name.lower().replace("_", "-"): outcome for outcome in Outcome}
+OUTCOMES = {outcome.name.lower().replace("_", "-"): outcome for outcome in OF_HEADERS}
 """Outcomes by the word that names them in triggers, effects and names of faults: `too-few`."""
 OUTCOME_WORDS = {outcome: word for word, outcome in OUTCOMES.items()}
 TRUNCATED = "truncated"

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.data import FieldSpec
+from bilprov.spec.fields import OF_HEADERS
+from bilprov.spec.protocol import InstructionSpec, Protocol
 
 Line = tuple[str, str, str]
 """A constant: its name, its value and its description."""
@@ -33,7 +34,7 @@ def c_header(protocol: Protocol) -> str:
         ),
         (
             "Which answer is due",
-            ((f"ON_{one.name}", _hex(protocol.answers[one].code), "") for one in Outcome),
+            ((f"ON_{one.name}", _hex(protocol.answers[one].code), "") for one in OF_HEADERS),
         ),
         ("Times in ms, and the line", _times(protocol)),
     ]

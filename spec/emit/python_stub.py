@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import textwrap
 
-from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.data import FieldSpec
+from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.python_names import method_names, parameter_names
 
 RENEW = "python -m bilprov.analyzer.client.write_stub"

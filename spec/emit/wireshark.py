@@ -9,11 +9,12 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import product
 from typing import Any, Literal, TypeVar
 
+from bilprov.spec.data import FieldSpec
 from bilprov.spec.emit.wireshark_program import PROGRAM
 from bilprov.spec.errors import UserError
-from bilprov.spec.fields import Outcome
+from bilprov.spec.fields import OF_HEADERS
 from bilprov.spec.motion import VARIABLES, Effect, Motion
-from bilprov.spec.protocol import FieldSpec, InstructionSpec, Protocol
+from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.python_names import each_once, snake_case
 
 T = TypeVar("T")
@@ -62,7 +63,7 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
         "used": ", ".join(str(identity) for identity in protocol.by_id),
         "instructions": {spec.id: _instruction(word, spec) for word, spec in words.items()},
         "codes": {spec.code: spec.name for spec in protocol.responses},
-        "outcomes": {one.name: [one.value, protocol.answers[one].code] for one in Outcome},
+        "outcomes": {one.name: [one.value, protocol.answers[one].code] for one in OF_HEADERS},
         "state": [
             _row("STRING" if isinstance(value, str) else "INT64", f"state.{name}", name)
             for name, value in power_on.items()

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR
 from bilprov.spec.codec import bit_names
-from bilprov.spec.protocol import FieldSpec, Protocol
+from bilprov.spec.data import FieldSpec
+from bilprov.spec.protocol import Protocol
 
 _LISTED = 16  # values that are listed one by one; of a wider range its two ends
 

@@ -10,8 +10,9 @@ from construct import BytesInteger, Int8sb, Int16sb, Int16sl, Int16ub
 from bilprov.conformance.cases.byte_machine import ByteMachine, byte_machine
 from bilprov.conformance.cases.field_prefixes import FieldPrefixes
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.spec.data import FieldSpec
 from bilprov.spec.errors import UserError
-from bilprov.spec.protocol import FieldSpec, Protocol, load
+from bilprov.spec.protocol import Protocol, load
 from tests.support.grammars import wide_grammar
 
 

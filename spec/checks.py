@@ -1,0 +1,121 @@
+"""The checks that frames carry: sums, exclusive ors and cyclic redundancy checks by parameters.
+
+Each is a callable from the covered bytes to the value, as construct's `Checksum` takes one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeAlias
+
+from bilprov.spec.value_checks import WrongValue, require_whole, shown
+
+_WIDTHS = (8, 16, 24, 32)
+
+
+@dataclass(frozen=True)
+class Sum:
+    """The sum of the bytes, cut to `bits`; with `complement` each bit of it is inverted."""
+
+    bits: int = 8
+    complement: bool = False
+
+    def __post_init__(self) -> None:
+        _require_width("the bits of a Sum", self.bits)
+        _require_bool("Sum.complement", self.complement)
+
+    def __call__(self, data: bytes) -> int:
+        """The sum of the bytes."""
+        most = (1 << self.bits) - 1
+        return sum(data) & most ^ (most if self.complement else 0)
+
+
+@dataclass(frozen=True)
+class Xor:
+    """The exclusive or of `start` and each byte."""
+
+    start: int = 0
+
+    def __post_init__(self) -> None:
+        require_whole("the start of a Xor", self.start, 0, 255)
+
+    def __call__(self, data: bytes) -> int:
+        """The exclusive or of the bytes."""
+        value = self.start
+        for byte in data:
+            value ^= byte
+        return value
+
+
+@dataclass(frozen=True)
+class Crc:
+    """A cyclic redundancy check of `width` bits.
+
+    `poly` is the polynomial without its highest term, most significant bit first, `init` the value
+    before the first byte (as the register holds it where bits are not reflected), `xorout` what
+    the result is combined with. With `reflected` bytes and result have their lowest bit first.
+    """
+
+    width: int
+    poly: int
+    init: int = 0
+    reflected: bool = False
+    xorout: int = 0
+
+    def __post_init__(self) -> None:
+        _require_width("the width of a Crc", self.width)
+        for name in ("poly", "init", "xorout"):
+            require_whole(f"Crc.{name}", getattr(self, name), 0, (1 << self.width) - 1)
+        _require_bool("Crc.reflected", self.reflected)
+
+    @cached_property
+    def table(self) -> tuple[int, ...]:
+        """What each value of the byte that leaves the register adds to the rest of it."""
+        return tuple(self._step(byte) for byte in range(256))
+
+    @cached_property
+    def first(self) -> int:
+        """The register before the first byte."""
+        return _mirrored(self.init, self.width) if self.reflected else self.init
+
+    def __call__(self, data: bytes) -> int:
+        """The check of the bytes."""
+        table, value = self.table, self.first
+        if self.reflected:
+            for byte in data:
+                value = value >> 8 ^ table[(value ^ byte) & 0xFF]
+        else:
+            most, top = (1 << self.width) - 1, self.width - 8
+            for byte in data:
+                value = value << 8 & most ^ table[value >> top ^ byte]
+        return value ^ self.xorout
+
+    def _step(self, byte: int) -> int:
+        if self.reflected:
+            poly, value = _mirrored(self.poly, self.width), byte
+            for _ in range(8):
+                value = value >> 1 ^ (poly if value & 1 else 0)
+            return value
+        top, value = 1 << self.width - 1, byte << self.width - 8
+        for _ in range(8):
+            value = value << 1 ^ (self.poly if value & top else 0)
+        return value & (1 << self.width) - 1
+
+
+CheckFunction: TypeAlias = Sum | Xor | Crc
+
+
+def _mirrored(value: int, width: int) -> int:
+    return int(f"{value:0{width}b}"[::-1], 2)
+
+
+def _require_width(what: str, width: object) -> None:
+    if width not in _WIDTHS or isinstance(width, bool):
+        allowed = ", ".join(map(str, _WIDTHS))
+        raise WrongValue(f"{what} is {shown(width)}, allowed are {allowed}")
+
+
+def _require_bool(what: str, value: object) -> None:
+    if not isinstance(value, bool):
+        raise WrongValue(f"{what} is {shown(value)}, allowed are True and False")

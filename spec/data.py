@@ -1,0 +1,383 @@
+"""The data of an instruction or an answer: fields in a row, of which the last may be counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import prod
+from typing import Any, Literal, TypeAlias
+
+from construct import (
+    Array,
+    Bytes,
+    Const,
+    Construct,
+    Container,
+    FocusedSeq,
+    GreedyBytes,
+    GreedyRange,
+    Prefixed,
+    Renamed,
+)
+
+from bilprov.spec.fields import Ranged
+from bilprov.spec.numbers import LayoutError, Number, named_flags, named_values, number_of
+from bilprov.spec.value_checks import require_name, require_text, require_whole
+
+Value: TypeAlias = int | bytes | tuple[int, ...]
+"""The value of a field: a number, bytes, or some numbers."""
+
+Values: TypeAlias = Mapping[str, Value]
+
+_MOST_FIELDS = 32  # of an instruction: the suite's frames grow with the square of their number
+_MOST_BYTES = 1 << 16  # of a field
+
+How = Literal["fixed", "bytes in front", "elements in front", "expression", "rest"]
+
+
+@dataclass(frozen=True, slots=True)
+class Many:
+    """How many elements a field has: numbers, or bytes where `element` is None.
+
+    `how` says what counts them: `fixed` elements; the number `prefix` in front, in bytes or in
+    elements; an `expression` over the fields before it (and those of the request); or the frame.
+    """
+
+    element: Number | None
+    how: How
+    fixed: int = 0
+    prefix: Number | None = None
+    expression: Callable[[Any], int] | None = field(default=None, compare=False)
+
+    @property
+    def width(self) -> int:
+        """The bytes of one element."""
+        return self.element.size if self.element else 1
+
+    @property
+    def least(self) -> int:
+        """The bytes that the field has in any case."""
+        return self.fixed * self.width + (self.prefix.size if self.prefix else 0)
+
+    def whole(self, raw: bytes) -> bool:
+        """Whether the field's bytes are as many as its elements take."""
+        return (len(raw) - (self.prefix.size if self.prefix else 0)) % self.width == 0
+
+    def parse(self, raw: bytes) -> Value:
+        """The value in the field's bytes, which may end with a part of an element."""
+        data = raw[self.prefix.size :] if self.prefix else raw
+        if self.element is None:
+            return data
+        width, parse = self.element.size, self.element.parse
+        return tuple(parse(data[at : at + width]) for at in range(0, len(data) - width + 1, width))
+
+    def build(self, value: Any) -> bytes:
+        """The field's bytes. Raises ValueError, TypeError or OverflowError for a wrong value."""
+        if self.element is None:
+            data = bytes.fromhex(value) if isinstance(value, str) else bytes(value)
+        else:
+            data = b"".join(self.element.build(one) for one in value)
+        if self.how == "fixed" and len(data) != self.least:
+            raise ValueError(f"{self.fixed} are needed, {len(data) // self.width} were given")
+        if self.prefix:
+            count = len(data) // (self.width if self.how == "elements in front" else 1)
+            return self.prefix.build(count) + data
+        return data
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSpec:
+    """One data field: its place in the data (bytes), its range, and the names of its bits.
+
+    `reading` is the reading by which a value out of the range is bad data, "" if the document says
+    it, and `code` the name of the answer that it gets, "" for that of any bad data. `names` are
+    named values (no other is in the range), `flags` named masks. A field with `constant` bytes has
+    no value of its own. `many` is set for a field of bytes or of several numbers; `size` then
+    counts the bytes that it has in any case. `parse` and `build` convert between bytes and value.
+    """
+
+    name: str
+    prose: str
+    offset: int
+    size: int
+    low: int
+    high: int
+    bits: str
+    reading: str
+    parse: Callable[[bytes], Any] = field(repr=False, compare=False)
+    build: Callable[[Any], bytes] = field(repr=False, compare=False)
+    code: str = ""
+    names: tuple[tuple[str, int], ...] = ()
+    flags: tuple[tuple[str, int], ...] = ()
+    constant: bytes | None = None
+    many: Many | None = None
+
+    def in_range(self, value: Value) -> bool:
+        """Whether a value is in the range; that of several numbers is the range of each."""
+        if isinstance(value, bytes):
+            return self.constant is None or value == self.constant
+        if isinstance(value, tuple):
+            return all(self.in_range(one) for one in value)
+        if self.names and value not in (known for _, known in self.names):
+            return False
+        if self.flags and value & ~self._mask:
+            return False
+        return self.low <= value <= self.high
+
+    @property
+    def unlimited(self) -> bool:
+        """Whether any bytes are a value in the range."""
+        if self.many:
+            return True
+        return self.constant is None and self.count == 256**self.size
+
+    @property
+    def count(self) -> int:
+        """How many values of a number are in the range."""
+        if self.constant is not None:
+            return 1
+        if self.names:
+            return len({value for _, value in self.names if self.low <= value <= self.high})
+        if self.flags:
+            return 1 << self._mask.bit_count()
+        return self.high - self.low + 1
+
+    @property
+    def allowed(self) -> str:
+        """The range in words."""
+        if self.constant is not None:
+            return self.constant.hex(" ")
+        if self.names:
+            return ", ".join(f"{value} ({name})" for name, value in self.names)
+        return f"{self.low} to {self.high}"
+
+    @property
+    def _mask(self) -> int:
+        mask = 0
+        for _, flag in self.flags:
+            mask |= flag
+        return int(mask)
+
+
+@dataclass(frozen=True, slots=True)
+class DataSpec:
+    """Some fields one behind the other; `length` is the bytes that they have in any case."""
+
+    fields: tuple[FieldSpec, ...] = ()
+    length: int = 0
+
+    @property
+    def counted(self) -> Many | None:
+        """How the last field is counted; None where all data have the same length."""
+        last = self.fields[-1].many if self.fields else None
+        return last if last and last.how != "fixed" else None
+
+    @property
+    def valid_count(self) -> int:
+        """How many valid data there are, of those with the least length."""
+        return prod(part.count for part in self.fields if not part.many)
+
+    def measure(self, begun: bytes, asked: Values | None = None) -> int | None:
+        """How many bytes data have that begin so; None if that is not known yet.
+
+        `asked` are the parts and the fields of the request where these are an answer's data. A
+        last field that the frame delimits (`rest`) counts as none.
+        """
+        many = self.counted
+        if many is None or many.how == "rest":
+            return self.length
+        if len(begun) < self.length:
+            return None
+        if many.prefix:
+            at = self.fields[-1].offset
+            count = many.prefix.parse(begun[at : at + many.prefix.size])
+            return self.length + count * (1 if many.how == "bytes in front" else many.width)
+        assert many.expression is not None
+        context = Container({part.name: part.parse(_raw(part, begun)) for part in self.fields[:-1]})
+        context["_params"] = Container(asked=Container(asked or {}))
+        try:
+            count = int(many.expression(context))
+        except (KeyError, AttributeError, TypeError, ArithmeticError):
+            return self.length
+        return self.length + max(0, count) * many.width
+
+    def decode(self, data: bytes) -> dict[str, Any]:
+        """The value of each field with a name, in data that have all of them."""
+        return {
+            part.name: part.parse(data[part.offset :] if part is self._last else _raw(part, data))
+            for part in self.fields
+            if part.constant is None
+        }
+
+    def wrong(self, data: bytes) -> FieldSpec | None:
+        """The first field whose value is out of its range; None if there is none."""
+        for part in self.fields:
+            raw = data[part.offset :] if part is self._last else _raw(part, data)
+            if part.many and not part.many.whole(raw):
+                return part
+            if not part.in_range(raw if part.constant is not None else part.parse(raw)):
+                return part
+        return None
+
+    @property
+    def _last(self) -> FieldSpec | None:
+        """The last field, if it goes to the end of the data."""
+        return self.fields[-1] if self.counted else None
+
+
+def _raw(part: FieldSpec, data: bytes) -> bytes:
+    return data[part.offset : part.offset + part.size]
+
+
+def unwrapped(declared: Construct) -> Construct:
+    """The construct within its names and prose."""
+    while isinstance(declared, Renamed):
+        declared = declared.subcon
+    return declared
+
+
+def prose_of(declared: Construct) -> str:
+    """What a declaration is said to be (`* "prose"`), "" if nothing is."""
+    return declared.docs if isinstance(declared, Renamed) else ""
+
+
+def read_data(owner: str, members: list[Construct], *, framed: bool) -> DataSpec:
+    """Read the fields of `owner`, an instruction or an answer. Raises LayoutError, in one sentence.
+
+    `framed` says that the frame has a length, so that the last field may take what is left.
+    """
+    if len(members) > _MOST_FIELDS:
+        raise LayoutError(f"{owner} has {len(members)} fields, allowed are {_MOST_FIELDS}")
+    fields: list[FieldSpec] = []
+    for place, member in enumerate(members):
+        offset = sum(part.size for part in fields)
+        one = _field(owner, member, offset)
+        how = one.many.how if one.many else "fixed"
+        if how != "fixed" and place < len(members) - 1:
+            raise LayoutError(f"{owner}.{one.name} is counted; only the last field may be")
+        if how == "rest" and not framed:
+            raise LayoutError(f"{owner}.{one.name} takes the rest of a frame without a length")
+        fields.append(one)
+    names = [part.name.lower() for part in fields if part.name]
+    for name in names:
+        if names.count(name) > 1:
+            raise LayoutError(f"{owner} has two fields named {name}")
+    return DataSpec(tuple(fields), sum(part.size for part in fields))
+
+
+def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
+    body = unwrapped(member)
+    if isinstance(body, Const):
+        raw = body.build(None)
+        require_whole(f"the size of a constant of {owner} in bytes", len(raw), 1, 255)
+        return FieldSpec(
+            member.name or "", prose_of(member), offset, len(raw), 0, 0, "", "", bytes, bytes,
+            constant=raw,
+        )  # fmt: skip
+    require_name(f"the name of a field of {owner}", member.name)
+    name = f"{owner}.{member.name}"
+    require_text(f"the prose of {name}", prose_of(member))
+    many = _many(name, body)
+    if many:
+        return FieldSpec(
+            member.name, prose_of(member), offset, many.least,
+            many.element.low if many.element else 0, many.element.high if many.element else 255,
+            "", "", many.parse, many.build, many=many,
+        )  # fmt: skip
+    return _number_field(name, member, body, offset)
+
+
+def _number_field(name: str, member: Construct, body: Construct, offset: int) -> FieldSpec:
+    ranged = body if isinstance(body, Ranged) else None
+    inner = unwrapped(ranged.subcon) if ranged else body
+    names, flags = named_values(inner), named_flags(inner)
+    plain = unwrapped(inner.subcon) if names or flags else inner
+    size = plain.sizeof() if isinstance(plain, Construct) else 0
+    require_whole(f"the size of {name} in bytes", size, 1, 255)
+    number = number_of(plain, name)
+    low, high = (ranged.low, ranged.high) if ranged else (number.low, number.high)
+    if low > high:
+        raise LayoutError(f"{name} has the range {low} to {high}, which holds nothing")
+    if not number.low <= low <= high <= number.high:
+        raise LayoutError(f"{name} cannot carry its range {low} to {high}")
+    bits = ranged.bits if ranged else ""
+    if len(bits) > 8 * size:
+        raise LayoutError(f"{name} names {len(bits)} bits, it has {8 * size}")
+    if names and not ranged:
+        low, high = min(value for _, value in names), max(value for _, value in names)
+    return FieldSpec(
+        name=member.name,
+        prose=prose_of(member),
+        offset=offset,
+        size=size,
+        low=low,
+        high=high,
+        bits=bits,
+        reading=ranged.reading if ranged else "",
+        parse=number.parse,
+        build=number.build,
+        code=ranged.code if ranged else "",
+        names=names,
+        flags=flags,
+    )
+
+
+def _many(name: str, body: Construct) -> Many | None:
+    """How many elements a field has; None for a single number."""
+    if body is GreedyBytes:
+        return Many(None, "rest")
+    if isinstance(body, GreedyRange):
+        return Many(number_of(unwrapped(body.subcon), name), "rest")
+    if isinstance(body, Bytes):
+        return _counted(name, None, body.length)
+    if isinstance(body, Array):
+        return _counted(name, number_of(unwrapped(body.subcon), name), body.count)
+    if isinstance(body, Prefixed):
+        inner = _many(name, unwrapped(body.subcon))
+        if inner is None or inner.how != "rest" or body.includelength:
+            raise LayoutError(f"{name} must be written Prefixed(Byte, GreedyRange(Byte))")
+        return Many(inner.element, "bytes in front", prefix=_prefix(name, body.lengthfield))
+    if isinstance(body, FocusedSeq) and body.parsebuildfrom == "items":  # PrefixedArray
+        count, items = (unwrapped(part) for part in body.subcons)
+        element = number_of(unwrapped(items.subcon), name)
+        return Many(element, "elements in front", prefix=_prefix(name, count.subcon))
+    return None
+
+
+def _prefix(name: str, declared: Construct) -> Number:
+    number = number_of(unwrapped(declared), f"the count of {name}")
+    if number.signed or number.size > 4:
+        raise LayoutError(f"the count of {name} must be an unsigned number of at most 4 bytes")
+    return number
+
+
+def _counted(name: str, element: Number | None, count: Any) -> Many:
+    if callable(count):
+        return Many(element, "expression", expression=count)
+    require_whole(f"the count of {name}", count, 1, _MOST_BYTES)
+    return Many(element, "fixed", fixed=int(count))
+
+
+def shown_value(part: FieldSpec, value: Value) -> str:
+    """A value as people read it: `5`, `2 (safe)`, `01 ff`, `3 4 5`."""
+    if isinstance(value, bytes):
+        return value.hex(" ")
+    if isinstance(value, tuple):
+        return " ".join(map(str, value))
+    name = next((name for name, known in part.names if known == value), "")
+    if name:
+        return f"{value} ({name})"
+    set_flags = [name for name, mask in part.flags if value & mask == mask]
+    return f"{value} ({' '.join(set_flags) or 'none'})" if part.flags else str(value)
+
+
+def plain_values(fields: Any) -> dict[str, Any]:
+    """Fields by name as JSON holds them: bytes in hex, several numbers as a list."""
+    return {name: value if isinstance(value, int) else plain_value(value) for name, value in fields}
+
+
+def plain_value(value: Any) -> Any:
+    """A value as JSON holds it."""
+    if isinstance(value, bytes):
+        return value.hex()
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,477 @@
+"""Reads FRAME, REPLY and ERROR into layouts: where each part of a frame is, and where it ends.
+
+A layout is a plain value; no module but this one and `data` meets a construct of a frame. What
+cannot be read into a layout raises LayoutError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+from construct import (
+    BitsInteger,
+    BitStruct,
+    Checksum,
+    Const,
+    Construct,
+    Container,
+    FixedSized,
+    RawCopy,
+    Struct,
+    Switch,
+)
+
+from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
+from bilprov.spec.data import DataSpec, Values, prose_of, unwrapped
+from bilprov.spec.fields import Answers
+from bilprov.spec.frame_words import Address, Data, Length, Same
+from bilprov.spec.numbers import LayoutError, Number, number_of
+from bilprov.spec.value_checks import require_name, require_text, require_whole
+
+Role = Literal["constant", "address", "id", "length", "code", "other", "check"]
+
+_ROLES: dict[str, Role] = {"id": "id", "length": "length", "address": "address"}
+_MOST_PARTS = 32
+_MOST_DATA = 1 << 20  # bytes of data that a frame may announce; more is no frame
+_ASKED = b"\x01asked"
+_HERE = b"\x02here"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One part of a frame besides its data.
+
+    `offset` is from the frame's first byte, or from behind its last where it is negative: then the
+    part is behind the data. A part of a byte of bits has its `width` in bits and is `shift` bits
+    above the lowest one; otherwise `width` is 0. `same` names the part of the request that it
+    repeats, with `plus` added. `low`, `high` and `broadcast` are those of an address.
+    """
+
+    name: str
+    prose: str
+    role: Role
+    offset: int
+    number: Number
+    width: int = 0
+    shift: int = 0
+    constant: bytes = b""
+    also: int = 0
+    same: str = ""
+    plus: int = 0
+    low: int = 0
+    high: int = 0
+    broadcast: int | None = None
+
+    @property
+    def size(self) -> int:
+        """Its bytes, or those of the byte of bits that it is in."""
+        return self.number.size
+
+    def raw(self, frame: bytes) -> bytes:
+        """Its bytes in a frame."""
+        return frame[self.offset : self.offset + self.size or None]
+
+    def read(self, frame: bytes) -> int:
+        """Its value in a frame; a length is the number of data bytes."""
+        value = self.number.parse(self.raw(frame))
+        if self.width:
+            value = value >> self.shift & (1 << self.width) - 1
+        return value - self.also
+
+    @property
+    def most(self) -> int:
+        """The largest value that it can have."""
+        return ((1 << self.width) - 1 if self.width else self.number.high) - self.also
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The check of a frame: its place, its function, and what it counts.
+
+    It covers the bytes from `first` on, as far as `last` bytes before the frame's end; with `asked`
+    what the request's check covers stands before them.
+    """
+
+    part: Part
+    function: CheckFunction
+    first: int
+    last: int
+    asked: bool = False
+
+    def due(self, frame: bytes, asked: bytes = b"") -> int:
+        """The right value in a frame; `asked` is what the request's check covers."""
+        covered = self.covered(frame)
+        return self.function(asked + covered if self.asked else covered)
+
+    def covered(self, frame: bytes) -> bytes:
+        """The bytes of a frame that it counts."""
+        return frame[self.first : len(frame) - self.last]
+
+    def holds(self, frame: bytes, asked: bytes = b"") -> bool:
+        """Whether the value in a frame is the right one."""
+        return self.part.read(frame) == self.due(frame, asked)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The parts of a frame in order: `head` bytes, the data, `tail` bytes.
+
+    `has_data` is false for an answer without a place for data.
+    """
+
+    parts: tuple[Part, ...]
+    head: int
+    tail: int
+    check: Check | None
+    has_data: bool
+
+    def part(self, role: Role) -> Part | None:
+        """The part of that role; None if there is none."""
+        return next((part for part in self.parts if part.role == role), None)
+
+    @cached_property
+    def sync(self) -> bytes:
+        """The constant bytes in front."""
+        found = b""
+        for part in self.parts:
+            if part.role != "constant" or part.offset != len(found):
+                break
+            found += part.constant
+        return found
+
+    @cached_property
+    def constants(self) -> tuple[tuple[int, bytes], ...]:
+        """The offset and the bytes of each constant."""
+        return tuple((part.offset, part.constant) for part in self.parts if part.constant)
+
+    @cached_property
+    def _id(self) -> Part | None:
+        return self.part("id")
+
+    @cached_property
+    def _length(self) -> Part | None:
+        return self.part("length")
+
+    @cached_property
+    def _address(self) -> Part | None:
+        return self.part("address")
+
+    @cached_property
+    def _code(self) -> Part | None:
+        return self.part("code")
+
+    def id_of(self, frame: bytes) -> int | None:
+        """The ID in a frame; None where it has none."""
+        return self._id.read(frame) if self._id else None
+
+    def length_of(self, frame: bytes) -> int | None:
+        """The number of data bytes that a frame announces; None where it announces none."""
+        return self._length.read(frame) if self._length else None
+
+    def address_of(self, frame: bytes) -> int | None:
+        """The address in a frame; None where it has none."""
+        return self._address.read(frame) if self._address else None
+
+    def code_of(self, frame: bytes) -> int | None:
+        """The code in an answer; None where it has none."""
+        return self._code.read(frame) if self._code else None
+
+    def data_of(self, frame: bytes) -> bytes:
+        """The data in a whole frame."""
+        return frame[self.head : len(frame) - self.tail]
+
+    def begins(self, held: bytes) -> bool:
+        """Whether bytes may begin a frame: the constants in front that are there are right."""
+        return all(
+            held[offset : offset + len(raw)] == raw[: max(0, len(held) - offset)]
+            for offset, raw in self.constants
+            if 0 <= offset < len(held)
+        )
+
+    def wrong_constant(self, frame: bytes) -> tuple[bytes, bytes] | None:
+        """The bytes of the first wrong constant in a whole frame and the right ones."""
+        for offset, raw in self.constants:
+            found = frame[offset : offset + len(raw) or None]
+            if found != raw:
+                return found, raw
+        return None
+
+    def fits(self, frame: bytes, asked: Values, covered: bytes = b"") -> bool:
+        """Whether a whole answer repeats what it must of the request, and its check is right."""
+        return (
+            self.wrong_constant(frame) is None
+            and self.repeats(frame, asked)
+            and (self.check is None or self.check.holds(frame, covered))
+        )
+
+    def repeats(self, held: bytes, asked: Values) -> bool:
+        """Whether the parts that repeat the request's do, as far as the bytes go."""
+        return all(
+            part.read(held) == asked.get(part.same, -1) + part.plus  # type: ignore[operator]
+            for part in self.parts
+            if part.same and part.offset >= 0 and part.offset + part.size <= len(held)
+        )
+
+    def values(self, frame: bytes) -> dict[str, int]:
+        """The parts of a whole frame by name, without constants, length and check."""
+        return {
+            part.name: part.read(frame)
+            for part in self.parts
+            if part.role in ("address", "id", "code", "other")
+        }
+
+    def size(self, held: bytes, data: DataSpec | None, asked: Values | None = None) -> int | None:
+        """How many bytes the frame has that begins so, with data laid out as `data`.
+
+        None if that is not known yet, -1 if this can be no frame.
+        """
+        if not self.begins(held):
+            return -1
+        if len(held) < self.head:
+            return None
+        announced = self.length_of(held)
+        if announced is not None:
+            return self.head + announced + self.tail if 0 <= announced <= _MOST_DATA else -1
+        if not self.has_data or data is None:
+            return self.head + self.tail
+        count = data.measure(held[self.head :], asked)
+        if count is None or count <= _MOST_DATA:
+            return None if count is None else self.head + count + self.tail
+        return -1
+
+    def build(self, values: Mapping[str, int], data: bytes, covered: bytes = b"") -> bytes:
+        """The frame of these parts and data, with its length and its check.
+
+        A part that is not given is 0; `covered` is what the request's check covers. Raises
+        OverflowError for a value that does not fit.
+        """
+        size = self.head + len(data) + self.tail
+        frame = bytearray(size)
+        frame[self.head : self.head + len(data)] = data
+        for part in self.parts:
+            if part.role == "check":
+                continue
+            at = part.offset if part.offset >= 0 else size + part.offset
+            if part.role == "constant":
+                raw = part.constant
+            else:
+                given = len(data) if part.role == "length" else values.get(part.name, 0)
+                raw = self._written(part, given, bytes(frame[at : at + part.size]))
+            frame[at : at + part.size] = raw
+        if self.check:
+            at = size + self.check.part.offset
+            due = self.check.part.number.build(self.check.due(bytes(frame), covered))
+            frame[at : at + len(due)] = due
+        return bytes(frame)
+
+    @staticmethod
+    def _written(part: Part, value: int, before: bytes) -> bytes:
+        """The bytes of a part; in a byte of bits the other bits stay as they are."""
+        value += part.also
+        if not part.width:
+            return part.number.build(value)
+        if not 0 <= value < 1 << part.width:
+            raise OverflowError(f"{part.name} is {value}, it has {part.width} bits")
+        return part.number.build(part.number.parse(before) | value << part.shift)
+
+
+def read_layout(what: str, declared: Construct) -> tuple[Layout, Any]:
+    """Read a declared frame into a layout, with the declaration of its data (None without one).
+
+    `what` is FRAME, REPLY or ERROR. Raises LayoutError.
+    """
+    body = unwrapped(declared)
+    if isinstance(body, Answers):
+        body = Struct("code" / body)
+    if not isinstance(body, Struct):
+        raise LayoutError(f"{what} is a {type(body).__name__}, it must be a Struct of parts")
+    reader = _Reader(what)
+    reader.struct(body)
+    return reader.layout(), reader.data
+
+
+class _Reader:
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._front: list[Part] = []
+        self._behind: list[Part] = []  # offsets from the first byte behind the data
+        self._at = 0
+        self._spans: dict[str, tuple[bool, int, bool, int]] = {}  # covered: begin, end as places
+        self._check: tuple[Part, Checksum] | None = None
+        self.data: Any = None
+
+    @property
+    def _parts(self) -> list[Part]:
+        return self._front if self.data is None else self._behind
+
+    def struct(self, declared: Struct) -> None:
+        """Read the parts of a Struct one after the other."""
+        for member in declared.subcons:
+            self._member(member)
+        if len(self._front) + len(self._behind) > _MOST_PARTS:
+            raise LayoutError(f"{self._what} has more than {_MOST_PARTS} parts")
+
+    def _member(self, member: Construct) -> None:
+        body, name = unwrapped(member), member.name or ""
+        require_text(f"the prose of a part of {self._what}", prose_of(member))
+        if isinstance(body, RawCopy):
+            self._covered(name, body)
+        elif isinstance(body, Const):
+            self._add(member, "constant", _size_of(body, self._what), constant=body.build(None))
+        elif isinstance(body, Checksum):
+            self._checksum(member, body)
+        elif _is_bits(body):
+            self._bits(body)
+        elif isinstance(body, Struct):
+            self.struct(body)
+        elif name == "data" or isinstance(body, Data | Switch | FixedSized):
+            self._place_of_data(body)
+        else:
+            self._number(member, body)
+
+    def _covered(self, name: str, body: RawCopy) -> None:
+        require_name(f"the name of the covered part of {self._what}", name)
+        inner = unwrapped(body.subcon)
+        if not isinstance(inner, Struct):
+            raise LayoutError(f"{self._what}.{name} must be written RawCopy(Struct(...))")
+        begin = self.data is not None, self._at
+        self.struct(inner)
+        self._spans[name] = (*begin, self.data is not None, self._at)
+
+    def _place_of_data(self, body: Construct) -> None:
+        if self.data is not None:
+            raise LayoutError(f"{self._what} has two places for data")
+        self.data, self._at, self._head = body, 0, self._at
+
+    def _number(self, member: Construct, body: Construct) -> None:
+        name = f"{self._what}.{member.name}"
+        require_name(f"the name of a part of {self._what}", member.name)
+        if isinstance(body, Address):
+            self._add(
+                member, "address", number_of(unwrapped(body.subcon), name),
+                low=body.low, high=body.high, broadcast=body.broadcast,
+            )  # fmt: skip
+        elif isinstance(body, Length):
+            self._add(member, "length", number_of(unwrapped(body.subcon), name), also=body.also)
+        elif isinstance(body, Same):
+            role = _ROLES.get(body.part, "other")
+            number = number_of(unwrapped(body.subcon), name)
+            self._add(member, role, number, same=body.part, plus=body.plus)
+        elif isinstance(body, Answers):
+            self._add(member, "code", number_of(unwrapped(body.subcon), name))
+        else:
+            number = number_of(body, name)
+            self._add(member, _ROLES.get(member.name, "other"), number, high=number.high)
+
+    def _bits(self, body: Construct) -> None:
+        """Read a byte (or some) of bits: whole parts of it with their widths."""
+        members = unwrapped(body.subcon).subcons
+        total = 0
+        for part in members:
+            bits = unwrapped(part)
+            name = f"{self._what}.{part.name}"
+            if type(bits) is not BitsInteger or bits.signed or bits.swapped:
+                raise LayoutError(f"{name} must be written BitsInteger(width)")
+            require_name(f"the name of a part of {self._what}", part.name)
+            require_whole(f"the width of {name}", bits.length, 1, 64)
+            total += bits.length
+        if total % 8 or not total:
+            raise LayoutError(
+                f"the bits of {self._what} are {total} together; they must fill whole bytes"
+            )
+        number, above = Number(total // 8, "big", signed=False), total
+        for part in members:
+            width = unwrapped(part).length
+            above -= width
+            most = (1 << width) - 1
+            self._add(
+                part, _ROLES.get(part.name, "other"), number,
+                width=width, shift=above, high=most, moves=above == 0,
+            )  # fmt: skip
+
+    def _checksum(self, member: Construct, body: Checksum) -> None:
+        name = f"{self._what}.{member.name}"
+        if self._check:
+            raise LayoutError(f"{self._what} has two checks")
+        if not isinstance(body.hashfunc, Sum | Xor | Crc):
+            raise LayoutError(f"{name} must be a Sum, a Xor or a Crc of bilprov.spec.fields")
+        number = number_of(unwrapped(body.checksumfield), name)
+        self._check = self._add(member, "check", number), body
+
+    def _add(
+        self, member: Construct, role: Role, number: Number, *, moves: bool = True, **more: Any
+    ) -> Part:
+        part = Part(member.name or "", prose_of(member), role, self._at, number, **more)
+        if role in ("id", "length", "address", "code") and any(
+            one.role == role for one in (*self._front, *self._behind)
+        ):
+            raise LayoutError(f"{self._what} has two parts for the {role}")
+        if self.data is not None and role in ("id", "length"):
+            raise LayoutError(f"the {role} of {self._what} is behind the data; it must be before")
+        self._parts.append(part)
+        if moves:
+            self._at += number.size
+        return part
+
+    def layout(self) -> Layout:
+        """The layout of what was read."""
+        has_data = self.data is not None
+        head, tail = (self._head, self._at) if has_data else (self._at, 0)
+        behind = [replace(part, offset=part.offset - tail) for part in self._behind]
+        check = self._read_check(head, tail) if self._check else None
+        front = [check.part if check and part.role == "check" else part for part in self._front]
+        return Layout((*front, *behind), head, tail, check, has_data)
+
+    def _read_check(self, head: int, tail: int) -> Check:
+        assert self._check is not None
+        part, declared = self._check
+        has_data = self.data is not None
+        offset = part.offset - (tail if has_data else head)
+        name, asked = self._covered_name(declared)
+        after_begin, begin, after_end, end = self._spans[name]
+        if after_begin:
+            raise LayoutError(f"the check of {self._what} covers nothing before the data")
+        if has_data and not after_end:
+            raise LayoutError(f"the check of {self._what} does not cover the data")
+        last = (tail if has_data else head) - end
+        if offset >= 0:
+            raise LayoutError(f"the check of {self._what} is before the data; it must be behind")
+        return Check(replace(part, offset=offset), declared.hashfunc, begin, last, asked)
+
+    def _covered_name(self, declared: Checksum) -> tuple[str, bool]:
+        """Which covered part a check counts, and whether the request's stands before it."""
+        for name in self._spans:
+            context = Container({name: Container(data=_HERE)})
+            context["_params"] = Container(asked=_Anything())
+            try:
+                found = declared.bytesfunc(context)
+            except Exception:
+                continue
+            if found in (_HERE, _ASKED + _HERE):
+                return name, found != _HERE
+        raise LayoutError(
+            f"the check of {self._what} must cover one part: write this.covered.data behind "
+            '"covered" / RawCopy(Struct(...))'
+        )
+
+
+class _Anything(Container):  # type: ignore[misc]  # construct ships no types
+    """A request of which every covered part is `_ASKED`."""
+
+    def __getitem__(self, name: str) -> Any:
+        return Container(data=_ASKED)
+
+    __getattr__ = __getitem__
+
+
+def _is_bits(body: Construct) -> bool:
+    return isinstance(getattr(body, "subcon", None), Struct) and type(body) is type(BitStruct())
+
+
+def _size_of(body: Const, what: str) -> Number:
+    raw = body.build(None)
+    require_whole(f"the size of a constant of {what} in bytes", len(raw), 1, 64)
+    return Number(len(raw), "big", signed=False)

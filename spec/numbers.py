@@ -1,0 +1,88 @@
+"""Whole numbers of construct, read into a byte order and a sign, so that they are read fast."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from construct import Construct, Enum, FlagsEnum
+
+from bilprov.spec.errors import UserError
+
+Order = Literal["big", "little"]
+
+
+class LayoutError(UserError):
+    """Raised for a declaration that cannot be read into a layout, in one sentence."""
+
+
+_ORDERS: tuple[Order, ...] = ("big", "little")
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A whole number of `size` bytes in a byte order, with two's complement if it is signed."""
+
+    size: int
+    order: Order
+    signed: bool
+
+    @property
+    def low(self) -> int:
+        """The lowest number there is."""
+        return -(1 << 8 * self.size - 1) if self.signed else 0
+
+    @property
+    def high(self) -> int:
+        """The highest number there is."""
+        return (1 << 8 * self.size - self.signed) - 1
+
+    def parse(self, data: bytes) -> int:
+        """The number in these bytes, which are `size` many."""
+        return int.from_bytes(data, self.order, signed=self.signed)
+
+    def build(self, value: int) -> bytes:
+        """The bytes of a number. Raises OverflowError for one that does not fit."""
+        return value.to_bytes(self.size, self.order, signed=self.signed)
+
+
+def number_of(declared: Construct, what: str) -> Number:
+    """Read a whole number of construct. Raises LayoutError for anything else.
+
+    What it is follows from how it reads and writes bytes in which every byte is another one.
+    """
+    try:
+        size = declared.sizeof()
+        patterns = _patterns(size) if 0 < size < 256 else []
+        values = [declared.parse(raw) for raw in patterns]
+        for order in _ORDERS:
+            for signed in (False, True):
+                number = Number(size, order, signed)
+                read = [number.parse(raw) for raw in patterns]
+                same = (
+                    bool(values) and values == read and all(type(value) is int for value in values)
+                )
+                if same and [declared.build(value) for value in read] == patterns:
+                    return number
+    except Exception as error:  # construct raises many kinds for what is no number
+        raise LayoutError(f"the type of {what} must be a whole number, such as Byte") from error
+    raise LayoutError(f"the type of {what} must be a whole number, such as Byte")
+
+
+def _patterns(size: int) -> list[bytes]:
+    """Bytes from which the order and the sign of a number of that size follow."""
+    rising = [bytes((start + 37 * place) % 256 for place in range(size)) for start in (1, 200)]
+    low = bytes(size - 1)
+    return [*rising, bytes(size), b"\xff" * size, b"\x80" + low, low + b"\x80"]
+
+
+def named_values(declared: Construct) -> tuple[tuple[str, int], ...]:
+    """The named values of an Enum in its order; none for any other type."""
+    if not isinstance(declared, Enum):
+        return ()
+    return tuple((str(name), int(value)) for name, value in declared.encmapping.items())
+
+
+def named_flags(declared: Construct) -> tuple[tuple[str, int], ...]:
+    """The named masks of a FlagsEnum in its order; none for any other type."""
+    return tuple(declared.flags.items()) if isinstance(declared, FlagsEnum) else ()
