@@ -7,34 +7,41 @@ reading of the document and does not depend on what any device answered.
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
 
 import msgspec
 
-from bilprov.spec.data import FieldSpec
+from bilprov.spec.data import FieldSpec, Value, shown_value
 from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
+from bilprov.spec.layout import Part
+from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol, ResponseSpec
 
 
 class Judgement(msgspec.Struct, frozen=True, gc=False):
     """The judgement of one frame: the response of a conforming device, and the reason.
 
-    `frame` is the bytes as they came, `length` what the header announces, `instruction` is None
-    for an unused ID, `fields` are the decoded data (empty unless the lengths are right). `valid` is
-    true only for a complete frame without fault. `clause` and `reading` are what the reason rests
-    on.
+    `frame` is the bytes as they came, `length` the number of data bytes that it announces or must
+    have, `instruction` is None for an unused ID, `fields` are the decoded data (empty unless the
+    lengths are right). `valid` is true only for a complete frame without fault, `truncated` says
+    that it is not complete. `clause` and `reading` are what the reason rests on. `address` is who
+    is meant, None where frames have no address; `head` bytes come before the data. `response` is
+    NO_ANSWER where none is due.
     """
 
     frame: bytes
     id: int
     length: int
     instruction: InstructionSpec | None
-    fields: tuple[tuple[str, int], ...]
+    fields: tuple[tuple[str, Any], ...]
     outcome: Outcome
     response: ResponseSpec
     reason: str
     clause: str
     reading: str = ""
+    truncated: bool = False
+    address: int | None = None
+    head: int = 1
 
     @property
     def valid(self) -> bool:
@@ -42,9 +49,9 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
         return self.outcome is Outcome.VALID
 
     @property
-    def truncated(self) -> bool:
-        """Whether fewer data bytes came than the header announces."""
-        return len(self.frame) <= self.length
+    def answer_due(self) -> bool:
+        """Whether a conforming device answers."""
+        return self.response is not NO_ANSWER
 
     @property
     def name(self) -> str:
@@ -53,18 +60,26 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
 
     def describe(self) -> str:
         """Return the frame in words: `LED rgb=5 (R B)`, `Stop`, `unused 9, 2 data bytes`."""
+        to = f"@{self.address} " if self.address is not None else ""
+        if self.outcome in FRAMING_FAULTS:
+            return f"{to}{self.name}, {self.outcome.value}"
         if self.instruction and self.fields:
-            specs = self.instruction.fields
-            shown = [
-                _value(spec, value) for spec, (_, value) in zip(specs, self.fields, strict=True)
-            ]
-            return f"{self.name} {' '.join(shown)}"
+            specs = {spec.name: spec for spec in self.instruction.fields}
+            shown = [_value(specs[name], value) for name, value in self.fields]
+            return f"{to}{self.name} {' '.join(shown)}"
         if self.instruction and self.valid:
-            return self.name
-        arrived = len(self.frame) - 1
+            return f"{to}{self.name}"
         if self.truncated:
-            return f"{self.name}, {arrived} of {_bytes(self.length)}"
-        return f"{self.name}, {_bytes(self.length)}"
+            return f"{to}{self.name}, {self._arrived} of {_bytes(self.length)}"
+        return f"{to}{self.name}, {_bytes(self.length)}"
+
+    @property
+    def _arrived(self) -> int:
+        return max(0, len(self.frame) - self.head)
+
+
+FRAMING_FAULTS = (Outcome.BAD_CHECKSUM, Outcome.BAD_SYNC)
+"""The outcomes of frames whose parts around the data are wrong."""
 
 
 def spaced(data: bytes) -> str:
@@ -82,9 +97,9 @@ def bit_names(spec: FieldSpec, value: int) -> tuple[str, ...]:
     return tuple(name for i, name in enumerate(spec.bits) if value >> (top - i) & 1)
 
 
-def _value(spec: FieldSpec, value: int) -> str:
-    if not spec.bits or value > spec.high:
-        return f"{spec.name}={value}"
+def _value(spec: FieldSpec, value: Value) -> str:
+    if not spec.bits or not isinstance(value, int) or value > spec.high:
+        return f"{spec.name}={shown_value(spec, value)}"
     return f"{spec.name}={value} ({' '.join(bit_names(spec, value)) or 'off'})"
 
 
@@ -96,6 +111,8 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     """
     if not frame:
         raise ValueError("an empty frame cannot be judged; it needs at least a header byte")
+    if not protocol.plain:
+        return judge_framed(protocol, frame)
     identity, length = protocol.headers[frame[0]]
     arrived = len(frame) - 1
     if arrived > length:
@@ -139,14 +156,118 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         reason=reason,
         clause=clause,
         reading=reading,
+        truncated=arrived < length,
     )
 
 
-def build(protocol: Protocol, name: str, fields: Mapping[str, int] | None = None) -> bytes:
+def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
+    """Judge one frame, whole or cut short, of a protocol whose header is not one byte.
+
+    What stands around the data is judged first, as a device reads it: constants, then the check;
+    then the ID, the length and the data.
+    """
+    layout = protocol.layout
+    begun = len(frame) >= layout.head
+    identity = layout.id_of(frame) if begun else None
+    spec = protocol.by_id.get(identity) if identity is not None else None
+    size = layout.size(frame, spec.data if spec else None) or 0
+    whole = begun and len(frame) >= layout.head + layout.tail and (size <= len(frame) or not spec)
+    data = layout.data_of(frame) if whole else frame[layout.head :]
+    found = _fault(protocol, frame, spec, data) if whole else _cut_short(spec, frame, size)
+    outcome, reason, code = found
+    fields: tuple[tuple[str, Any], ...] = ()
+    if whole and spec and outcome in (Outcome.VALID, Outcome.BAD_DATA):
+        fields = tuple(spec.decode(data).items())
+    address = layout.address_of(frame) if begun else None
+    valid = outcome is Outcome.VALID
+    return Judgement(
+        frame=frame,
+        id=identity if identity is not None else -1,
+        length=max(0, size - layout.head - layout.tail) if spec and size > 0 else len(data),
+        instruction=spec,
+        fields=fields,
+        outcome=outcome,
+        response=_response(protocol, outcome, spec, address, code),
+        reason=reason,
+        clause=protocol.clauses.instructions if valid else protocol.clauses.responses,
+        truncated=not whole,
+        address=address,
+        head=layout.head,
+    )
+
+
+def _cut_short(spec: InstructionSpec | None, frame: bytes, size: int) -> tuple[Outcome, str, str]:
+    """The fault of a frame that is not complete."""
+    of = f" of {_plural(size)}" if size > 0 else ""
+    name = f"{spec.name}: " if spec else ""
+    return Outcome.TOO_FEW, f"{name}{_plural(len(frame))}{of} came", ""
+
+
+def _plural(count: int) -> str:
+    return "1 byte" if count == 1 else f"{count} bytes"
+
+
+def _fault(
+    protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes
+) -> tuple[Outcome, str, str]:
+    """The outcome of a whole frame, why, and the name of the answer that a field asks for."""
+    layout = protocol.layout
+    wrong = layout.wrong_constant(frame)
+    if wrong:
+        return Outcome.BAD_SYNC, f"{spaced(wrong[0])} stands where {spaced(wrong[1])} must be", ""
+    if layout.check and not layout.check.holds(frame):
+        part = layout.check.part
+        right = part.number.build(layout.check.due(frame))
+        reason = f"{part.name} is {spaced(part.raw(frame))}, right is {spaced(right)}"
+        return Outcome.BAD_CHECKSUM, reason, ""
+    if spec is None:
+        used = ", ".join(map(str, protocol.by_id))
+        return (
+            Outcome.UNKNOWN_ID,
+            f"no instruction has ID {layout.id_of(frame)}, used are {used}",
+            "",
+        )
+    needed = spec.data.measure(data)
+    more = spec.data.counted is not None and spec.data.counted.how == "rest"
+    if needed is None or len(data) < needed:
+        reason = f"{spec.name} takes {_bytes(needed or spec.length)}, {len(data)} came"
+        return Outcome.TOO_FEW, reason, ""
+    if len(data) > needed and not more:
+        return Outcome.TOO_MANY, f"{spec.name} takes {_bytes(needed)}, {len(data)} came", ""
+    part_wrong = spec.data.wrong(data)
+    if part_wrong is None:
+        return Outcome.VALID, "", ""
+    value = spec.decode(data).get(part_wrong.name, b"")
+    reason = (
+        f"{spec.name}.{part_wrong.name or 'constant'} is {shown_value(part_wrong, value)}, "
+        f"allowed are {part_wrong.allowed}"
+    )
+    return Outcome.BAD_DATA, reason, part_wrong.code
+
+
+def _response(
+    protocol: Protocol,
+    outcome: Outcome,
+    spec: InstructionSpec | None,
+    address: int | None,
+    code: str,
+) -> ResponseSpec:
+    """The response that is due; NO_ANSWER for what is sent to all or to nobody."""
+    part = protocol.layout.part("address")
+    if part and address is not None and not part.low <= address <= part.high:
+        return NO_ANSWER  # sent to all, or to nobody
+    if spec and spec.answer is None and outcome is Outcome.VALID:
+        return NO_ANSWER
+    named = next((one for one in protocol.responses if code and one.name == code), None)
+    return named or protocol.answers[outcome]
+
+
+def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None) -> bytes:
     """Build a valid frame. `name` is an instruction in any case, `fields` its values by name.
 
-    Raises ValueError, in one sentence, for an unknown instruction, a missing or unknown field, or
-    a value out of its range.
+    Where frames have an address or other parts besides, `fields` has them too. Raises ValueError,
+    in one sentence, for an unknown instruction, a missing or unknown field, or a value out of its
+    range.
     """
     given = dict(fields or {})
     spec = next((s for s in protocol.instructions if s.name.lower() == name.lower()), None)
@@ -155,30 +276,79 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, int] | None = None
             f"there is no instruction {name!r}; there are "
             f"{', '.join(s.name for s in protocol.instructions)}"
         )
-    data = b""
-    for part in spec.fields:
-        if part.name not in given:
-            raise ValueError(
-                f"{spec.name} needs {part.name}={part.low}..{part.high}, for example "
-                f"{spec.name} {part.name}={part.high}"
-            )
-        value = given.pop(part.name)
-        try:
-            value = operator.index(value)
-        except TypeError:
-            raise ValueError(
-                f"{spec.name}.{part.name} is {value!r}, allowed are whole numbers from {part.low} "
-                f"to {part.high}"
-            ) from None
-        if not part.low <= value <= part.high:
-            raise ValueError(
-                f"{spec.name}.{part.name} is {value}, allowed are {part.low} to {part.high}"
-            )
-        data += part.build(value)
+    data = b"".join(
+        part.constant if part.constant is not None else _built(spec.name, part, given)
+        for part in spec.fields
+    )
+    parts = {part.name: _built_part(spec.name, part, given) for part in _free_parts(protocol)}
     if given:
-        takes = ", ".join(part.name for part in spec.fields) or "no fields"
+        takes = (
+            ", ".join([*parts, *(part.name for part in spec.fields if part.name)]) or "no fields"
+        )
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")
-    return raw_frame(protocol, spec.id, len(data), data)
+    if protocol.plain:
+        return raw_frame(protocol, spec.id, len(data), data)
+    return protocol.layout.build({**parts, "id": spec.id}, data)
+
+
+def _free_parts(protocol: Protocol) -> Iterator[Part]:
+    """The parts of a frame that whoever builds it chooses: the address, and other numbers."""
+    return (part for part in protocol.layout.parts if part.role in ("address", "other"))
+
+
+def _built_part(owner: str, part: Part, given: dict[str, Any]) -> int:
+    """The value of a part of the frame besides its data, taken out of `given`."""
+    if part.name not in given:
+        if part.role == "other":
+            return 0
+        raise ValueError(
+            f"{owner} needs {part.name}={part.low}..{part.high}, for example "
+            f"{owner} {part.name}={part.low}"
+        )
+    value = given.pop(part.name)
+    if not isinstance(value, int) or not 0 <= value <= part.most:
+        raise ValueError(f"{part.name} is {value!r}, allowed are 0 to {part.most}")
+    return value
+
+
+def _built(owner: str, part: FieldSpec, given: dict[str, Any]) -> bytes:
+    """The bytes of a field, whose value is taken out of `given`."""
+    if part.name not in given:
+        example = "01ff" if part.many else part.high
+        allowed = "BYTES" if part.many else f"{part.low}..{part.high}"
+        raise ValueError(
+            f"{owner} needs {part.name}={allowed}, for example {owner} {part.name}={example}"
+        )
+    value = given.pop(part.name)
+    if part.many:
+        return _built_many(f"{owner}.{part.name}", part, value)
+    value = dict(part.names).get(value, value) if isinstance(value, str) else value
+    try:
+        value = operator.index(value)
+    except TypeError:
+        raise ValueError(
+            f"{owner}.{part.name} is {value!r}, allowed are whole numbers from {part.low} "
+            f"to {part.high}"
+        ) from None
+    if not part.in_range(value):
+        raise ValueError(f"{owner}.{part.name} is {value}, allowed are {part.allowed}")
+    return part.build(value)
+
+
+def _built_many(name: str, part: FieldSpec, value: Any) -> bytes:
+    """The bytes of a field of bytes (as such or in hex) or of several numbers."""
+    assert part.many is not None
+    try:
+        if part.many.element and isinstance(value, str):
+            width = part.many.width
+            raw = bytes.fromhex(value)
+            value = [
+                part.many.element.parse(raw[at : at + width]) for at in range(0, len(raw), width)
+            ]
+        return part.build(value)
+    except (ValueError, TypeError, OverflowError) as error:
+        what = "numbers, or their bytes in hex" if part.many.element else "bytes in hex"
+        raise ValueError(f"{name} is {value!r}, allowed are {what} ({error})") from None
 
 
 def raw_frame(protocol: Protocol, identity: int, length: int, data: bytes = b"") -> bytes:

@@ -14,6 +14,8 @@ from typing import Any
 
 from construct import Construct, ExprAdapter, Struct, Validator
 
+from bilprov.spec.checks import Crc, Sum, Xor
+from bilprov.spec.frame_words import Address, Data, Length, Same, asked, question
 from bilprov.spec.motion import VARIABLES
 from bilprov.spec.value_checks import (
     WrongValue,
@@ -26,9 +28,25 @@ from bilprov.spec.value_checks import (
 )
 
 __all__ = [
-    *("Address", "Answer", "Answers", "Clauses", "Crc", "Data", "From", "Instruction", "Length"),
-    *("LineDefaults", "Outcome", "Ranged", "Same", "Sets", "Sum", "Timing", "Xor"),
-    *("asked", "question"),
+    "Address",
+    "Answer",
+    "Answers",
+    "Clauses",
+    "Crc",
+    "Data",
+    "From",
+    "Instruction",
+    "Length",
+    "LineDefaults",
+    "Outcome",
+    "Ranged",
+    "Same",
+    "Sets",
+    "Sum",
+    "Timing",
+    "Xor",
+    "asked",
+    "question",
 ]
 
 _LONGEST_TIME = 3_600_000.0  # ms

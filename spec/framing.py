@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+from bilprov.spec.layout import Layout
+from bilprov.spec.protocol import Protocol
+
 Kind = Literal["instruction", "truncated", "garbage"]
 
 
@@ -102,3 +105,186 @@ class Framer:
         record = Framed(kind, self._start, self._end, known, bytes(self._held))
         self._held.clear()
         return record
+
+
+class LayoutFramer(Framer):
+    """Cuts the bytes of one direction into frames whose header is more than one byte.
+
+    Bytes that cannot begin a frame are garbage; so are those before a right frame that begins
+    within one whose check is wrong. A frame whose end nothing tells ends with the time-out.
+    """
+
+    def __init__(self, protocol: Protocol, timeout: int | None) -> None:
+        super().__init__(protocol.lengths, timeout)
+        self._protocol = protocol
+        self._times: list[int] = []  # of each held byte
+        self._garbage = bytearray()
+        self._garbage_span = 0, 0
+
+    @property
+    def missing(self) -> int:
+        """1 within a frame, since how many bytes it still needs may not be known; else 0."""
+        return 1 if self._held else 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether no garbage is held, so that what is held is all there is to go on from."""
+        return not self._garbage
+
+    @property
+    def deadline(self) -> int | None:
+        """When (ns) the time-out ends what is held; None if nothing is."""
+        if self._timeout is None or not (self._held or self._garbage):
+            return None
+        return (self._times[-1] if self._held else self._garbage_span[1]) + self._timeout
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """The times (ns) of the first and the last held byte."""
+        return (self._times[0], self._times[-1]) if self._times else (0, 0)
+
+    def advance(self, now: int) -> list[Framed]:
+        """Let time pass until `now` (ns); return what the time-out ends."""
+        deadline = self.deadline
+        if deadline is None or now < deadline:
+            return []
+        return self._take_all(deadline, "truncated")
+
+    def feed(self, data: bytes, now: int) -> list[Framed]:
+        """Take bytes that came at `now` (ns); return the records that are over by then."""
+        records = self.advance(now)
+        self._held += data
+        self._times += [now] * len(data)
+        records += self._cut(now)
+        return records
+
+    def resume(self, data: bytes, start: int, end: int) -> None:
+        """Go on from a frame that is not complete: its bytes, and their first and last time (ns).
+
+        Raises ValueError for bytes that are not the beginning of one frame.
+        """
+        size = frame_size(self._protocol, data) if data else None
+        if size is not None and size <= len(data):
+            raise ValueError(f"{len(data)} bytes are not a frame that is still open")
+        self._held[:] = data
+        self._times = [start] * (len(data) - 1) + [end] if data else []
+
+    def drop(self, now: int, kind: Kind = "garbage") -> list[Framed]:
+        """End what is held: bytes were lost, or the stream ends."""
+        return self._take_all(now, kind) if self._held or self._garbage else []
+
+    def _cut(self, known: int) -> list[Framed]:
+        """Take the frames that are complete."""
+        records: list[Framed] = []
+        while self._held:
+            size = frame_size(self._protocol, bytes(self._held))
+            if size is None or size > len(self._held):
+                break
+            if size < 0 or self._misread(size):
+                self._skip(1)
+                continue
+            records += self._flush(known)
+            records.append(self._frame("instruction", size, known))
+        return records
+
+    def _take_all(self, known: int, kind: Kind) -> list[Framed]:
+        """Take all that is held: the right frames within, and the rest as one frame of a kind."""
+        records: list[Framed] = []
+        while self._held:
+            begun = self._right_frame(1, len(self._held))
+            if begun is not None:
+                self._skip(begun)
+                records += self._cut(known)
+                continue
+            records += self._flush(known)
+            whole: Kind = "instruction" if kind == "truncated" and self._is_unknown() else kind
+            records.append(self._frame(whole, len(self._held), known))
+        records += self._flush(known)
+        return records
+
+    def _is_unknown(self) -> bool:
+        """Whether what is held has an ID whose length nothing tells."""
+        layout = self._protocol.layout
+        if layout.part("length") or len(self._held) < layout.head + layout.tail:
+            return False
+        return layout.id_of(bytes(self._held)) not in self._protocol.by_id
+
+    def _misread(self, size: int) -> bool:
+        """Whether the frame that seems to be held is wrong, and a right one begins within it."""
+        check = self._protocol.layout.check
+        if check is None or check.holds(bytes(self._held[:size])):
+            return False
+        return self._right_frame(1, size) is not None
+
+    def _right_frame(self, first: int, after: int) -> int | None:
+        """The first place in `first`..`after` at which a frame begins whose check is right."""
+        layout = self._protocol.layout
+        if layout.check is None:
+            return None
+        for at in range(first, after):
+            frame = bytes(self._held[at:])
+            size = frame_size(self._protocol, frame)
+            if size is None or not 0 < size <= len(frame):
+                continue
+            right = layout.check.holds(frame[:size]) and not layout.wrong_constant(frame[:size])
+            if right:
+                return at
+        return None
+
+    def _skip(self, count: int) -> None:
+        """Make the first held bytes garbage."""
+        start = self._garbage_span[0] if self._garbage else self._times[0]
+        self._garbage_span = start, self._times[count - 1]
+        self._garbage += self._held[:count]
+        del self._held[:count], self._times[:count]
+
+    def _flush(self, known: int) -> list[Framed]:
+        if not self._garbage:
+            return []
+        record = Framed("garbage", *self._garbage_span, known, bytes(self._garbage))
+        self._garbage.clear()
+        return [record]
+
+    def _frame(self, kind: Kind, size: int, known: int) -> Framed:
+        times = self._times[0], self._times[size - 1]
+        record = Framed(kind, *times, known, bytes(self._held[:size]))
+        del self._held[:size], self._times[:size]
+        return record
+
+
+def framer(protocol: Protocol, timeout: int | None) -> Framer:
+    """The framer of a protocol's requests; `timeout` (ns) is the longest pause inside a frame."""
+    if protocol.plain:
+        return Framer(protocol.lengths, timeout)
+    return LayoutFramer(protocol, timeout)
+
+
+def frame_size(protocol: Protocol, held: bytes) -> int | None:
+    """How many bytes the request has that begins so; None: not known yet, -1: it can be none."""
+    layout = protocol.layout
+    if len(held) < layout.head:
+        return None if layout.begins(held) else -1
+    identity = layout.id_of(held)
+    spec = protocol.by_id.get(identity) if identity is not None else None
+    if spec is None and layout.part("length") is None:
+        return _unknown_size(layout, held) if layout.begins(held) else -1
+    return layout.size(held, spec.data if spec else None)
+
+
+def _unknown_size(layout: Layout, held: bytes) -> int | None:
+    """The size of a frame with an unused ID and no length: as far as its check and end are right.
+
+    A short check is right by chance too often to tell that.
+    """
+    least = layout.head + layout.tail
+    if layout.check and layout.check.part.size > 1:
+        sizes = range(least, min(len(held), _MOST_UNKNOWN) + 1)
+        right = (n for n in sizes if layout.check.holds(held[:n]))
+        return next((n for n in right if layout.wrong_constant(held[:n]) is None), None)
+    marked = any(offset < 0 for offset, _ in layout.constants)
+    if marked and len(held) >= least and layout.wrong_constant(held[:least]) is None:
+        return least
+    return None
+
+
+_MOST_UNKNOWN = 512  # bytes within which the end of a frame with an unused ID is looked for

@@ -383,10 +383,16 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     _require_each_name_once("two instructions are named", (spec.name for spec in instructions))
     responses = _responses(space)
     _require_each_outcome(space, layout, instructions, responses)
-    if not any(s.effect.motion is Motion.STOPPED and not s.length for s in instructions):
+    framed = "REPLY" in space
+    if not framed and not any(
+        s.effect.motion is Motion.STOPPED and not s.length for s in instructions
+    ):
         raise GrammarError("no instruction without data stops the robot; the kit needs one to home")
+    if framed:
+        space.setdefault("FAULTY", Sets())
+        space.setdefault("POWER_ON", Sets())
     on_fault = _effect(_take(space, "FAULTY", Sets), ())
-    if on_fault.motion is not Motion.STOPPED:
+    if not framed and on_fault.motion is not Motion.STOPPED:
         raise GrammarError(
             "FAULTY does not set motion to Motion.STOPPED; a faulty instruction must stop the robot"
         )
@@ -543,6 +549,10 @@ def _instruction(
         raise GrammarError(
             f"{name} has {data.length} data bytes; a header announces at most {announced.most}"
         )
+    parts = {part.name for part in layout.parts}
+    shared = next((part.name for part in data.fields if part.name in parts), "")
+    if shared:
+        raise GrammarError(f"{name}.{shared} has the name of a part of FRAME; give it another")
     return InstructionSpec(
         id=identity,
         name=name,

@@ -17,16 +17,22 @@ WORDS = {
     "__future__": {"annotations"},
     "construct": {
         *("BitStruct", "BitsInteger", "Nibble", "Struct", "Switch", "this"),
+        *("Array", "Bytes", "Checksum", "Const", "Enum", "FixedSized", "FlagsEnum"),
+        *("GreedyBytes", "GreedyRange", "Prefixed", "PrefixedArray", "RawCopy"),
         *("Byte", "Int8ub", "Int8sb", "Int8ul", "Int8sl", "BytesInteger"),
         *(f"Int{bits}{kind}" for bits in (16, 24, 32) for kind in ("ub", "ul", "sb", "sl")),
     },
     "bilprov.spec.fields": {
         *("Answer", "Answers", "Clauses", "From", "Instruction", "LineDefaults", "Outcome"),
         *("Ranged", "Sets", "Timing"),
+        *("Address", "Crc", "Data", "Length", "Same", "Sum", "Xor", "asked"),
     },
     "bilprov.spec.motion": {"Motion"},
 }
 """The names that a grammar may import, by module."""
+
+_NO_WIDTHS = ("Const", "Enum", "FlagsEnum")  # their numbers are values
+_PATHS = ("this", "asked")  # names that stand for what was parsed before
 
 LONGEST = 1 << 18  # characters of a grammar's text
 LARGEST_EXPANSION = 1 << 15  # parts of its values together, each name replaced by its value
@@ -110,12 +116,14 @@ class _Vetting:
                 if len(given) < len(arguments) + len(keywords):
                     raise _refused(node, "there is a **")
                 parts = given
-                if self._words[name] == "construct":
+                if self._words[name] == "construct" and name not in _NO_WIDTHS:
                     self._check_widths(node, given)
             case ast.BinOp(ast.Constant(str()), ast.Div(), right):
                 parts = [right]
             case ast.BinOp(left, ast.Mult(), ast.Constant(str())) if self._declares(left):
                 parts = [left]
+            case ast.BinOp(left, ast.Add() | ast.Mult(), right) if _is_path(left):
+                parts = [left, right] if _is_path(right) else [left, _number(right)]
             case _:
                 raise _refused(node, f"there is a {type(node).__name__}")
         self._size += size
@@ -128,7 +136,7 @@ class _Vetting:
 
     def _called(self, name: str) -> bool:
         """Return whether a name may be called: a call of `this` would only hide its argument."""
-        return name in self._words and name not in ("this", "annotations")
+        return name in self._words and name not in (*_PATHS, "annotations")
 
     def _check_attribute(self, node: ast.Attribute) -> int:
         """Accept `Motion.STOPPED`, `Outcome.VALID`, `this.header.id`; refuse other attributes.
@@ -145,7 +153,7 @@ class _Vetting:
         if not isinstance(inner, ast.Name) or inner.id not in self._words:
             raise _refused(node, "there is an attribute of something else")
         simple = inner is node.value
-        if inner.id != "this" and not (inner.id in ("Motion", "Outcome") and simple):
+        if inner.id not in _PATHS and not (inner.id in ("Motion", "Outcome") and simple):
             raise _refused(node, f"there is an attribute of {inner.id}")
         return count
 
@@ -166,9 +174,25 @@ class _Vetting:
                 raise _refused(node, f"a width of {number} is above {_WIDEST}")
 
 
+def _is_path(node: ast.expr) -> bool:
+    """Whether the node is a value that was parsed before: `this.size`, `asked.covered.data`."""
+    while isinstance(node, ast.Attribute):
+        node = node.value
+    return isinstance(node, ast.Name) and node.id in _PATHS
+
+
+def _number(node: ast.expr) -> ast.expr:
+    """The node, which must be a number that a count is multiplied with or added to."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, int):
+        return node
+    raise _refused(node, f"there is a {type(node).__name__} in a count")
+
+
 def _check_constant(node: ast.expr, value: object) -> None:
     if isinstance(value, int | float) and abs(value) > _LARGEST:
         raise _refused(node, "there is a number above 2 to the 32nd")
+    if isinstance(value, bytes) and len(value) <= _WIDEST:
+        return
     if not isinstance(value, str | int | float | None):
         raise _refused(node, f"there is a constant of type {type(value).__name__}")
 

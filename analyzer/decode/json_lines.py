@@ -44,6 +44,7 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import State
 from bilprov.captures.text import printable
+from bilprov.spec.data import plain_values
 
 
 class JsonLine(msgspec.Struct, frozen=True, gc=False):
@@ -151,7 +152,7 @@ def _frame_values(record: HostRecord) -> _FrameValues:
     return _FrameValues(
         record.hex,
         spec.name if spec else None,
-        dict(judgement.fields) if judgement else NO_FIELDS,
+        plain_values(judgement.fields) if judgement else NO_FIELDS,
         judgement.response.name if judgement else None,
         record.reason,
         _kinds(record),

@@ -14,6 +14,7 @@ import msgspec
 
 from bilprov.captures.schemas import Instruction, Line, Response, State, Timed
 from bilprov.spec.codec import Judgement
+from bilprov.spec.data import plain_values
 from bilprov.spec.framing import Kind
 from bilprov.spec.motion import State as MotionState
 from bilprov.spec.protocol import ResponseSpec
@@ -96,7 +97,7 @@ class HostRecord(Timed, frozen=True, gc=False):
             id=judgement.id if judgement else None,
             name=spec.name if spec else None,
             length=judgement.length if judgement else None,
-            fields=dict(judgement.fields) if judgement else {},
+            fields=plain_values(judgement.fields) if judgement else {},
             judgement=judgement.response.name if judgement else None,
             reason=self.reason,
         )

@@ -1,0 +1,239 @@
+"""Frames that a device answers with: where they end, what they hold, and how they are built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import msgspec
+
+from bilprov.spec.codec import Judgement, spaced
+from bilprov.spec.data import DataSpec
+from bilprov.spec.fields import Outcome
+from bilprov.spec.layout import Layout
+from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, Protocol, ResponseSpec
+
+
+class Reply(msgspec.Struct, frozen=True, gc=False):
+    """One answer of a device.
+
+    `response` is what its code means, None for an unused code; of several flags the first that
+    stands for an outcome. `names` are those of all. `fields` are its data, `address` is whose it
+    is. `reason` tells why the answer is damaged, "" for one that is not.
+    """
+
+    frame: bytes
+    response: ResponseSpec | None
+    names: tuple[str, ...]
+    fields: tuple[tuple[str, Any], ...] = ()
+    address: int | None = None
+    reason: str = ""
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """What it stands for; none for the device's own condition, or an unused code."""
+        return self.response.outcomes if self.response else ()
+
+
+class _Way(NamedTuple):
+    """One way in which an answer can be laid out."""
+
+    layout: Layout
+    data: DataSpec | None
+
+
+def asked_values(protocol: Protocol, asked: Judgement) -> dict[str, Any]:
+    """The parts and the fields of a request by name, which its answer may repeat or count by."""
+    parts = protocol.layout.values(asked.frame) if not asked.truncated else {}
+    return {**parts, **dict(asked.fields)}
+
+
+def reply_size(protocol: Protocol, held: bytes, asked: Judgement | None) -> int | None:
+    """How many bytes the answer has that begins so; None: not known yet, -1: it can be none.
+
+    `asked` is the request that it answers, None if there is none.
+    """
+    values = asked_values(protocol, asked) if asked else {}
+    for way in _ways(protocol, asked):
+        size = _size(way, held, asked, values)
+        if size is None or size > len(held):
+            return size if size is not None and size > 0 else None
+        if size > 0 and _is_right(protocol, way, held[:size], asked):
+            return size
+    sizes = [_size(way, held, asked, values) for way in _ways(protocol, asked)]
+    return next((size for size in sizes if size is not None and size > 0), -1)
+
+
+def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Reply:
+    """Read one answer, whole or damaged, to a request (None if there is none)."""
+    values = asked_values(protocol, asked) if asked else {}
+    ways = list(_ways(protocol, asked))
+    sized = [way for way in ways if _size(way, frame, asked, values) == len(frame)]
+    right = [way for way in sized if _is_right(protocol, way, frame, asked)]
+    if not sized:
+        return Reply(frame, None, (), reason=f"{spaced(frame)} is no answer")
+    way = (right or sized)[0]
+    layout = way.layout
+    names, response = _meaning(protocol, layout.code_of(frame))
+    reason = "" if right else _damage(protocol, layout, frame, asked)
+    fields: tuple[tuple[str, Any], ...] = ()
+    if layout.has_data and way.data is not None and not reason:
+        data = layout.data_of(frame)
+        needed = way.data.measure(data, values)
+        if needed == len(data) or _takes_rest(way.data):
+            fields = tuple(way.data.decode(data).items())
+        elif data or (response and Outcome.VALID in response.outcomes):
+            reason = f"it has {len(data)} data bytes, {needed} are due"
+    return Reply(frame, response, names, fields, layout.address_of(frame), reason)
+
+
+def build_reply(
+    protocol: Protocol,
+    asked: Judgement,
+    values: Mapping[str, Any] | None = None,
+    response: ResponseSpec | None = None,
+) -> bytes:
+    """Build the answer to a request; b"" if none is due.
+
+    `values` are the fields of its data (what is not given is 0, or empty), and `response` the one
+    that is given instead of the right one.
+    """
+    response = response or asked.response
+    if response is NO_ANSWER:
+        return b""
+    way = _way_of(protocol, asked, response)
+    values = values or {}
+    parts = asked_values(protocol, asked)
+    data = b""
+    if way.layout.has_data and way.data is not None and Outcome.VALID in response.outcomes:
+        data = _filled(way.data, parts, values)
+    told = {
+        part.name: parts.get(part.same, 0) + part.plus for part in way.layout.parts if part.same
+    }
+    if response.code >= 0:
+        told |= {part.name: response.code for part in way.layout.parts if part.role == "code"}
+    return way.layout.build(told, data, covered(protocol, asked.frame))
+
+
+def agrees(protocol: Protocol, asked: Judgement, reply: Reply) -> bool:
+    """Whether an answer is one that a conforming device may give to a request.
+
+    A device may refuse a valid request by an error that its own state explains, which the grammar
+    does not know where answers have errors of their own.
+    """
+    if reply.reason or reply.response is None:
+        return False
+    if reply.response is asked.response or not reply.outcomes:
+        return True
+    if protocol.plain:
+        return False
+    if asked.valid:
+        return Outcome.VALID not in reply.outcomes or asked.answer_due
+    return asked.outcome in reply.outcomes
+
+
+def covered(protocol: Protocol, request: bytes) -> bytes:
+    """The bytes of a request that its check covers; all of it where it has none."""
+    check = protocol.layout.check
+    return check.covered(request) if check else request
+
+
+def _ways(protocol: Protocol, asked: Judgement | None) -> Iterator[_Way]:
+    """The ways in which a request can be answered, the likelier first."""
+    spec = asked.instruction if asked else None
+    data = spec.answer if spec else None
+    if data is not None and data.fields:
+        yield _Way(protocol.reply, data)
+    else:
+        yield _Way(protocol.acknowledgement, data or DataSpec())
+    for layout in protocol.errors:
+        yield _Way(layout, DataSpec())
+
+
+def _way_of(protocol: Protocol, asked: Judgement, response: ResponseSpec) -> _Way:
+    """The way in which a response is given: errors in a layout of their own, if there is one."""
+    ways = list(_ways(protocol, asked))
+    valid = Outcome.VALID in response.outcomes
+    if valid or (ways[0].layout.part("code") is not None and not protocol.errors):
+        return ways[0]
+    coded = [way for way in ways[1:] if way.layout.part("code") is not None]
+    return coded[0] if coded else ways[0]
+
+
+def _size(way: _Way, held: bytes, asked: Judgement | None, values: Mapping[str, Any]) -> int | None:
+    """As `reply_size`, for one way."""
+    if asked is not None and not way.layout.repeats(held, values):
+        return -1
+    if asked is None and way.layout.has_data and way.layout.part("length") is None:
+        return None  # only the request tells
+    return way.layout.size(held, way.data, values)
+
+
+def _is_right(protocol: Protocol, way: _Way, frame: bytes, asked: Judgement | None) -> bool:
+    """Whether a whole answer has right constants, a known code and a right check."""
+    layout = way.layout
+    if layout.wrong_constant(frame) is not None:
+        return False
+    code = layout.code_of(frame)
+    if code is not None and _meaning(protocol, code)[1] is None:
+        return False
+    before = covered(protocol, asked.frame) if asked else b""
+    return layout.check is None or layout.check.holds(frame, before)
+
+
+def _meaning(protocol: Protocol, code: int | None) -> tuple[tuple[str, ...], ResponseSpec | None]:
+    """The names of a code, or of its flags, and the response that tells the outcome."""
+    if code is None:
+        return (), PLAIN_ANSWER
+    codes = [1 << bit for bit in range(code.bit_length()) if code >> bit & 1]
+    if not protocol.flags or not codes:
+        codes = [code]
+    known = [protocol.codes[one] for one in codes if one in protocol.codes]
+    if len(known) < len(codes):
+        return tuple(one.name for one in known), None
+    telling = [one for one in known if one.outcomes] or known
+    return tuple(one.name for one in known), telling[0]
+
+
+def _damage(protocol: Protocol, layout: Layout, frame: bytes, asked: Judgement | None) -> str:
+    """What is wrong with a whole answer, in words."""
+    wrong = layout.wrong_constant(frame)
+    if wrong:
+        return f"{spaced(wrong[0])} stands where {spaced(wrong[1])} must be"
+    before = covered(protocol, asked.frame) if asked else b""
+    check = layout.check
+    if check and not check.holds(frame, before):
+        right = check.part.number.build(check.due(frame, before))
+        return f"{check.part.name} is {spaced(check.part.raw(frame))}, right is {spaced(right)}"
+    return ""
+
+
+def _takes_rest(data: DataSpec) -> bool:
+    return data.counted is not None and data.counted.how == "rest"
+
+
+def _filled(data: DataSpec, asked: Mapping[str, Any], values: Mapping[str, Any]) -> bytes:
+    """The data of an answer: the values that are given, those that the request has, else zeros."""
+    built = b""
+    for part in data.fields:
+        if part.constant is not None:
+            built += part.constant
+            continue
+        known = values.get(part.name, asked.get(part.name))
+        if part.many is None:
+            built += part.build(known if isinstance(known, int) else max(part.low, 0))
+        elif known is not None:
+            built += part.build(known)
+        else:
+            built += _zeros(data, built, asked)
+    return built
+
+
+def _zeros(data: DataSpec, before: bytes, asked: Mapping[str, Any]) -> bytes:
+    """The last, counted field with as many zeros as the request asks for."""
+    many = data.counted
+    if many is None:
+        return bytes(data.length - len(before))
+    if many.prefix:
+        return many.build(b"" if many.element is None else ())
+    return bytes((data.measure(before, asked) or len(before)) - len(before))
