@@ -373,7 +373,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     _require_place_of_data(place_of_data, declared)
     identities = layout.part("id")
     if identities is None:
-        raise GrammarError("FRAME has no part id; it tells which instruction a frame is")
+        raise GrammarError("FRAME has no part named id, by which a frame names its instruction")
     for identity in declared:
         require_whole("an ID in INSTRUCTIONS", identity)
         if not 0 <= identity <= identities.most:

@@ -71,7 +71,7 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
     sized = [way for way in ways if _size(way, frame, asked, values) == len(frame)]
     right = [way for way in sized if _is_right(protocol, way, frame, asked)]
     if not sized:
-        return Reply(frame, None, (), reason=f"{spaced(frame)} is no answer")
+        return Reply(frame, None, (), reason=f"the bytes {spaced(frame)} are not an answer")
     way = (right or sized)[0]
     layout = way.layout
     names, response = _meaning(protocol, layout.code_of(frame))
