@@ -9,7 +9,6 @@ import bilprov.spec
 from bilprov.analyzer.files import read_bounded
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import GrammarError, Protocol, grammar_hash, load
-from bilprov.spec.safe_grammar import NotDeclared, require_declarations
 
 _MOST = 1 << 20  # bytes of a grammar file
 
@@ -39,6 +38,8 @@ def carried_protocol(text: str, sha256: str, path: str, origin: str = "") -> Pro
     where it is known. Raises GrammarError, in one sentence, for a text that is damaged, that does
     more than declare (it is not run then), or that is no grammar.
     """
+    from bilprov.spec.safe_grammar import NotDeclared, require_declarations
+
     name = printable(path)
     advice = "give the grammar's file with --grammar FILE.py"
     try:

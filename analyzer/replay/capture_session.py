@@ -29,7 +29,7 @@ def capture_protocol(
     the grammar's file. Raises GrammarError, in one sentence, for captures of different grammars,
     and as `carried_protocol` does.
     """
-    stated = {known: one for one in captures if (known := one.metadata.get(GRAMMAR_HASH, ""))}
+    stated = {known: one for one in captures if (known := _hash(one))}
     if len(stated) > 1:
         first, second, *_ = (f"{printable(one.path)} ({_known(one)})" for one in stated.values())
         raise GrammarError(
@@ -61,7 +61,13 @@ def require_known(captures: Sequence[Capture], protocol: Protocol) -> None:
 
 def _is_other(capture: Capture, protocol: Protocol) -> bool:
     """Whether a capture says that it was recorded with another grammar."""
-    return capture.metadata.get(GRAMMAR_HASH, "") not in ("", protocol.sha256)
+    return _hash(capture) not in ("", protocol.sha256)
+
+
+def _hash(capture: Capture) -> str:
+    """The hash of the grammar that a capture was recorded with, "" if the file does not tell."""
+    text = capture.grammar_text
+    return capture.metadata.get(GRAMMAR_HASH) or (grammar_hash(text) if text else "")
 
 
 def _known(capture: Capture) -> str:

@@ -1,0 +1,410 @@
+"""A capture carries its grammar, and every command decodes it by that one."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+
+from bilprov import read_capture
+from bilprov.analyzer.decode.records import HostRecord
+from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
+from bilprov.analyzer.replay.capture_session import capture_protocol
+from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, session_metadata
+from bilprov.analyzer.replay.rotation import Rotation
+from bilprov.captures import topics
+from bilprov.captures.reader import open_capture, open_indexed
+from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.storage.records import STRING_BYTES
+from bilprov.spec.protocol import GrammarError, Protocol, grammar_hash, load
+from tests.support import ROOT
+from tests.support.commands import Done, command
+from tests.support.grammars import RELAY
+from tests.support.robots import sentence
+from tests.support.screens import terminal
+
+START = 1_790_000_000_000_000_000
+SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
+
+# Two instructions, the second out of its range, with their answers.
+TRAFFIC = [(0, "host", "22 05"), (1, "device", "50"), (9, "host", "22 10"), (10, "device", "52")]
+
+READERS = {
+    "replay": ("replay", "{}", "--rate", "0"),
+    "replay as JSON": ("replay", "{}", "--rate", "0", "--format", "jsonl"),
+    "replay from a time": ("replay", "{}", "--rate", "0", "--start", "0.005"),
+    "replay with a filter": ("replay", "{}", "--rate", "0", "--filter", "mask == 5"),
+    "the capture alone": ("{}", "--rate", "0"),
+    "judge": ("replay", "{}", "--rate", "0", "--judge"),
+    "decode": ("decode", "{}", "--format", "jsonl"),
+    "stats": ("stats", "{}", "--json", "-"),
+    "stats of two": ("stats", "{}", "{}", "--csv", "-"),
+    "plot": ("plot", "{}", "--html", "-"),
+    "export to CSV": ("export", "{}", "--format", "csv", "-o", "-"),
+    "export to JSON": ("export", "{}", "--format", "jsonl", "-o", "-"),
+    "export to pcapng": ("export", "{}", "--format", "pcapng", "-o", "-"),
+    "diff": ("capture", "diff", "{}", "{}"),
+}
+COPIES = {
+    "cut": ("capture", "cut", "{}", "new.mcap", "--start", "0.005"),
+    "cut with a filter": ("capture", "cut", "{}", "new.mcap", "--filter", "mask == 5"),
+    "repair": ("capture", "repair", "{}", "new.mcap"),
+    "decode": ("capture", "decode", "{}", "new.mcap"),
+    "join": ("capture", "join", "{}", "later.mcap", "-o", "new.mcap"),
+}
+
+
+def about(protocol: Protocol, changes: Mapping[str, str | None] | None = None) -> dict[str, str]:
+    """The metadata of a recording, with entries changed, or left out where they are None."""
+    both: tuple[str, str] = ("host", "device")
+    metadata: dict[str, str | None] = {
+        **session_metadata(protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=both),  # type: ignore[arg-type]
+        **(changes or {}),
+    }
+    return {key: text for key, text in metadata.items() if text is not None}
+
+
+def write(path: Path, metadata: Mapping[str, str], later: int = 0) -> Path:
+    """A capture of the traffic, `later` seconds later than another."""
+    with RecordWriter(path, START + later * 1_000_000_000, metadata) as out:
+        for t, side, data in TRAFFIC:
+            out.chunk(Chunk(t * MS, side, bytes.fromhex(data)))  # type: ignore[arg-type]
+    return path
+
+
+@pytest.fixture(scope="module")
+def relay() -> Protocol:
+    return load(RELAY, "relay.py")
+
+
+@pytest.fixture
+def file(tmp_path: Path, relay: Protocol) -> Path:
+    (tmp_path / "relay.py").write_text(RELAY, encoding="utf-8")
+    write(tmp_path / "later.mcap", about(relay), later=3)
+    return write(tmp_path / "relay.mcap", about(relay))
+
+
+@pytest.fixture
+def told(tmp_path: Path, relay: Protocol) -> Callable[..., Path]:
+    """Makes a capture whose metadata say something else."""
+    return lambda **changes: write(tmp_path / "told.mcap", about(relay, changes))
+
+
+def given(words: tuple[str, ...], path: Path, *more: str) -> Done:
+    """Run a command on a file, in the file's folder."""
+    return command(*(word.format(path.name) for word in words), *more, cwd=path.parent)
+
+
+def names(path: Path, protocol: Protocol | None = None) -> list[str]:
+    """The names of the instructions in a capture, as Python reads it."""
+    records = read_capture(path, protocol)
+    return [str(record.value.name) for record in records if isinstance(record, HostRecord)]
+
+
+# -- read by it -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_command_decodes_a_capture_by_the_grammar_in_it(file: Path, name: str) -> None:
+    alone = given(READERS[name], file)
+    named = given(READERS[name], file, "--grammar", "relay.py")
+
+    assert alone.returncode in (0, 1 if name == "judge" else 0), alone.stderr
+    assert b"another grammar" not in alone.stderr
+    assert (alone.returncode, alone.stdout, alone.stderr) == (
+        named.returncode,
+        named.stdout,
+        named.stderr,
+    )
+    if name not in ("diff", "export to pcapng"):
+        assert b"Switch" in alone.stdout or b"mask" in alone.stdout
+
+
+@pytest.mark.parametrize("name", COPIES)
+def test_a_copy_carries_the_grammar_and_decodes_as_the_whole(
+    file: Path, relay: Protocol, name: str
+) -> None:
+    made = given(COPIES[name], file)
+
+    assert made.returncode == 0, made.stderr
+    new = file.with_name("new.mcap")
+    assert open_capture(new).grammar_text == RELAY
+    shown = given(READERS["replay"], new)
+    assert shown.returncode == 0
+    assert b"Switch mask=5" in shown.stdout or name == "cut"
+    assert b"another" not in shown.stderr
+    assert set(names(new)) == {"Switch"}
+    assert capture_protocol([open_capture(new)], load_protocol()) == relay
+
+
+def test_what_is_sniffed_and_what_is_recorded_of_a_run_carry_it(
+    file: Path, relay: Protocol
+) -> None:
+    listened = given(
+        ("sniff", "sim", "-w", "s.mcap", "--format", "lines", "--duration", "1"), file,
+        "--grammar", "relay.py",
+    )  # fmt: skip
+    tested = given(
+        ("conform", "sim", "--only", "valid/Switch/5", "--record", "c.mcap"), file,
+        "--grammar", "relay.py",
+    )  # fmt: skip
+
+    assert listened.returncode == 0, listened.stderr
+    assert tested.returncode in (0, 3), tested.stderr
+    for name in ("s.mcap", "c.mcap"):
+        path = file.with_name(name)
+        assert open_capture(path).grammar_text == RELAY
+        assert {"Switch", "AllOff"} & set(names(path))
+        found = json.loads(given(("stats", "{}", "--json", "-"), path).stdout)
+        assert found["grammar"]["sha256"] == relay.sha256
+    again = given(("recheck", "{}"), file.with_name("c.mcap"))
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.startswith(b"the same: ")
+
+
+def test_each_part_of_a_recording_carries_it(tmp_path: Path, relay: Protocol) -> None:
+    rotation = Rotation(age=2_000 * MS)
+    with Recorder(tmp_path / "a.mcap", START, about(relay), rotation) as recorder:
+        for t in range(0, 9_000 * MS, 1_000 * MS):
+            recorder.events([Chunk(t, "host", bytes.fromhex("22 05"))])
+            recorder.checkpoint(t, lambda: None)
+
+    parts = sorted(tmp_path.glob("a.0*.mcap"))
+    assert len(parts) > 2
+    for path in (*parts, tmp_path / "a.mcap"):
+        assert open_capture(path).grammar_text == RELAY
+
+
+@pytest.mark.waits
+def test_the_screen_decodes_a_capture_by_the_grammar_in_it(file: Path) -> None:
+    with terminal(file.parent, (120, 30), "relay.mcap") as tmux:
+        tmux.wait("4 rows")
+        shown = "\n".join(tmux.settled("Switch", "q quit"))
+        assert "mask=5" in shown
+        assert "another grammar" not in shown
+
+
+def test_a_text_of_any_lines_comes_back_as_it_was(tmp_path: Path, relay: Protocol) -> None:
+    text = RELAY.replace("\n", "\r\n") + '# \\n \\x41 "\t\u2028 Ö\r\n'
+    path = write(tmp_path / "a.mcap", about(load(text)))
+    indexed = open_indexed(path)
+
+    assert indexed
+    assert indexed.grammar_text == open_capture(path).grammar_text == text
+    assert topics.GRAMMAR_TEXT not in open_capture(path).metadata
+    assert set(names(path)) == {"Switch"}
+
+
+def test_info_tells_that_the_grammar_is_in_the_file(file: Path) -> None:
+    shown = given(("capture", "info", "{}"), file)
+    values = json.loads(given(("capture", "info", "{}", "--json"), file).stdout)
+
+    assert b"another grammar, which is in the file" in shown.stdout
+    assert b"Closes some relays" not in shown.stdout
+    assert topics.GRAMMAR_TEXT not in values["metadata"]
+    assert values["same_grammar"] is False
+
+
+# -- the grammar that is given, or the kit's own ------------------------------------------------
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_a_grammar_that_is_typed_comes_before_that_of_the_capture(
+    file: Path, horn_text: str, before: bool
+) -> None:
+    file.with_name("horn.py").write_text(horn_text, encoding="utf-8")
+    typed = ("--grammar", "horn.py")
+    words = (*typed, *READERS["replay"]) if before else (*READERS["replay"], *typed)
+
+    shown = given(words, file)
+
+    assert b"Forward, 2 data bytes" in shown.stdout
+    assert shown.stderr.decode().splitlines() == [
+        "relay.mcap was recorded with another grammar (relay-board 2); decoded with horn.py "
+        "(robot-car 1.1)"
+    ]
+    assert "Switch" not in names(file, load_protocol())
+
+
+@pytest.mark.parametrize("table", ["", "[replay]\n", "[capture]\n"])
+def test_a_grammar_of_the_settings_does_not(file: Path, horn_text: str, table: str) -> None:
+    file.with_name("horn.py").write_text(horn_text, encoding="utf-8")
+    home = file.parent / "bilprov"
+    home.mkdir()
+    (home / "config.toml").write_text(f'{table}grammar = "horn.py"\n', encoding="utf-8")
+
+    for words in (READERS["replay"], READERS["diff"]):
+        shown = command(
+            *(word.format(file.name) for word in words),
+            cwd=file.parent,
+            XDG_CONFIG_HOME=str(file.parent),
+        )
+        assert (shown.returncode, shown.stderr) == (0, b"")
+        assert b"Switch" in shown.stdout
+
+
+def test_a_copy_by_a_grammar_that_is_typed_carries_that(file: Path, horn: Protocol) -> None:
+    file.with_name("horn.py").write_text(horn.source, encoding="utf-8")
+
+    made = given(COPIES["repair"], file, "--grammar", "horn.py")
+
+    assert made.returncode == 0
+    assert open_capture(file.with_name("new.mcap")).grammar_text == horn.source
+
+
+def test_the_own_grammar_is_known_by_its_hash(tmp_path: Path, protocol: Protocol) -> None:
+    carried_protocol.cache_clear()
+    paths = [
+        write(tmp_path / "a.mcap", about(protocol)),
+        write(tmp_path / "b.mcap", about(protocol, {topics.GRAMMAR_HASH: None})),
+        write(tmp_path / "c.mcap", about(protocol, {topics.GRAMMAR_TEXT: "import os"})),
+    ]
+
+    for path in paths:
+        shown = given(READERS["replay"], path)
+        assert (shown.returncode, shown.stderr) == (0, b"")
+        assert b"Forward, 2 data bytes" in shown.stdout
+    assert carried_protocol.cache_info().misses == 0
+
+
+def test_a_capture_without_any_grammar_is_read_by_the_one_in_use(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", {})
+
+    shown = given(READERS["replay"], path)
+    assert (shown.returncode, shown.stderr) == (0, b"")
+    assert given(COPIES["repair"], path).returncode == 0
+
+
+# -- what is not in the file, or cannot be used ---------------------------------------------------
+
+
+def test_a_grammar_that_is_not_there_is_asked_for(told: Callable[..., Path]) -> None:
+    path = told(grammar_text=None)
+
+    shown = given(READERS["replay"], path)
+    assert (shown.returncode, shown.stderr.decode()) == (
+        0,
+        "told.mcap was recorded with another grammar (relay-board 2); decoded with grammar.py "
+        "(robot-car 1.1); give its own with --grammar FILE.py\n",
+    )
+    with pytest.warns(UserWarning, match="recorded with another grammar"):
+        names(path)
+
+
+@pytest.mark.parametrize("name", COPIES)
+def test_no_copy_is_made_of_what_another_grammar_would_decode(
+    file: Path, relay: Protocol, told: Callable[..., Path], name: str
+) -> None:
+    path = told(grammar_text=None)
+    later = file.with_name("later.mcap")
+    later.unlink()
+    write(later, about(relay, {topics.GRAMMAR_TEXT: None}), later=3)
+
+    refused = given(COPIES[name], path)
+
+    assert refused.returncode == 2
+    assert "another grammar (relay-board 2), which is not in it" in sentence(refused)
+    assert not path.with_name("new.mcap").exists()
+    assert given(COPIES[name], path, "--grammar", "relay.py").returncode == 0
+    assert open_capture(path.with_name("new.mcap")).grammar_text == RELAY
+
+
+def test_one_capture_may_carry_the_grammar_of_another(
+    file: Path, told: Callable[..., Path]
+) -> None:
+    made = given(COPIES["join"], told(grammar_text=None))
+
+    assert made.returncode == 0
+    assert names(file.with_name("new.mcap")) == ["Switch"] * 4
+
+
+EVIL = "\nopen('witness', 'w')\n"
+
+
+@pytest.mark.parametrize("name", [*READERS, *COPIES])
+def test_a_text_that_does_more_than_declare_is_not_run(
+    file: Path, told: Callable[..., Path], name: str
+) -> None:
+    text = RELAY + EVIL
+    path = told(grammar_text=text, grammar_sha256=grammar_hash(text))
+    later = file.with_name("later.mcap")
+    later.unlink()
+    write(later, {}, later=3)
+
+    refused = given((READERS | COPIES)[name], path)
+
+    assert refused.returncode == 2
+    assert "told.mcap is not run, because it does more than declare" in sentence(refused)
+    assert "--grammar FILE.py" in sentence(refused)
+    assert not path.with_name("witness").exists()
+    assert not path.with_name("new.mcap").exists()
+    with pytest.raises(GrammarError, match="does more than declare"):
+        names(path)
+    asked = given(("replay", "{}", "--rate", "0", "--grammar", "relay.py"), path)
+    assert b"Switch mask=5" in asked.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "piece"),
+    [
+        (RELAY.replace("0x52", "0x51"), "told.mcap"),
+        (RELAY.replace("led=From", "lamp=From"), "told.mcap"),
+        (RELAY.replace("Timing,", "Timing, Tempo,"), "it imports Tempo from bilprov.spec.fields"),
+        ("", "which is not in it"),
+    ],
+    ids=["a code twice", "no such variable", "a word of another version", "nothing"],
+)
+def test_a_text_that_is_no_grammar_is_one_sentence(
+    told: Callable[..., Path], text: str, piece: str
+) -> None:
+    path = told(grammar_text=text, grammar_sha256=grammar_hash(text))
+
+    refused = given(COPIES["repair"], path)
+
+    assert refused.returncode == 2
+    assert piece in sentence(refused)
+    assert "--grammar FILE.py" in sentence(refused)
+
+
+def test_a_text_that_is_not_what_its_hash_tells_is_damaged(told: Callable[..., Path]) -> None:
+    path = told(grammar_text=RELAY.replace("0, 15", "0, 14"))
+
+    refused = given(READERS["stats"], path)
+
+    assert refused.returncode == 2
+    assert "the grammar in told.mcap is damaged" in sentence(refused)
+
+
+@pytest.mark.parametrize("words", [READERS["diff"], READERS["stats of two"], COPIES["join"]])
+def test_captures_of_different_grammars_do_not_go_together(
+    file: Path, protocol: Protocol, words: tuple[str, ...]
+) -> None:
+    write(file.with_name("car.mcap"), about(protocol), later=9)
+    at = words.index("{}") + 1
+    both = (*words[:at], "car.mcap", *words[at + 1 :])
+
+    refused = given(both, file)
+
+    assert refused.returncode == 2
+    assert "(relay-board 2)" in sentence(refused)
+    assert "(robot-car 1.1)" in sentence(refused)
+    assert "were recorded with different grammars" in sentence(refused)
+    asked = given(both, file, "--grammar", "relay.py")
+    assert asked.returncode in (0, 1), asked.stderr
+
+
+def test_a_text_too_long_for_the_metadata_is_left_out(tmp_path: Path) -> None:
+    long = load(f"{RELAY}#{'x' * STRING_BYTES}\n", "long.py")
+    path = write(tmp_path / "a.mcap", about(long))
+
+    assert open_capture(path).grammar_text == ""
+    assert b"recorded with another grammar" in given(READERS["replay"], path).stderr
+
+
+def test_python_reads_a_capture_of_the_kit_without_a_warning() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "LED" in names(SAMPLE)
