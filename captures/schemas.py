@@ -9,7 +9,7 @@ have `t_ns` and `latency_ns` beside, which mean the same everywhere.
 from __future__ import annotations
 
 import zlib
-from typing import Literal, Self, TypeAlias
+from typing import Any, Literal, Self, TypeAlias
 
 import msgspec
 
@@ -75,26 +75,30 @@ class Instruction(Timed, frozen=True, gc=False):
     id: int | None
     name: str | None
     length: int | None
-    fields: dict[str, int]
+    fields: dict[str, Any]
     judgement: str | None
     reason: str
+    address: int | None = None
 
 
 class Response(Timed, frozen=True, gc=False):
-    """One device byte, with the instruction it answers (topic `/device/responses`).
+    """One answer of a device, with the instruction it answers (topic `/device/responses`).
 
+    `byte` is there where answers are one byte; otherwise `fields`, and `address` if there is one.
     `instruction` is that instruction's `sequence` or None where there is none; `latency` is in
     nanoseconds from the instruction's last byte; `agrees` tells whether it is the response that the
     grammar expects, None where nothing is expected.
     """
 
     hex: str
-    byte: int
+    byte: int | None
     name: str | None
     instruction: int | None
     latency: int | None
     agrees: bool | None
     reason: str
+    fields: dict[str, Any] | None = None
+    address: int | None = None
 
     @property
     def latency_ns(self) -> int | None:

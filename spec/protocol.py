@@ -212,6 +212,11 @@ class Protocol:
         return tuple((i, n) for i, n in read if i is not None and n is not None)
 
     @cached_property
+    def keys(self) -> tuple[int, ...]:
+        """The ID of each `Judgement.key`: of a header byte; elsewhere the ID itself, to 255."""
+        return tuple(identity for identity, _ in self.headers) or tuple(range(256))
+
+    @cached_property
     def header_bits(self) -> tuple[tuple[str, int, str], ...]:
         """The name, width in bits and prose of each part of the header byte."""
         return tuple((part.name, part.width, part.prose) for part in self.layout.parts)

@@ -29,10 +29,22 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     address: int | None = None
     reason: str = ""
 
+    def describe(self) -> str:
+        """The answer in words: its names and its fields."""
+        to = f"@{self.address} " if self.address is not None else ""
+        known = " ".join(self.names) or (self.response.name if self.response else "unreadable")
+        return to + " ".join([known, *(f"{name}={_shown(value)}" for name, value in self.fields)])
+
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
         """What it stands for; none for the device's own condition, or an unused code."""
         return self.response.outcomes if self.response else ()
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bytes):
+        return value.hex(" ")
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 class _Way(NamedTuple):

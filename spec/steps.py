@@ -63,6 +63,8 @@ class Steps(dict[bytes, Step]):
 
 def data_decide(protocol: Protocol, frame: bytes) -> bool:
     """Whether a frame's data decide its outcome: it has an instruction's header and length."""
+    if not protocol.plain:
+        return True
     identity, length = protocol.headers[frame[0]]
     known = protocol.by_id.get(identity)
     return known is not None and known.length == length == len(frame) - 1

@@ -55,6 +55,8 @@ class FrameTables:
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
+        if not protocol.plain:
+            raise OverflowError("frames of another layout are not decoded by tables")
         self.sizes = np.array([1 + length for length in protocol.lengths], np.int64)
         self.codes = np.array(
             [max(0, protocol.answers[outcome].code) for outcome in OUTCOMES], np.uint8

@@ -12,13 +12,15 @@ from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import Anomaly, Severity
 from bilprov.captures.schemas import MS, Line
 from bilprov.captures.text import printable
-from bilprov.spec.codec import spaced
+from bilprov.spec.codec import Judgement, spaced
 from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import Reply, agrees
 
 MID_FRAME = "out of step: the device answered in mid-frame"
 UNCLEAR = "came before it was clear where frames begin"
 LOST = "bytes were lost in mid-frame"
+NO_FRAME = "no frame begins so"
 
 # Line events that are anomalies by themselves; the others (open, close, modem) are only noted.
 LINE_SEVERITY = {
@@ -53,6 +55,7 @@ KINDS = (
     "truncated",
     "garbage",
     "disagreeing",
+    "damaged answer",
     "unused code",
     "unsolicited",
     "unanswered",
@@ -76,13 +79,10 @@ def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> An
 
     `skew` (ns) is how much earlier than its instruction two taps may timestamp an answer.
     """
-    expected = waiting.judgement.response
-    agrees = held.byte == expected.code
-    found = []
-    if held.byte not in protocol.codes:
-        found.append(_unused_code(protocol, held.byte))
-    elif not agrees:
-        found.append(_disagreeing(protocol, held, waiting))
+    if held.reply:
+        agree, found = _of_reply(protocol, held.reply, waiting.judgement)
+    else:
+        agree, found = _of_code(protocol, held, waiting)
     latency = held.t - waiting.end
     late = protocol.timing.answer_deadline
     # How long a device takes to give up on a frame is its own choice (R-truncation-timeout).
@@ -94,12 +94,36 @@ def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> An
         severity = Severity.INFO if -latency <= skew else Severity.WARNING
         found.append(Cause("early", severity, reason))
     faults = tuple(Anomaly(held.t, *why, waiting.sequence) for why in found)
-    return AnswerCheck(agrees, faults)
+    return AnswerCheck(agree, faults)
+
+
+def _of_code(protocol: Protocol, held: Held, waiting: Waiting) -> tuple[bool, list[Cause]]:
+    """Whether a code is the expected one, and what is odd about it."""
+    agree = held.byte == waiting.judgement.response.code
+    if held.byte not in protocol.codes:
+        return agree, [_unused_code(protocol, held.byte)]
+    return agree, [] if agree else [_disagreeing(protocol, held, waiting)]
+
+
+def _of_reply(protocol: Protocol, reply: Reply, asked: Judgement) -> tuple[bool, list[Cause]]:
+    """Whether an answer is one that a conforming device may give, and what is odd about it."""
+    if reply.reason:
+        return False, [Cause("damaged answer", Severity.ERROR, reply.reason)]
+    if agrees(protocol, asked, reply):
+        return True, []
+    because = f": {asked.reason}" if asked.reason else ", it is valid"
+    reason = (
+        f"the device answers {reply.describe()} to {asked.describe()}, expected is "
+        f"{asked.response.name}{because}"
+    )
+    return False, [Cause("disagreeing", Severity.ERROR, reason)]
 
 
 def of_unpaired(protocol: Protocol, held: Held, why: Cause) -> AnswerCheck:
     """Check a device byte that answers no instruction; `why` is the cause."""
     found = [why] if why.kind else []
+    if held.reply:
+        return AnswerCheck(None, tuple(Anomaly(held.t, *one) for one in found))
     unused = held.byte not in protocol.codes
     if unused:
         found.append(_unused_code(protocol, held.byte))

@@ -8,6 +8,7 @@ import msgspec
 from msgspec.structs import replace
 
 from bilprov.captures.schemas import MS, Direction, State
+from bilprov.spec.framing import frame_size
 from bilprov.spec.motion import Motion, is_moving
 from bilprov.spec.protocol import Protocol
 
@@ -34,7 +35,8 @@ class WaitingFrames(msgspec.Struct, frozen=True):
         """Yield the frames one by one."""
         at = 0
         while at < len(self.frames):
-            end = at + 1 + protocol.lengths[self.frames[at]]
+            size = frame_size(protocol, self.frames[at:])
+            end = at + size if size and size > 0 else len(self.frames)
             yield self.frames[at:end]
             at = end
 
@@ -100,11 +102,17 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             and all(0 <= byte <= 255 for _, byte in self.held)
             and not (self.held and self.waiting)
             and not (self.away and self.waiting)
-            and (not self.frame or len(self.frame) <= protocol.lengths[self.frame[0]])
+            and _is_open(protocol, self.frame)
             and (self.out_of_step is None or self.may_be_out_of_step)
         )
         if not sane:
             raise ValueError("no session is ever in this state")
+
+
+def _is_open(protocol: Protocol, frame: bytes) -> bool:
+    """Whether bytes are none, or the beginning of a frame that is not complete."""
+    size = frame_size(protocol, frame) if frame else None
+    return size is None or size > len(frame)
 
 
 def shifted(state: DecoderState, by: int) -> DecoderState:

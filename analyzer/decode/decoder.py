@@ -23,11 +23,12 @@ from bilprov.analyzer.decode.records import (
     Record,
     written_state,
 )
+from bilprov.analyzer.decode.replies import Heard, ReplyFramer
 from bilprov.captures.schemas import Direction, Line, State
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import Framed, Framer, Kind
+from bilprov.spec.framing import Framed, Kind, framer
 from bilprov.spec.motion import is_moving
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, ResponseSpec
 from bilprov.spec.steps import Step, Steps
 
 # Line events after which bytes are known to be missing.
@@ -54,7 +55,8 @@ class Decoder:
         self._both_heard = paired
         self._away: frozenset[Direction] = frozenset()  # the sides whose port is unplugged
         self._paired = paired
-        self._framer = Framer(protocol.lengths, timeout)
+        self._framer = framer(protocol, timeout)
+        self._replies = ReplyFramer(protocol, max(timeout, skew))
         self._skew = skew
         self._pairing = Pairing(protocol, skew)
         self._steps = Steps(protocol)
@@ -94,6 +96,7 @@ class Decoder:
         held = [replace(one, t=one.t + pause) for one in self._pairing.held]
         self._pairing.held.clear()
         self._pairing.held.extend(held)
+        self._replies.delay(pause)
         if self._out_of_step is not None:
             self._out_of_step += pause
 
@@ -105,6 +108,11 @@ class Decoder:
     def host(self, data: bytes, now: int, out: list[Record]) -> None:
         """Decode host bytes; each frame is handled as if it had arrived by itself."""
         self._out_of_step = None
+        if not self._protocol.plain:
+            for framed in self._framer.feed(data, now):
+                self._framed(framed, out)
+            self._read_replies(out)
+            return
         lengths, held, unhurried = self._protocol.lengths, self._pairing.held, self._unhurried
         at, size = 0, len(data)
         while at < size:
@@ -121,6 +129,10 @@ class Decoder:
 
     def device(self, data: bytes, now: int, out: list[Record]) -> None:
         """Decode device bytes; each is handled as if it had arrived by itself."""
+        if not self._protocol.plain:
+            self._replies.feed(data, now)
+            self._read_replies(out)
+            return
         waiting, late, state = self._pairing.waiting, self._pairing.late, self._state
         for byte in data:
             if waiting:
@@ -186,6 +198,14 @@ class Decoder:
             self._framed(framed, out)
         while self._pairing.held:
             self._unsolicited(self._pairing.held.popleft(), out)
+        self._read_replies(out)
+        while self._replies.held:
+            self._give_up_reply(now, out)
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is held that a checkpoint cannot hold: a part of an answer, garbage."""
+        return not self._replies.held and self._framer.settled
 
     @property
     def regular(self) -> bool:
@@ -255,6 +275,9 @@ class Decoder:
             due = frame_end, self._cut_short
         if self._out_of_step is not None and (due is None or self._out_of_step < due[0]):
             due = self._out_of_step, self._give_up_frame
+        reply_end = self._replies.deadline
+        if reply_end is not None and (due is None or reply_end < due[0]):
+            due = reply_end, self._give_up_reply
         patience = self._pairing.patience(frame_end)
         if patience is not None and (due is None or patience < due[0]):
             due = patience, self._give_up_answer
@@ -293,8 +316,47 @@ class Decoder:
         waiting = self._pairing.waiting.popleft()
         out.append(FaultRecord(anomalies.unanswered(waiting, now), self._state))
 
+    def _read_replies(self, out: list[Record]) -> None:
+        """Read the answers that are whole, and pair them."""
+        waiting = self._pairing.waiting
+        while self._replies.held:
+            if self._paired and not waiting:
+                return  # the request may be delayed in the other adapter
+            heard = (
+                self._replies.take(one.judgement for one in waiting)
+                if self._paired
+                else self._replies.take_unasked()
+            )
+            if heard is None:
+                return
+            held = _held(heard)
+            if not self._paired:
+                self._unpaired(held, anomalies.ALONE, out)
+                continue
+            for _ in range(heard.passed):
+                passed = waiting.popleft()
+                out.append(FaultRecord(anomalies.unanswered(passed, heard.end), self._state))
+            self._pair(held, waiting.popleft(), out)
+
+    def _give_up_reply(self, now: int, out: list[Record]) -> None:
+        """Take what is held of an answer that is not continued, or that no request waits for."""
+        waiting = self._pairing.waiting
+        heard = self._replies.take_unasked() if not waiting else None
+        heard = heard or self._replies.take_rest()
+        if heard is None:
+            return
+        if self._paired and waiting:
+            self._pair(_held(heard), waiting.popleft(), out)
+        elif self._paired:
+            self._unsolicited(_held(heard), out)
+        else:
+            self._unpaired(_held(heard), anomalies.ALONE, out)
+
     def _framed(self, framed: Framed, out: list[Record]) -> None:
         kind, start, end, known, data = framed
+        if kind == "garbage":
+            self.garbage(framed, anomalies.NO_FRAME, out)
+            return
         self._frame(kind, data, start, end, known, out)
 
     def _frame(
@@ -308,7 +370,7 @@ class Decoder:
         self._sequence = sequence + 1
         state = self._state = _after(self._state, step)
         out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state))
-        if self._paired:
+        if self._paired and judgement.answer_due:
             pairing = self._pairing
             waiting = pairing.wait(sequence, end, judgement)
             if pairing.held:
@@ -356,13 +418,14 @@ class Decoder:
             DeviceRecord(
                 held.t,
                 held.byte,
-                self._protocol.codes.get(held.byte),
+                _meaning(self._protocol, held),
                 waiting.judgement,
                 waiting.sequence,
                 held.t - waiting.end,
                 verdict.agrees,
                 self._state,
                 verdict.faults,
+                held.reply,
             )
         )
 
@@ -379,10 +442,28 @@ def unpaired_record(
 ) -> DeviceRecord:
     """The record of a device byte that answers no instruction; `why` is the cause."""
     verdict = anomalies.of_unpaired(protocol, held, why)
-    answer = protocol.codes.get(held.byte)
     return DeviceRecord(
-        held.t, held.byte, answer, None, None, None, verdict.agrees, state, verdict.faults
+        held.t,
+        held.byte,
+        _meaning(protocol, held),
+        None,
+        None,
+        None,
+        verdict.agrees,
+        state,
+        verdict.faults,
+        held.reply,
     )
+
+
+def _meaning(protocol: Protocol, held: Held) -> ResponseSpec | None:
+    """What an answer means, None for an unused code."""
+    return held.reply.response if held.reply else protocol.codes.get(held.byte)
+
+
+def _held(heard: Heard) -> Held:
+    reply = heard.reply
+    return Held(heard.start, reply.response.code if reply.response else -1, reply)
 
 
 def _after(state: State, step: Step) -> State:

@@ -24,14 +24,21 @@ Each line is one object, always with these keys in this order. A key that does n
   `disagreeing`, `unused code`, `unsolicited`, `unanswered`, `slow`, `early`, `out of step`,
   `lost bytes`, and line events (`break`, `parity` ...). Those of severity info (`early` within the
   skew of two taps, a banner before the first instruction) appear in `reason` only.
+
+Where a grammar's frames are more than a header byte and data, there are two keys more:
+
+- `outcome`: of an instruction, or of the one that this response answers: `valid`, `unknown-id`,
+  `bad-data`, `too-many`, `too-few`, `truncated`, `bad-checksum`, `bad-sync`, `other-address`.
+- `address`: who is meant, or who answers; where frames have an address.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from bilprov.analyzer.decode.per_frame import PerFrame
 from bilprov.analyzer.decode.records import (
@@ -44,6 +51,7 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import State
 from bilprov.captures.text import printable
+from bilprov.spec.codec import Judgement
 from bilprov.spec.data import plain_values
 
 
@@ -55,7 +63,7 @@ class JsonLine(msgspec.Struct, frozen=True, gc=False):
     kind: str
     hex: str
     name: str | None
-    fields: dict[str, int]
+    fields: dict[str, Any]
     judgement: str | None
     reason: str
     latency: float | None
@@ -64,6 +72,8 @@ class JsonLine(msgspec.Struct, frozen=True, gc=False):
     answers: int | None
     agrees: bool | None
     faults: tuple[str, ...]
+    outcome: str | UnsetType = UNSET
+    address: int | UnsetType = UNSET
 
 
 encode = msgspec.json.Encoder().encode
@@ -82,7 +92,7 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
     add = lines.append
     for record in records:  # in one loop: a call for each record would take a third more time
         if isinstance(record, HostRecord):
-            text, name, fields, judgement, reason, faults = _frame_values(record)
+            text, name, fields, judgement, reason, faults, outcome, address = _frame_values(record)
             add(
                 JsonLine(
                     record.t / 1e9,
@@ -99,18 +109,20 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
                     None,
                     None,
                     faults,
+                    outcome,
+                    address,
                 )
             )
         elif isinstance(record, DeviceRecord):
-            answer, answered, latency = record.answer, record.answered, record.latency
+            answered, latency, reply = record.answered, record.latency, record.reply
             add(
                 JsonLine(
                     record.t / 1e9,
                     "device",
                     "response",
-                    _HEX[record.byte],
-                    answer.name if answer else None,
-                    NO_FIELDS,
+                    _HEX[record.byte] if reply is None else record.hex,
+                    record.name,
+                    NO_FIELDS if reply is None else plain_values(reply.fields),
                     answered.response.name if answered else None,
                     record.reason if record.faults else "",
                     None if latency is None else latency / 1e9,
@@ -119,6 +131,8 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
                     record.instruction,
                     record.agrees,
                     _kinds(record) if record.faults else (),
+                    UNSET if reply is None or answered is None else outcome_word(answered),
+                    unset_if_none(reply.address) if reply else UNSET,
                 )
             )
         elif record.faults:
@@ -126,7 +140,19 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
     return lines
 
 
-NO_FIELDS: dict[str, int] = {}
+def outcome_word(judgement: Judgement) -> str:
+    """The outcome of a frame as JSON lines have it."""
+    if judgement.truncated:
+        return "truncated"
+    return judgement.outcome.name.lower().replace("_", "-")
+
+
+def unset_if_none(value: int | None) -> int | UnsetType:
+    """A value for a key that is left out where there is none."""
+    return UNSET if value is None else value
+
+
+NO_FIELDS: dict[str, Any] = {}
 _HEX = [f"{byte:02x}" for byte in range(256)]
 
 
@@ -139,10 +165,12 @@ class _FrameValues(NamedTuple):
 
     hex: str
     name: str | None
-    fields: dict[str, int]
+    fields: dict[str, Any]
     judgement: str | None
     reason: str
     faults: tuple[str, ...]
+    outcome: str | UnsetType
+    address: int | UnsetType
 
 
 @PerFrame
@@ -156,6 +184,8 @@ def _frame_values(record: HostRecord) -> _FrameValues:
         judgement.response.name if judgement else None,
         record.reason,
         _kinds(record),
+        outcome_word(judgement) if judgement and judgement.framed else UNSET,
+        unset_if_none(judgement.address) if judgement else UNSET,
     )
 
 

@@ -17,6 +17,7 @@ from bilprov.analyzer.decode.checkpoint import WaitingFrames
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import Judgement
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import Reply
 
 MOST: Final = 1 << 15
 """Instructions that wait at a time, and answers that are held: several times what a line carries.
@@ -39,10 +40,14 @@ class Waiting(msgspec.Struct, frozen=True, gc=False):
 
 
 class Held(msgspec.Struct, frozen=True, gc=False):
-    """A device byte that no instruction waits for yet, and its time (ns)."""
+    """A device byte, or an answer of several, and its time (ns).
+
+    `byte` is the code of an answer of several bytes, -1 if it has none.
+    """
 
     t: int
     byte: int
+    reply: Reply | None = None
 
 
 class Pairing:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 from functools import lru_cache
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import msgspec
 
@@ -18,6 +18,7 @@ from bilprov.spec.data import plain_values
 from bilprov.spec.framing import Kind
 from bilprov.spec.motion import State as MotionState
 from bilprov.spec.protocol import ResponseSpec
+from bilprov.spec.replies import Reply
 
 
 class Severity(IntEnum):
@@ -100,16 +101,18 @@ class HostRecord(Timed, frozen=True, gc=False):
             fields=plain_values(judgement.fields) if judgement else {},
             judgement=judgement.response.name if judgement else None,
             reason=self.reason,
+            address=judgement.address if judgement else None,
         )
 
 
 class DeviceRecord(Timed, frozen=True, gc=False):
-    """One device byte, with the instruction it answers.
+    """One answer of a device, mostly a byte, with the instruction it answers.
 
-    `answer` is the grammar's entry for the byte, None for an unused code. `instruction` is the
-    sequence and `answered` the judgement of the instruction it answers, `latency` the time (ns)
-    since that one's last byte; None where there is none. `agrees` tells whether it is the expected
-    response, None where nothing is expected.
+    `reply` is an answer of several bytes, of which `byte` is the code (-1 if it has none) and `t`
+    the time of its first one. `answer` is the grammar's entry for the byte, None for an unused
+    code. `instruction` is the sequence and `answered` the judgement of the instruction it answers,
+    `latency` the time (ns) since that one's last byte; None where there is none. `agrees` tells
+    whether it is the expected response, None where nothing is expected.
     """
 
     byte: int
@@ -120,6 +123,7 @@ class DeviceRecord(Timed, frozen=True, gc=False):
     agrees: bool | None
     state: State
     faults: tuple[Anomaly, ...] = ()
+    reply: Reply | None = None
 
     @property
     def latency_ns(self) -> int | None:
@@ -127,14 +131,21 @@ class DeviceRecord(Timed, frozen=True, gc=False):
         return self.latency
 
     @property
+    def data(self) -> bytes:
+        """The bytes."""
+        return self.reply.frame if self.reply else bytes([self.byte])
+
+    @property
     def words(self) -> str:
-        """The response's name, or that the code is unused."""
+        """The response's name, or that the code is unused; the fields of an answer with data."""
+        if self.reply:
+            return self.reply.describe()
         return self.answer.name if self.answer else f"unused {self.byte}"
 
     @property
     def hex(self) -> str:
-        """The byte in hex, like `05`."""
-        return f"{self.byte:02x}"
+        """The bytes in hex, like `05`."""
+        return self.data.hex(" ")
 
     @property
     def reason(self) -> str:
@@ -147,13 +158,31 @@ class DeviceRecord(Timed, frozen=True, gc=False):
         return Response(
             t=self.t,
             hex=self.hex,
-            byte=self.byte,
-            name=self.answer.name if self.answer else None,
+            name=self.name,
             instruction=self.instruction,
             latency=self.latency,
             agrees=self.agrees,
             reason=self.reason,
+            **self.told,
         )
+
+    @property
+    def name(self) -> str | None:
+        """The name of the response, those of all flags of it; None for an unused code."""
+        if self.reply and self.reply.names:
+            return " ".join(self.reply.names)
+        return self.answer.name if self.answer else None
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What JSON has of the answer's bytes: the one byte, or the fields and the address."""
+        if self.reply is None:
+            return {"byte": self.byte}
+        return {
+            "byte": None,
+            "fields": plain_values(self.reply.fields),
+            "address": self.reply.address,
+        }
 
 
 class LineRecord(msgspec.Struct, frozen=True):

@@ -135,7 +135,7 @@ class Session:
 
         None while frame boundaries are looked for, or nothing is read.
         """
-        if self._resync or self._decoder.unread:
+        if self._resync or self._decoder.unread or not self._decoder.settled:
             return None
         return self._decoder.save(
             DecoderState(
@@ -234,8 +234,8 @@ class Session:
 
     def _new_resync(self, since: int, now: int) -> Resync | None:
         """A Resync from the next byte on; None where silence shows that this byte is a header."""
-        if now - since >= self._timeout:
-            return None
+        if now - since >= self._timeout or not self._protocol.plain:
+            return None  # a frame of another layout is found by its sync or its check
         return Resync(
             self._protocol,
             timeout=self._timeout,

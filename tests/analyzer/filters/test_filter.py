@@ -269,7 +269,7 @@ WRONG = [
     # names and values that there are not
     ("faulty or nam == Speed", "          ^^^", "'nam' is not a name here: did you mean name?"),
     ("zzz", "^^^", "'zzz' is not a name here: there are speed, strength"),
-    ("faults == Horn", "          ^^^^", "early, out of step, lost bytes, gap and 7 more"),
+    ("faults == Horn", "          ^^^^", "early, out of step, lost bytes and 8 more"),
     ("state.motion == up", "                ^^", "backward, rotate_right, rotate_left"),
     ("name == Forwad", "        ^^^^^^", "did you mean Forward?"),
     ("name contains zz", "              ^^", "is in no name; there are Stop"),

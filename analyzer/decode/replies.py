@@ -1,0 +1,94 @@
+"""Cuts what a device sends into answers of more than one byte: by the requests that wait for one.
+
+It uses no port and no clock: times are integers in ns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from bilprov.spec.codec import Judgement
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import Reply, read_reply, reply_size
+
+
+class Heard(NamedTuple):
+    """An answer, the times (ns) of its first and last byte, and how many requests it passes over.
+
+    Those were sent before the one that it answers, and are not answered.
+    """
+
+    reply: Reply
+    start: int
+    end: int
+    passed: int = 0
+
+
+class ReplyFramer:
+    """Holds the bytes of answers that are not complete; `timeout` (ns) is the longest pause."""
+
+    def __init__(self, protocol: Protocol, timeout: int) -> None:
+        self._protocol = protocol
+        self._timeout = timeout
+        self._held = bytearray()
+        self._times: list[int] = []
+
+    @property
+    def held(self) -> bool:
+        """Whether bytes are held."""
+        return bool(self._held)
+
+    @property
+    def deadline(self) -> int | None:
+        """When (ns) what is held is over; None if nothing is held."""
+        return self._times[-1] + self._timeout if self._times else None
+
+    def feed(self, data: bytes, now: int) -> None:
+        """Take bytes that came at `now` (ns)."""
+        self._held += data
+        self._times += [now] * len(data)
+
+    def delay(self, pause: int) -> None:
+        """Let what is held have come so much (ns) later."""
+        self._times = [t + pause for t in self._times]
+
+    def take(self, waiting: Iterable[Judgement]) -> Heard | None:
+        """Take the next answer to the requests that wait, the oldest first; None if none is whole.
+
+        A right answer to a later one passes over those before it.
+        """
+        held = bytes(self._held)
+        damaged: Heard | None = None
+        for passed, asked in enumerate(waiting):
+            size = reply_size(self._protocol, held, asked)
+            if size is None or size > len(held):
+                return damaged and self._taken(damaged)
+            if size < 0:
+                continue
+            reply = read_reply(self._protocol, held[:size], asked)
+            heard = Heard(reply, self._times[0], self._times[size - 1], passed)
+            if not reply.reason:
+                return self._taken(heard)
+            damaged = damaged or heard
+        return damaged and self._taken(damaged)
+
+    def take_unasked(self) -> Heard | None:
+        """Take the next answer where no request is heard; None if it is not whole, or not known."""
+        size = reply_size(self._protocol, bytes(self._held), None) if self._held else None
+        if size is None or not 0 < size <= len(self._held):
+            return None
+        reply = read_reply(self._protocol, bytes(self._held[:size]), None)
+        return self._taken(Heard(reply, self._times[0], self._times[size - 1]))
+
+    def take_rest(self) -> Heard | None:
+        """Take all that is held as one damaged answer; None if nothing is held."""
+        if not self._held:
+            return None
+        reply = read_reply(self._protocol, bytes(self._held), None)
+        return self._taken(Heard(reply, self._times[0], self._times[-1]))
+
+    def _taken(self, heard: Heard) -> Heard:
+        size = len(heard.reply.frame)
+        del self._held[:size], self._times[:size]
+        return heard
