@@ -62,6 +62,7 @@ CHANGING = [
     (rf"\b{re.escape(kit_version())}\b", "VERSION"),
     (rf"(host `?|hostname=\"|recorded on +){re.escape(socket.gethostname())}\b", r"\1HOST"),
     (r"\b[0-9a-f]{64}\b", "SHA256"),
+    (r"\bsha256-[\w+/]{43}=", "sha256-HASH"),
     (r"Python [\d.]+\S*, platform [^,\n]+, pyserial [\d.]+, construct [\d.]+", "VERSIONS"),
     *((rf"{TODAY + timedelta(n):%Y-%m-%d}[T ][\d:.]+(?=[+Z ])", "NOW") for n in (0, 1)),
     (r"ports here: [^;]+(; did you mean [^;]+)?;", "ports here: PORTS;"),

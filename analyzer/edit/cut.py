@@ -8,9 +8,10 @@ Of a window all raw chunks and line events are kept as they are. Where its end c
 that goes on behind it, a `gap` is added, so that nothing is taken for a fault of the host.
 
 Of a filter the reads are kept, whole, that came from the beginning of an instruction to its answer,
-where it holds for one of the two. Where reads are left out stand a `gap`, which says how much, and
-a checkpoint from which decoding goes on: what is decoded from the part are these frames, with the
-same judgements, states and latencies, and the neighbours that came in the same reads.
+or until it was known to have ended, where it holds for one of the two. Where reads are left out
+stand a `gap`, which says how much, and a checkpoint from which decoding goes on: what is decoded
+from the part are these frames, with the same judgements, states and latencies, and the neighbours
+that came in the same reads. While frame boundaries are looked for, all reads are kept.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ def write_selected(
     part = _Part(protocol, out, opened.decoder)
     values = timed(opened.recorded(), first_state(opened.decoder).time)
     for batch in batched(_before(values, end, [])):
-        if selected.meets(batch[0].now, batch[-1].now):
+        if selected.meets(batch[0].now, batch[-1].now) or part.hunts:
             for one in batch:
                 part.take([one], kept=selected.meets(one.now, one.now), counted=window.has(one.now))
         else:
@@ -148,6 +149,7 @@ class _Part:
 
         Bytes that are left out are `counted` if they are missed.
         """
+        kept = kept or self.hunts
         if kept and not self._in_step:
             begin = self._since[0].now if self._since else batch[0].now
             self._resume(self._known, begin)
@@ -165,6 +167,11 @@ class _Part:
             self._since += batch
         else:
             self._known, self._since = state, []
+
+    @property
+    def hunts(self) -> bool:
+        """Whether frame boundaries are looked for in what is kept: then all of it is needed."""
+        return self._in_step and bool(self._since)
 
     def close(self) -> None:
         """End the part where the recording goes on: nothing is under way there."""
@@ -208,13 +215,11 @@ class _Times:
         self._at = 0
 
     def add(self, first: int, last: int) -> None:
-        """Add a span (ns), which ends at the latest where the last one does, or later."""
-        if self._last and first <= self._last[-1]:
-            self._first[-1] = min(first, self._first[-1])
-            self._last[-1] = max(last, self._last[-1])
-        else:
-            self._first.append(first)
-            self._last.append(last)
+        """Add a span (ns), which may begin before others that were added earlier."""
+        while self._last and first <= self._last[-1]:
+            first, last = min(first, self._first.pop()), max(last, self._last.pop())
+        self._first.append(first)
+        self._last.append(last)
 
     def meets(self, first: int, last: int) -> bool:
         """Whether a span has some of this one; asked for later and later ones."""
@@ -255,17 +260,17 @@ class _Exchanges:
             number = record.fault.instruction
         elif not isinstance(record, HostRecord) and record.lost:
             self.give_up()
-        end = record.end if isinstance(record, HostRecord) else record.t
+        end = record.known if isinstance(record, HostRecord) else record.t
         if number is not None and number in self._waiting:
             frame, frame_selected = self._waiting.pop(number)
-            self._note(frame.t, max(frame.end, end), selected or frame_selected)
+            self._note(frame.t, max(frame.known, end), selected or frame_selected)
         else:
             self._note(record.t, end, selected)
 
     def give_up(self) -> None:
         """No answer will come for the instructions that wait."""
         for frame, selected in self._waiting.values():
-            self._note(frame.t, frame.end, selected)
+            self._note(frame.t, frame.known, selected)
         self._waiting.clear()
 
     def _note(self, first: int, last: int, selected: bool) -> None:

@@ -192,9 +192,16 @@ def test_a_filtered_part_is_decoded_as_the_selected_frames_with_their_answers(
     expected = selected(whole, window, compiled(expression, each_protocol))
     decoded = seen(read_capture(part, each_protocol))
     assert in_order(expected, decoded)
-    for side in ("host", "device"):  # whole reads, none of which is there twice
-        reads = iter([e for e in open_capture(path).events() if is_read(e, side)])
-        assert all(e in reads for e in open_capture(part).events() if is_read(e, side))
+    assert_whole_reads(path, part)
+
+
+def assert_whole_reads(path: Path, part: Path) -> None:
+    """What a part has of a capture are whole reads, none of which is there twice."""
+    for side in ("host", "device"):
+        kept, reads = (
+            [e for e in open_capture(file).events() if is_read(e, side)] for file in (part, path)
+        )
+        assert in_order(kept, reads)
 
 
 def in_order(wanted: Sequence[Any], found: Iterable[Any]) -> bool:
@@ -238,6 +245,36 @@ CUT_BEFORE = {
             *[(15, "device", "00 00 00 03 00"), *[(15, "host", "00")] * 6],
         ],
     ),
+    "a loss, and the boundaries are not found before the end": (
+        HELD | {"skew": 0},
+        [
+            *[(0, "gap", ""), (0, "host", "00"), (0, "device", "01")],
+            *[(1, "host", "00"), (1, "device", "00")],
+        ],
+    ),
+    "a loss, and two are selected before the boundaries are found": (
+        HELD | {"skew": 0},
+        [
+            *[(0, "gap", ""), (0, "host", "00"), (0, "device", "01")],
+            *[(1, "host", "00"), (1, "device", "00"), (2, "host", "00"), (2, "device", "01")],
+            *[(500, "host", "00"), (500, "device", "00")],
+        ],
+    ),
+    "a frame is cut short at the end": (
+        HELD | {"heard": frozenset({"host"})},
+        [(125, "host", "1c"), (129, "device", "")],
+    ),
+    "a frame has been cut short when the next bytes come": (
+        HELD | {"heard": frozenset({"host"})},
+        [(125, "host", "1c"), (129, "device", ""), (264, "host", "")],
+    ),
+    "an instruction that is never answered is given up after others": (
+        HELD | {"skew": 0},
+        [
+            *[(0, "unplugged", ""), (1001, "host", "21 00")],
+            *[(1002, "device", "7b"), (1005, "device", "51")],
+        ],
+    ),
 }
 
 
@@ -266,7 +303,9 @@ def compare_selected(
 ) -> None:
     """Write what comes when (ms), cut what is faulty out of it, and compare what is decoded."""
     events = [
-        Line(t * MS, side, "host") if side == "break" else Chunk(t * MS, side, bytes.fromhex(data))
+        Chunk(t * MS, side, bytes.fromhex(data))
+        if side in ("host", "device")
+        else Line(t * MS, side, "host")
         for t, side, data in pieces
     ]
     path = written(path, events, how)
@@ -275,6 +314,7 @@ def compare_selected(
     expected = selected(read_capture(path, protocol), window, compiled("faulty", protocol))
     assert expected
     assert in_order(expected, seen(read_capture(part, protocol)))
+    assert_whole_reads(path, part)
 
 
 def last_byte(record: Record) -> int:
