@@ -1,4 +1,4 @@
-"""Loads a grammar from a file, or from the text in a capture; `spec` itself opens no file."""
+"""Loads a grammar by its name, from a file or from a capture's text; `spec` opens no file."""
 
 from __future__ import annotations
 
@@ -10,20 +10,35 @@ from bilprov.analyzer.files import read_bounded
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import GrammarError, Protocol, grammar_hash, load
 
+OWN = "robot-car"
+"""The grammar that is used unless another one is named."""
+SHIPPED = {
+    OWN: "grammar.py",
+    "modbus-rtu": "grammars/modbus_rtu.py",
+    "stk500v1": "grammars/stk500v1.py",
+    "dynamixel1": "grammars/dynamixel1.py",
+}
+"""The grammars of the kit by name: the file of each, below the package `spec`."""
 _MOST = 1 << 20  # bytes of a grammar file
 
 
 @cache
-def load_protocol(path: str | None = None) -> Protocol:
-    """Load the protocol of a grammar file, the kit's own where `path` is None.
+def load_protocol(grammar: str | None = None) -> Protocol:
+    """Load the protocol of a grammar: a name in SHIPPED or a file, OWN where it is None.
 
     Raises GrammarError, in one sentence, for a file that cannot be read or is no grammar.
     """
-    file = Path(path) if path else Path(bilprov.spec.__path__[0]) / "grammar.py"
+    name = grammar or OWN
+    file = Path(bilprov.spec.__path__[0]) / SHIPPED[name] if name in SHIPPED else Path(name)
     try:
         source = read_bounded(file, _MOST, pipes=True).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        if not file.suffix and isinstance(error, FileNotFoundError):
+            raise GrammarError(
+                f"there is no grammar {printable(name)}: name a FILE.py or one of "
+                f"{', '.join(SHIPPED)}"
+            ) from error
         raise GrammarError(
             f"the grammar {file} cannot be read: {what}; start from a copy of spec/grammar.py"
         ) from error

@@ -71,8 +71,9 @@ PLACES = {
     "captures.evidence": Place(0, 0, 0.38),
     "captures.storage": Place(0, 0.42, 0.16),
     "captures": Place(0, 0.62, 0.38),
-    "spec.emit": Place(0, 0, 0.16),
-    "spec": Place(0, 0.2, 0.8),
+    "spec.emit": Place(0, 0, 0.12),
+    "spec.grammars": Place(0, 0.15, 0.16),
+    "spec": Place(0, 0.34, 0.66),
 }
 
 _ROWS = (("bilprov",), ("analyzer", "conformance"), ("captures",), ("spec",))

@@ -18,6 +18,7 @@ from bilprov.spec.checks import Crc, Sum, Xor
 from bilprov.spec.frame_words import Address, Data, Length, Same, asked, question
 from bilprov.spec.motion import VARIABLES
 from bilprov.spec.value_checks import (
+    LONGEST_NAME,
     WrongValue,
     require_kind,
     require_name,
@@ -149,7 +150,8 @@ NO_DATA = Struct()
 class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
     """The data of one instruction (its fields in order), its name in the document, its effect.
 
-    `answer` is the data of its answer, None where it is not answered at all.
+    `answer` is the data of its answer, None where it is not answered at all. `changes` names what
+    it changes that the state does not have, such as "flash".
     """
 
     def __init__(
@@ -158,6 +160,7 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
         document: str,
         effect: Sets | None = None,
         answer: Construct | None = NO_DATA,
+        changes: str = "",
     ) -> None:
         for field in fields:
             require_kind("a field of an Instruction", field, Construct)
@@ -166,8 +169,10 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
             require_kind("the effect of an Instruction", effect, Sets)
         if answer is not None:
             require_kind("the answer of an Instruction", answer, Construct)
+        require_text("what an Instruction changes", changes, LONGEST_NAME)
         super().__init__(*fields)
         self.document = document
+        self.changes = changes
         self.answer = answer
         self.effect = effect or Sets()
 

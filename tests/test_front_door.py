@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -19,6 +20,7 @@ import pytest
 import bilprov
 from bilprov import __main__ as front_door
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.grammar_file import SHIPPED
 from bilprov.analyzer.output.help import examples_in
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk
@@ -362,3 +364,20 @@ def test_the_library_sniffs_two_ports_as_an_iterator() -> None:
 def test_sniffing_one_line_twice_is_refused() -> None:
     with open_pty() as host, pytest.raises(ValueError, match="tapped"):
         next(bilprov.sniff(host.name, host.name))
+
+
+@pytest.mark.parametrize("name", list(SHIPPED))
+def test_a_grammar_of_the_kit_is_known_by_its_name(name: str) -> None:
+    listed = json.loads(command("spec", "grammars", "--format", "json").stdout)
+    text = command("spec", "emit", "grammar", name).stdout
+
+    assert [one["name"] for one in listed] == list(SHIPPED)
+    assert text == (ROOT / "spec" / SHIPPED[name]).read_bytes()
+    assert command("spec", "emit", "grammar", "--grammar", name).stdout == text
+
+
+def test_a_name_that_no_grammar_has_is_told_with_the_names() -> None:
+    result = command("spec", "show", "--grammar", "modbus")
+
+    assert result.returncode == 2
+    assert b"there is no grammar modbus: name a FILE.py or one of robot-car, mod" in result.stderr

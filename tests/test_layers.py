@@ -26,6 +26,7 @@ NAMES_FOR_PYTHON = "src/bilprov/__init__.py"
 # import itself and what stands before it.
 ROOMS = (
     ("spec",),
+    ("spec.grammars",),
     ("spec.emit",),
     ("captures",),  # closing, errors, schemas, text, topics: values
     ("captures.storage",),
@@ -80,7 +81,7 @@ MOST_FILES = 26  # of one folder: more is two ideas
 
 # Where each library may be met: files, or folders that end in a slash.
 HOMES = {
-    "construct": ("spec/grammar.py", "spec/fields.py", "spec/protocol.py", "spec/codec.py"),
+    "construct": ("spec/",),
     "serial": ("analyzer/transport/ports.py",),
     "mcap": ("captures/",),
     "numpy": (

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
+from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
 from bilprov.analyzer.output.console import show_as
 
 if TYPE_CHECKING:
@@ -48,6 +49,14 @@ class EmitOption:
         write_output(self.output, text.encode())
 
 
+@dataclass(frozen=True)
+class GrammarOptions:
+    """Which grammar is written, and where."""
+
+    name: str | None = argument(metavar="[NAME]", required=False, type=click.Choice(list(SHIPPED)))
+    written: EmitOption = group(EmitOption)
+
+
 @command(FormatOption)
 def show(options: FormatOption) -> None:
     """Examples:
@@ -62,10 +71,22 @@ def show(options: FormatOption) -> None:
     show_as(options.style, lambda: protocol_json(protocol), lambda: drawn_protocol(protocol))
 
 
+@command(FormatOption)
+def grammars(options: FormatOption) -> None:
+    """Examples:
+      bilprov spec grammars
+      bilprov spec show --grammar modbus-rtu
+
+    Each has its document, and the settings of the line that this asks for.
+    """
+    from bilprov.analyzer.output.protocol import drawn_grammars, grammars_json
+
+    shipped = [load_protocol(name) for name in SHIPPED]
+    show_as(options.style, lambda: grammars_json(shipped), lambda: drawn_grammars(shipped))
+
+
 def _require_document(protocol: Protocol, what: str) -> None:
     """Refuse a grammar of another document than that of the kit's examples and readings."""
-    from bilprov.analyzer.grammar_file import load_protocol
-
     known = load_protocol().document
     if protocol.document != known:
         raise click.ClickException(
@@ -138,13 +159,14 @@ def wireshark(options: EmitOption) -> None:
     options.write(lua_dissector(protocol_in_use(), SKEW / MS))
 
 
-@command(EmitOption)
-def grammar(options: EmitOption) -> None:
+@command(GrammarOptions)
+def grammar(options: GrammarOptions) -> None:
     """Examples:
-      bilprov spec emit grammar -o mine.py
+      bilprov spec emit grammar dynamixel1 -o mine.py
       bilprov spec show --grammar mine.py
 
-    The changed text is named with --grammar.
+    NAME is one of bilprov spec grammars; without it, the grammar in use is written. The changed
+    text is named with --grammar.
     """
-
-    options.write(protocol_in_use().source)
+    protocol = load_protocol(options.name) if options.name else protocol_in_use()
+    options.written.write(protocol.source)

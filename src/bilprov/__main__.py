@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 from click import exceptions
@@ -16,6 +16,9 @@ from bilprov.analyzer.former_names import former_name
 from bilprov.analyzer.output.help import HELP_NAMES, Group
 from bilprov.analyzer.transport.ending import exit_status
 from bilprov.analyzer.version import kit_version
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 
 class Row(NamedTuple):
@@ -113,6 +116,7 @@ COMMANDS = {
         """,
     ),
     "spec show": Row("", "analyzer.spec", "Show the grammar in use."),
+    "spec grammars": Row("", "analyzer.spec", "List the grammars that the kit has."),
     "spec readings": Row("", "analyzer.spec", "Show how the document is read where it is silent."),
     "spec errata": Row("", "analyzer.spec", "Show where the document contradicts itself."),
     "spec emit": Row(
@@ -127,7 +131,7 @@ COMMANDS = {
     ),
     "spec emit c": Row("", "analyzer.spec", "A C header, for firmware and hosts."),
     "spec emit wireshark": Row("", "analyzer.spec", "A dissector for Wireshark and tshark."),
-    "spec emit grammar": Row("", "analyzer.spec", "The text of the grammar in use, to be changed."),
+    "spec emit grammar": Row("", "analyzer.spec", "The text of a grammar, to be changed."),
     "config": Row("Settings", "analyzer.config", "Show the settings in force."),
     "completion": Row("Settings", "analyzer.completion", "Print a shell's completion script."),
 }
@@ -143,11 +147,26 @@ def _use_grammar(ctx: click.Context, param: click.Parameter, path: str | None) -
         ctx.meta[TYPED_GRAMMAR] = ctx.get_parameter_source("grammar") is ParameterSource.COMMANDLINE
 
 
+class GrammarName(click.Path):
+    """The name of a grammar that the kit has, or the file of another one."""
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem[str]]:
+        """The names that begin so, and files."""
+        from click.shell_completion import CompletionItem
+
+        from bilprov.analyzer.grammar_file import SHIPPED
+
+        names = [CompletionItem(name) for name in SHIPPED if name.startswith(incomplete)]
+        return names + super().shell_complete(ctx, param, incomplete)
+
+
 def _grammar_option(help: str) -> click.Option:
     return click.Option(
         ["--grammar"],
-        metavar="FILE.py",
-        type=click.Path(readable=False),
+        metavar="NAME|FILE.py",
+        type=GrammarName(readable=False),
         is_eager=True,
         expose_value=False,
         callback=_use_grammar,
@@ -257,9 +276,9 @@ def front_door(grammar: str | None = None) -> None:
 front_door.params.insert(
     0,
     _grammar_option(
-        "Another grammar of the same family, before or after the command: a changed copy of "
-        "spec/grammar.py (bilprov spec emit grammar). Runs the file as Python: name only files "
-        "that you trust; a grammar inside a capture is only read."
+        "Another protocol, before or after the command: a name (bilprov spec grammars) or a file "
+        "of your own (docs/your-own-protocol.md). Runs the file as Python: name only files that "
+        "you trust; a grammar inside a capture is only read."
     ),
 )
 

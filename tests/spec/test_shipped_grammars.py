@@ -1,0 +1,282 @@
+"""The kit's grammars against hand-typed vectors: by construct alone, and as the kit reads them."""
+
+from __future__ import annotations
+
+import ast
+import io
+import runpy
+from collections.abc import Iterator, Mapping
+from types import ModuleType
+from typing import Any
+
+import pytest
+from construct import (
+    ChecksumError,
+    ConstError,
+    Construct,
+    ConstructError,
+    Container,
+    EnumInteger,
+    ListContainer,
+    StreamError,
+    ValidationError,
+)
+
+from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
+from bilprov.spec.codec import Judgement, build, judge
+from bilprov.spec.data import DataSpec
+from bilprov.spec.fields import question
+from bilprov.spec.framing import framer
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import agrees, build_reply, read_reply, reply_size
+from bilprov.spec.safe_grammar import require_declarations
+from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
+from tests.frame_vectors import ReplyVector, RequestVector
+from tests.support import ROOT
+
+VECTORS: dict[str, ModuleType] = {
+    "modbus-rtu": vectors_modbus_rtu,
+    "stk500v1": vectors_stk500v1,
+    "dynamixel1": vectors_dynamixel1,
+}
+REQUESTS = [(name, one) for name, module in VECTORS.items() for one in module.REQUESTS]
+REPLIES = [(name, one) for name, module in VECTORS.items() for one in module.REPLIES]
+RAISES = {
+    "truncated": StreamError,
+    "too-few": StreamError,
+    "bad-checksum": ChecksumError,
+    "bad-sync": ConstError,
+    "bad-data": ValidationError,
+}
+"""What construct alone raises for a faulty request; it takes those of other outcomes."""
+PLACES = {
+    "modbus-rtu": {"address": 0, "id": 1},
+    "stk500v1": {"id": 0},
+    "dynamixel1": {"address": 2, "id": 4},
+}
+"""Where a request has the parts that its answer may repeat."""
+MOST_LINES = 150  # of declarations
+
+
+def identity(value: object) -> str:
+    """The name of a test: the grammar's, or the bytes."""
+    if isinstance(value, RequestVector | ReplyVector):
+        return value.frame.hex()[:32]
+    return str(value)
+
+
+def declared(name: str) -> dict[str, Any]:
+    """The declarations of a grammar, run as Python."""
+    return runpy.run_path(str(ROOT / "spec" / SHIPPED[name]))
+
+
+def right_check(name: str, frame: bytes) -> bytes:
+    """The check with which a frame must end, computed without the kit's words."""
+    if name == "modbus-rtu":
+        crc = 0xFFFF
+        for byte in frame[:-2]:
+            crc ^= byte
+            for _ in range(8):
+                crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+        return crc.to_bytes(2, "little")
+    return bytes([~sum(frame[2:-1]) & 0xFF]) if name == "dynamixel1" else b""
+
+
+def parsed(frame: Construct, raw: bytes, **context: Any) -> dict[str, Any]:
+    """The values that construct alone parses from all of the bytes."""
+    stream = io.BytesIO(raw)
+    values = dict(flat(frame.parse_stream(stream, **context)))
+    assert stream.read() == b""
+    return values
+
+
+def flat(container: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The values inside each other by name."""
+    for name, value in container.items():
+        if isinstance(value, dict):
+            yield from flat(value)
+        elif not name.startswith("_"):
+            yield name, list(value) if isinstance(value, ListContainer) else value
+
+
+def asked(name: str, frame: Construct, request: bytes) -> Container:
+    """The request of an answer; of a faulty one only the parts that an answer repeats."""
+    try:
+        return question(frame, request)
+    except ConstructError:
+        parts = {part: request[at] for part, at in PLACES[name].items()}
+        return Container(parts, _answer=None)
+
+
+def by_name(data: DataSpec, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The kit's values as the vectors have them: a list, and the name of a value that has one."""
+    names = {part.name: {number: word for word, number in part.names} for part in data.fields}
+    plain = {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
+    return {
+        name: value if isinstance(value, list | bytes) else names[name].get(value, value)
+        for name, value in plain.items()
+    }
+
+
+def numbers(data: DataSpec, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a vector as numbers where they have a name."""
+    names = {part.name: dict(part.names) for part in data.fields}
+    return {
+        name: names[name].get(value, value) if isinstance(value, str) else value
+        for name, value in fields.items()
+    }
+
+
+@pytest.mark.parametrize("name", list(VECTORS))
+def test_each_instruction_and_outcome_is_in_a_vector(name: str) -> None:
+    module, protocol = VECTORS[name], load_protocol(name)
+    outcomes = {one.outcome for one in module.REQUESTS}
+
+    assert len(module.REQUESTS) + len(module.REPLIES) >= 25
+    assert {one.name for one in module.REQUESTS if one.outcome == "valid"} == {*protocol.by_name}
+    assert {"valid", "unknown-id", "truncated"} <= outcomes
+    assert ("bad-checksum" in outcomes) is (protocol.layout.check is not None)
+
+
+@pytest.mark.parametrize("name", list(VECTORS))
+def test_a_grammar_is_a_page_of_declarations(name: str) -> None:
+    text = (ROOT / "spec" / SHIPPED[name]).read_text(encoding="utf-8")
+    body = [n for n in ast.parse(text).body if not isinstance(n, ast.ImportFrom | ast.Expr)]
+
+    require_declarations(text)
+    assert sum((one.end_lineno or 0) - one.lineno + 1 for one in body) <= MOST_LINES
+
+
+@pytest.mark.parametrize(("name", "vector"), REQUESTS + REPLIES, ids=identity)
+def test_the_check_of_a_vector_is_right_or_meant_to_be_wrong(
+    name: str, vector: RequestVector | ReplyVector
+) -> None:
+    outcome = vector.outcome if isinstance(vector, RequestVector) else "valid"
+
+    if outcome != "truncated":
+        right = vector.frame.endswith(right_check(name, vector.frame))
+        assert right is (outcome != "bad-checksum")
+
+
+@pytest.mark.parametrize(("name", "vector"), REQUESTS, ids=identity)
+def test_construct_alone_parses_a_request(name: str, vector: RequestVector) -> None:
+    grammar = declared(name)
+    frame, instructions = grammar["FRAME"], grammar["INSTRUCTIONS"]
+
+    try:
+        values = dict(flat(frame.parse(vector.frame)))
+    except RAISES.get(vector.outcome, ()):
+        return
+    if vector.outcome == "bad-data":  # an Enum takes a value without a name as a number
+        assert EnumInteger in map(type, values.values())
+        return
+    assert vector.outcome not in RAISES
+    assert (
+        instructions[values["id"]].name == vector.name
+        if vector.name
+        else (values["id"] not in instructions)
+    )
+    if vector.outcome == "valid":
+        whole = parsed(frame, vector.frame)
+        assert {key: whole[key] for key in vector.fields} == vector.fields
+        assert whole.get("address" if vector.address is not None else "") == vector.address
+
+
+@pytest.mark.parametrize(("name", "vector"), REQUESTS, ids=identity)
+def test_the_kit_judges_a_request(name: str, vector: RequestVector) -> None:
+    judged = judge(load_protocol(name), vector.frame)
+    outcome = judged.outcome.name.lower().replace("_", "-")
+
+    assert ("truncated" if judged.truncated else outcome) == vector.outcome
+    if vector.name:
+        assert judged.name == vector.name
+    if vector.outcome == "valid":
+        assert judged.instruction
+        assert by_name(judged.instruction.data, dict(judged.fields)) == vector.fields
+        assert judged.address == vector.address
+
+
+@pytest.mark.parametrize(("name", "vector"), REQUESTS, ids=identity)
+def test_a_valid_request_is_built_of_its_fields(name: str, vector: RequestVector) -> None:
+    protocol = load_protocol(name)
+    if vector.outcome != "valid" or vector.name is None:
+        return
+    fields = numbers(protocol.by_name[vector.name].data, vector.fields)
+    to = {} if vector.address is None else {"address": vector.address}
+
+    assert build(protocol, vector.name, {**fields, **to}) == vector.frame
+
+
+@pytest.mark.parametrize("name", list(VECTORS))
+def test_requests_are_cut_out_of_a_stream(name: str) -> None:
+    protocol = load_protocol(name)
+    frames = [one.frame for one in VECTORS[name].REQUESTS if one.outcome == "valid"]
+    cutter = framer(protocol, None)
+
+    taken = [one for byte in b"".join(frames) for one in cutter.feed(bytes([byte]), 0)]
+
+    assert [one.data for one in taken] == frames
+    assert {one.kind for one in taken} == {"instruction"}
+    assert cutter.held == b""
+
+
+@pytest.mark.parametrize(("name", "vector"), REPLIES, ids=identity)
+def test_construct_alone_parses_an_answer(name: str, vector: ReplyVector) -> None:
+    grammar = declared(name)
+    request = asked(name, grammar["FRAME"], vector.request)
+    laid_out = [grammar["REPLY"], grammar["ERROR"]]
+    values: dict[str, Any] | None = None
+    for one in laid_out:
+        try:
+            values = values or parsed(one, vector.frame, asked=request)
+        except ConstructError:
+            continue
+
+    assert values is not None
+    assert {key: values[key] for key in vector.fields} == vector.fields
+    assert sorted(values.get("code", "").split()) == sorted(vector.code.split())
+
+
+@pytest.mark.parametrize(("name", "vector"), REPLIES, ids=identity)
+def test_the_kit_reads_an_answer(name: str, vector: ReplyVector) -> None:
+    protocol = load_protocol(name)
+    request = judge(protocol, vector.request)
+    begun = [reply_size(protocol, vector.frame[:n], request) for n in range(len(vector.frame))]
+    reply = read_reply(protocol, vector.frame, request)
+    answer = request.instruction.answer if request.instruction else None
+
+    assert all(size is None or size == len(vector.frame) for size in begun)
+    assert reply_size(protocol, vector.frame, request) == len(vector.frame)
+    assert (reply.reason, reply.response is None) == ("", False)
+    assert by_name(answer or DataSpec(), dict(reply.fields)) == vector.fields
+    assert sorted(reply.names) == sorted(vector.code.split())
+    assert agrees(protocol, request, reply)
+
+
+@pytest.mark.parametrize(("name", "vector"), REPLIES, ids=identity)
+def test_an_answer_is_built_of_its_fields(name: str, vector: ReplyVector) -> None:
+    protocol = load_protocol(name)
+    request = judge(protocol, vector.request)
+    answer = request.instruction.answer if request.instruction else None
+    if len(vector.code.split()) > 1 or vector.code in ("FAILED", "NODEVICE"):
+        return  # two conditions at once; a refusal in the form of a valid answer
+
+    assert vector.frame == build_reply(
+        protocol, request, numbers(answer or DataSpec(), vector.fields), code_of(protocol, vector)
+    )
+
+
+def code_of(protocol: Protocol, vector: ReplyVector) -> Any:
+    """The response that a vector has; None for one without a code."""
+    return next((one for one in protocol.responses if one.name == vector.code), None)
+
+
+def test_a_wrong_answer_does_not_agree() -> None:
+    protocol = load_protocol("modbus-rtu")
+    request: Judgement = judge(protocol, bytes.fromhex("11 05 0028 0001 8E92"))
+
+    echo = read_reply(protocol, bytes.fromhex("11 05 0028 0001 8E92"), request)
+    refused = read_reply(protocol, bytes.fromhex("11 85 01 82 95"), request)
+
+    assert not agrees(protocol, request, echo)
+    assert not agrees(protocol, request, refused)
