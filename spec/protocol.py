@@ -11,7 +11,7 @@ import hashlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
@@ -342,7 +342,8 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         _require_each_id_once(tree)
         return _read(space, source, origin)
     except (GrammarError, LayoutError, WrongValue) as error:
-        raise GrammarError(f"the grammar {origin} cannot be used: {error}") from None
+        where = _declared_in(tree, str(error))
+        raise GrammarError(f"the grammar {origin} cannot be used: {error}{where}") from None
     except Exception as error:  # construct raises many kinds for declarations that make no sense
         raise GrammarError(
             f"the grammar {origin} cannot be used: {one_line(error, _LONGEST)}; "
@@ -358,6 +359,29 @@ def _line(error: BaseException, origin: str) -> str:
             line = trace.tb_lineno
         trace = trace.tb_next
     return f" (line {line})" if line else ""
+
+
+def _declared_in(tree: ast.Module, message: str) -> str:
+    """Where the declaration stands that a message names, in words; none if that is not known.
+
+    A message names a declaration by itself (`FRAME`) or a part of it (`FRAME.crc`, `Speed.speed`).
+    """
+    line = 0
+    for word in re.findall(r"\w+(?:\.\w+)+|\b[A-Z]{3,}\b", message):
+        for name in word.split("."):
+            line = next((at for named, at in _names(tree) if named == name and at >= line), line)
+        if line:
+            return f" (line {line})"
+    return ""
+
+
+def _names(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    """What a grammar assigns, and each text that names a part, with its line."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id, node.lineno
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value, node.lineno
 
 
 def _require_each_id_once(tree: ast.Module) -> None:

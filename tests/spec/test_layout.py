@@ -1,0 +1,179 @@
+"""Frames of any layout: what the kit reads and builds is what construct alone reads and builds."""
+
+from __future__ import annotations
+
+from functools import cache
+from random import Random
+from typing import Any
+
+import pytest
+from construct import Construct, ConstructError, Container
+
+from bilprov.spec.checks import Crc, Sum, Xor
+from bilprov.spec.codec import build, judge
+from bilprov.spec.fields import Outcome, question
+from bilprov.spec.framing import framer
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import build_reply, read_reply, reply_size
+from tests.support.drawn_layouts import DrawnLayout, drawn_fields, drawn_layout, drawn_values
+
+SEEDS = range(200)
+drawn = cache(drawn_layout)
+
+
+@pytest.mark.parametrize(
+    ("check", "value"),
+    [
+        (Crc(16, 0x8005, 0xFFFF, reflected=True), 0x4B37),  # MODBUS
+        (Crc(16, 0x1021), 0x31C3),  # XMODEM
+        (Crc(16, 0x1021, 0xFFFF), 0x29B1),  # IBM-3740
+        (Crc(16, 0x8005, 0, reflected=True), 0xBB3D),  # ARC
+        (Crc(16, 0x1021, 0xFFFF, reflected=True, xorout=0xFFFF), 0x906E),  # IBM-SDLC
+        (Crc(8, 0x07), 0xF4),  # SMBUS
+        (Crc(8, 0xD5), 0xBC),  # DVB-S2
+        (Crc(8, 0x31, 0, reflected=True), 0xA1),  # MAXIM
+        (Crc(24, 0x864CFB, 0xB704CE), 0x21CF02),  # OPENPGP
+        (Crc(32, 0x04C11DB7, 0xFFFFFFFF, reflected=True, xorout=0xFFFFFFFF), 0xCBF43926),
+        (Crc(32, 0x04C11DB7, 0xFFFFFFFF), 0x0376E6E7),  # MPEG-2
+        (Sum(8), 0xDD),
+        (Sum(8, complement=True), 0x22),
+        (Sum(16), 0x01DD),
+        (Xor(), 0x31),
+        (Xor(0xFF), 0xCE),
+    ],
+)
+def test_the_check_of_nine_digits_is_the_published_one(check: Any, value: int) -> None:
+    assert check(b"123456789") == value
+
+
+def flat(parsed: Any) -> dict[str, Any]:
+    """The values within what construct parsed, by name."""
+    found: dict[str, Any] = {}
+    for name, value in parsed.items():
+        if name.startswith("_") or name in ("offset1", "offset2"):
+            continue
+        if isinstance(value, Container) and "offset1" in value:
+            found |= flat(value.value)
+        elif isinstance(value, Container) and not _is_flags(value):
+            found |= flat(value)
+        else:
+            found[name] = value
+    return found
+
+
+def _is_flags(value: Container) -> bool:
+    return "a" in value and isinstance(value["a"], bool)
+
+
+def plain(value: Any) -> Any:
+    """A value of construct as the kit has it."""
+    if isinstance(value, Container):
+        return value.a + 8 * value.b
+    if isinstance(value, list):
+        return tuple(value)
+    if isinstance(value, str):
+        return {"off": 0, "on": 1, "other": 9}.get(value, value)
+    return value
+
+
+def parsed(frame: Construct, raw: bytes, **context: Any) -> dict[str, Any]:
+    return {name: plain(value) for name, value in flat(frame.parse(raw, **context)).items()}
+
+
+def one_frame(draw: Random, protocol: Protocol) -> tuple[bytes, dict[str, Any], str]:
+    """A valid frame of the protocol, its values and its instruction."""
+    spec = draw.choice(protocol.instructions)
+    values = drawn_values(draw, protocol, spec)
+    return build(protocol, spec.name, values), values, spec.name
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_built_is_read_back_and_construct_agrees(seed: int) -> None:
+    one, draw = drawn(seed), Random(seed)
+    for _ in range(5):
+        raw, values, name = one_frame(draw, one.protocol)
+        judgement = judge(one.protocol, raw)
+        assert (judgement.valid, judgement.name) == (True, name), (one.text, judgement.reason)
+        read = {**one.protocol.layout.values(raw), **dict(judgement.fields)}
+        assert {key: read[key] for key in values} == values
+        alone = parsed(one.frame, raw)
+        assert {key: alone[key] for key in values} == values, one.text
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_stream_of_frames_is_cut_into_them_however_it_comes(seed: int) -> None:
+    one, draw = drawn(seed), Random(seed)
+    frames = [one_frame(draw, one.protocol)[0] for _ in range(6)]
+    stream, cutter, found = b"".join(frames), framer(one.protocol, 50_000_000), []
+    at = 0
+    while at < len(stream):
+        size = draw.randint(1, 7)
+        found += cutter.feed(stream[at : at + size], at)
+        at += size
+    assert [record.data for record in found] == frames, one.text
+    assert {record.kind for record in found} == {"instruction"}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_frame_that_construct_refuses_is_faulty(seed: int) -> None:
+    """Every bit of a frame is flipped once: what construct cannot read is never valid."""
+    one, draw = drawn(seed), Random(seed)
+    raw, _, _ = one_frame(draw, one.protocol)
+    for bit in range(8 * len(raw)):
+        changed = bytearray(raw)
+        changed[bit // 8] ^= 1 << bit % 8
+        cut = framer(one.protocol, 1_000).feed(bytes(changed), 0)
+        for record in cut:
+            if record.kind != "instruction" or not judge(one.protocol, record.data).valid:
+                continue
+            try:
+                one.frame.parse(record.data)
+            except ConstructError as error:  # a value out of its range is construct's error too
+                pytest.fail(f"{record.data.hex(' ')} is valid; construct: {error}\n{one.text}")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_answer_is_read_back_and_construct_agrees(seed: int) -> None:
+    one, draw = drawn(seed), Random(seed)
+    protocol = one.protocol
+    for _ in range(5):
+        raw, _, name = one_frame(draw, protocol)
+        asked = judge(protocol, raw)
+        if not asked.answer_due:
+            continue
+        answer = protocol.by_name[name].answer
+        assert answer is not None
+        values = drawn_fields(draw, answer)
+        reply = build_reply(protocol, asked, values)
+        assert reply_size(protocol, reply + b"\0\0", asked) == len(reply), one.text
+        assert all((reply_size(protocol, reply[:n], asked) or 999) > n for n in range(len(reply)))
+        read = read_reply(protocol, reply, asked)
+        assert (dict(read.fields), read.reason, read.names) == (values, "", ("OK",)), one.text
+        alone = parsed(one.reply, reply, asked=question(one.frame, raw))
+        assert {key: alone[key] for key in values} == values
+
+
+def test_a_right_frame_within_a_damaged_one_is_found() -> None:
+    one = next(d for d in map(drawn, SEEDS) if d.protocol.layout.check and d.protocol.layout.sync)
+    draw = Random(1)
+    first, second = (one_frame(draw, one.protocol)[0] for _ in range(2))
+    damaged = first[:-1]  # its last byte was lost
+    records = framer(one.protocol, 1_000).feed(damaged + second + second, 0)
+    assert [record.data for record in records if record.kind == "instruction"][-1] == second
+
+
+def test_drawn_layouts_differ_in_all_that_a_layout_has() -> None:
+    layouts = [drawn(seed).protocol.layout for seed in SEEDS]
+    for role in ("address", "length", "other", "check", "constant"):
+        assert 20 < sum(one.part(role) is not None for one in layouts) < 180, role
+
+
+def test_a_wrong_check_is_said_with_the_right_one() -> None:
+    one: DrawnLayout = next(d for d in map(drawn, SEEDS) if d.protocol.layout.check)
+    raw, _, _ = one_frame(Random(2), one.protocol)
+    part = one.protocol.layout.check.part  # type: ignore[union-attr]
+    at = len(raw) + part.offset
+    wrong = raw[:at] + bytes([raw[at] ^ 1]) + raw[at + 1 :]
+    judgement = judge(one.protocol, wrong)
+    assert judgement.outcome is Outcome.BAD_CHECKSUM
+    assert part.raw(raw).hex(" ") in judgement.reason
