@@ -286,7 +286,13 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
         part.constant if part.constant is not None else _built(spec.name, part, given)
         for part in spec.fields
     )
-    parts = {part.name: _built_part(spec.name, part, given) for part in _free_parts(protocol)}
+    counted, needed = spec.data.counted, spec.data.measure(data)
+    if counted and counted.how == "expression" and needed != len(data):
+        raise ValueError(
+            f"{spec.name}.{spec.fields[-1].name} makes {_bytes(len(data))}, the fields before it "
+            f"ask for {_bytes(needed or 0)}"
+        )
+    parts = {part.name: _built_part(spec.name, part, given) for part in free_parts(protocol)}
     if given:
         takes = (
             ", ".join([*parts, *(part.name for part in spec.fields if part.name)]) or "no fields"
@@ -297,7 +303,7 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
     return protocol.layout.build({**parts, "id": spec.id}, data)
 
 
-def _free_parts(protocol: Protocol) -> Iterator[Part]:
+def free_parts(protocol: Protocol) -> Iterator[Part]:
     """The parts of a frame that whoever builds it chooses: the address, and other numbers."""
     return (part for part in protocol.layout.parts if part.role in ("address", "other"))
 

@@ -152,6 +152,15 @@ class FieldSpec:
         return f"{self.low} to {self.high}"
 
     @property
+    def allowed_in_short(self) -> str:
+        """The range as one word: `0..7`, `off|on`, `HEX` for bytes, `N,N` for several numbers."""
+        if self.many:
+            return "N,N" if self.many.element else "HEX"
+        if self.names:
+            return "|".join(name for name, _ in self.names)
+        return f"{self.low}..{self.high}"
+
+    @property
     def _mask(self) -> int:
         mask = 0
         for _, flag in self.flags:

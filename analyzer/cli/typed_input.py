@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from typing import Any
 
-from bilprov.spec.codec import build
+from bilprov.spec.codec import build, free_parts
+from bilprov.spec.data import FieldSpec
+from bilprov.spec.layout import Part
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 PAUSE = "pause="
@@ -52,8 +55,9 @@ def bytes_or_pause(protocol: Protocol, item: str, others: Iterable[str] = ()) ->
 def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:
     """Encode an instruction as its frame.
 
-    `words` are `field=value`, or bare values for the fields in order. Values are decimal, 0x hex
-    or 0b binary. Raises ValueError, in one sentence, for anything that is not allowed.
+    `words` are `field=value`, or bare values for the fields in order; `address=value` for the
+    address of the frame. Numbers are decimal, 0x hex or 0b binary, several have commas between
+    them; bytes are hex. Raises ValueError, in one sentence, for anything that is not allowed.
     """
     spec = next((s for s in protocol.instructions if s.name.lower() == name.lower()), None)
     if spec is None:
@@ -61,46 +65,71 @@ def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:
         raise ValueError(
             f"there is no instruction {name!r}{meant(name, names)}; there are {', '.join(names)}"
         )
-    return build(protocol, spec.name, _fields(spec, words))
+    return build(protocol, spec.name, _values(protocol, spec, words))
 
 
-def _fields(spec: InstructionSpec, words: Sequence[str]) -> dict[str, int]:
-    fields: dict[str, int] = {}
+def _values(protocol: Protocol, spec: InstructionSpec, words: Sequence[str]) -> dict[str, Any]:
+    """The values of the fields and of the other parts of a frame, each as it was typed."""
+    fields = [part for part in spec.fields if part.constant is None]
+    parts = {part.name.lower(): part for part in free_parts(protocol)}
+    takes = _takes(protocol, spec) or _NOTHING
     bare = [word for word in words if "=" not in word]
-    if len(bare) > len(spec.fields):
-        raise ValueError(
-            f"{spec.name} takes {fields_in_words(spec) or _NOTHING}; got {' '.join(words)}"
-        )
+    if len(bare) > len(fields):
+        raise ValueError(f"{spec.name} takes {takes}; got {' '.join(words)}")
+    values: dict[str, Any] = {}
     for name, word in [
-        *((part.name, word) for part, word in zip(spec.fields, bare, strict=False)),
+        *((part.name, word) for part, word in zip(fields, bare, strict=False)),
         *((word.split("=", 1)[0], word.split("=", 1)[1]) for word in words if "=" in word),
     ]:
-        part = next((p for p in spec.fields if p.name.lower() == name.lower()), None)
-        if part is None:
-            known = [p.name for p in spec.fields]
+        part = next((p for p in fields if p.name.lower() == name.lower()), None)
+        other = parts.get(name.lower())
+        owner = part or other
+        if owner is None:
+            known = [*(p.name for p in fields), *(p.name for p in parts.values())]
             raise ValueError(
-                f"{spec.name} has no field {name!r}{meant(name, known)}; "
-                f"it takes {fields_in_words(spec) or _NOTHING}"
+                f"{spec.name} has no field {name!r}{meant(name, known)}; it takes {takes}"
             )
-        if part.name in fields:
-            raise ValueError(f"{spec.name}.{part.name} is given twice")
-        fields[part.name] = _number(f"{spec.name}.{part.name}", word, part.low, part.high)
-    return fields
+        where = f"{spec.name}.{owner.name}"
+        if owner.name in values:
+            raise ValueError(f"{where} is given twice")
+        values[owner.name] = _value(where, part, word) if part else _number(where, word, owner)
+    return values
 
 
-def _number(name: str, word: str, low: int, high: int) -> int:
+def _value(name: str, part: FieldSpec, word: str) -> Any:
+    """The value of a field: a number, a name, bytes in hex, or numbers with commas between."""
+    if part.many is None:
+        named = next((number for known, number in part.names if known == word), None)
+        return _number(name, word, part) if named is None else named
+    if part.many.element is None:
+        try:
+            return bytes.fromhex(word)
+        except ValueError:
+            raise ValueError(f"{name} is {word!r}, allowed are bytes in hex, like 01ff") from None
+    return [_number(name, one, part) for one in word.split(",")] if word else []
+
+
+def _number(name: str, word: str, part: FieldSpec | Part) -> int:
     for base in (0, 10):  # base 0 refuses leading zeros
         try:
             return int(word, base)
         except ValueError:
             continue
-    raise ValueError(f"{name} is {word!r}, which is not a number; allowed are {low} to {high}")
+    allowed = part.allowed if isinstance(part, FieldSpec) else f"{part.low} to {part.high}"
+    raise ValueError(f"{name} is {word!r}, which is not a number; allowed are {allowed}")
+
+
+def _takes(protocol: Protocol, spec: InstructionSpec) -> str:
+    """What an instruction takes, in words: its fields, then the parts of a frame besides."""
+    parts = [f"{part.name}={part.low}..{part.high}" for part in free_parts(protocol)]
+    return " ".join([*filter(None, [fields_in_words(spec)]), *parts])
 
 
 def fields_in_words(spec: InstructionSpec) -> str:
-    """The fields of an instruction with their ranges, like `rgb=0..7`."""
-    parts = [f"{part.name}={part.low}..{part.high}" for part in spec.fields]
-    return " ".join(parts)
+    """The fields of an instruction with what they allow, like `rgb=0..7` and `values=HEX`."""
+    return " ".join(
+        f"{part.name}={part.allowed_in_short}" for part in spec.fields if part.constant is None
+    )
 
 
 def meant(word: str, names: Iterable[str]) -> str:
