@@ -10,8 +10,10 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from bilprov.analyzer.output.console import facts, heading, table
+from bilprov.analyzer.output.layouts import data_in_words, drawn_layouts, layout_json, layouts_of
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.spec.codec import judge, spaced
+from bilprov.spec.data import DataSpec
 from bilprov.spec.errata import Finding
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Effect
@@ -24,6 +26,9 @@ def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
     yield heading(f"{protocol.name} {protocol.version}")
     yield Text(protocol.document, style="dim")
     yield Text(f"grammar {protocol.origin}, sha256 {protocol.sha256}", style="dim")
+    if not protocol.plain:
+        yield from _drawn_framed(protocol)
+        return
     yield from _titled(f"Header, one byte ({protocol.clauses.header})")
     yield table(
         ("bits", "name", "meaning"),
@@ -43,13 +48,41 @@ def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
     yield from _titled("Effects on the motion state")
     yield table(("after", "becomes"), _effect_rows(protocol))
     yield from _titled(f"Responses, one byte ({protocol.clauses.responses})")
+    yield _responses(protocol)
+    yield from _titled("Defaults where the document is silent")
+    yield facts(_defaults(protocol))
+
+
+def _drawn_framed(protocol: Protocol) -> Iterator[RenderableType]:
+    """Yield the tables of a protocol whose frames have a layout of their own."""
+    yield from drawn_layouts(protocol)
+    yield from _titled(f"Instructions ({protocol.clauses.instructions})")
     yield table(
+        ("id", "name", "document", "data", "answer", "meaning"),
+        [_framed_row(spec) for spec in protocol.instructions],
+    )
+    if any(spec.effect.assignments for spec in protocol.instructions):
+        yield from _titled("Effects on the state")
+        yield table(("after", "becomes"), _effect_rows(protocol))
+    if protocol.responses:
+        yield from _titled(f"Responses ({protocol.clauses.responses})")
+        yield _responses(protocol)
+    yield from _titled("Defaults where the document is silent")
+    yield facts(_defaults(protocol))
+
+
+def _framed_row(spec: InstructionSpec) -> tuple[str, ...]:
+    answer = "none" if spec.answer is None else data_in_words(spec.answer)
+    id_and_name = f"{spec.id:02x}", spec.name, spec.document
+    return *id_and_name, data_in_words(spec.data), answer, spec.prose
+
+
+def _responses(protocol: Protocol) -> RenderableType:
+    return table(
         ("code", "name", "document", "meaning"),
         [(str(r.code), r.name, r.document, r.prose) for r in protocol.responses],
         right="code",
     )
-    yield from _titled("Defaults where the document is silent")
-    yield facts(_defaults(protocol))
 
 
 def _titled(text: str) -> Iterator[RenderableType]:
@@ -116,10 +149,7 @@ def protocol_json(protocol: Protocol) -> dict[str, Any]:
         "version": protocol.version,
         "document": protocol.document,
         "grammar": {"origin": protocol.origin, "sha256": protocol.sha256},
-        "header": [
-            {"name": name, "bits": width, "meaning": prose}
-            for name, width, prose in protocol.header_bits
-        ],
+        **_frames_json(protocol),
         "instructions": [_instruction_json(protocol, spec) for spec in protocol.instructions],
         "unused_ids": list(protocol.unused_ids),
         "responses": [_response_json(response) for response in protocol.responses],
@@ -131,8 +161,26 @@ def protocol_json(protocol: Protocol) -> dict[str, Any]:
     }
 
 
+def _frames_json(protocol: Protocol) -> dict[str, Any]:
+    """How frames are laid out: the parts of the header byte, or of each layout."""
+    if protocol.plain:
+        parts = protocol.header_bits
+        return {"header": [{"name": name, "bits": n, "meaning": prose} for name, n, prose in parts]}
+    return {"layouts": {name: layout_json(layout) for name, layout in layouts_of(protocol).items()}}
+
+
 def _instruction_json(protocol: Protocol, spec: InstructionSpec) -> dict[str, Any]:
     shown = ("name", "prose", "offset", "size", "low", "high", "bits")
+    if not protocol.plain:
+        return {
+            "id": spec.id,
+            "name": spec.name,
+            "document": spec.document,
+            "prose": spec.prose,
+            "fields": _fields_json(spec.data),
+            "answer": None if spec.answer is None else _fields_json(spec.answer),
+            "effect": _effect_json(spec.effect),
+        }
     return {
         "id": spec.id,
         "name": spec.name,
@@ -143,6 +191,19 @@ def _instruction_json(protocol: Protocol, spec: InstructionSpec) -> dict[str, An
         "fields": [{name: getattr(field, name) for name in shown} for field in spec.fields],
         "effect": _effect_json(spec.effect),
     }
+
+
+def _fields_json(data: DataSpec) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": part.name,
+            "prose": part.prose,
+            "offset": part.offset,
+            "size": None if part is data.fields[-1] and data.counted else part.size,
+            "allowed": part.constant.hex() if part.constant else part.allowed_in_short,
+        }
+        for part in data.fields
+    ]
 
 
 def _effect_json(effect: Effect) -> dict[str, Any]:

@@ -96,7 +96,7 @@ RESPONSE = Answers(
 )
 
 SYNC = "sync" / Const(b"\xff\xff") * "Header"
-ADDRESS = "address" / Address(Byte, 0, 253, broadcast=254) * "which servo; 254 is every servo"
+ADDRESS = "address" / Address(Byte, 0, 253, broadcast=254) * "which servo"
 LENGTH = "length" / Length(Byte, also=2) * "of what follows it"
 SAME = "address" / Same("address", Byte)
 CHECK = "sum" / Checksum(Byte, Sum(8, complement=True), this.covered.data)

@@ -163,7 +163,7 @@ RESPONSE = Answers(
     },
 )
 
-ADDRESS = "address" / Address(Byte, 1, 247, broadcast=0) * "which device; 0 is every device"
+ADDRESS = "address" / Address(Byte, 1, 247, broadcast=0) * "which device"
 ANSWERED = "address" / Same("address", Byte)
 CRC = "crc" / Checksum(Int16ul, Crc(16, 0x8005, 0xFFFF, reflected=True), this.covered.data)
 FRAME = Struct(
