@@ -211,6 +211,11 @@ KINDS: dict[str, Write] = {
         grammar_name="(" * 60_000,
         skew_ms="1e999",
     ),
+    "a grammar that is a bomb": _own(
+        lambda: [Chunk(0, "host", bytes(9))],
+        grammar_text=f"NAME = {'(' * 30_000}{')' * 30_000}",
+        grammar_sha256="",
+    ),
 }
 
 COMMANDS: dict[str, Callable[[str], list[str]]] = {
