@@ -144,7 +144,7 @@ def test_what_is_sniffed_and_what_is_recorded_of_a_run_carry_it(
     file: Path, relay: Protocol
 ) -> None:
     listened = given(
-        ("sniff", "sim", "-w", "s.mcap", "--format", "lines", "--duration", "1"), file,
+        ("sniff", "sim", "-w", "s.mcap", "--format", "lines", "--count", "4"), file,
         "--grammar", "relay.py",
     )  # fmt: skip
     tested = given(
