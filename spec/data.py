@@ -93,7 +93,8 @@ class FieldSpec:
     it, and `code` the name of the answer that it gets, "" for that of any bad data. `names` are
     named values (no other is in the range), `flags` named masks. A field with `constant` bytes has
     no value of its own. `many` is set for a field of bytes or of several numbers; `size` then
-    counts the bytes that it has in any case. `parse` and `build` convert between bytes and value.
+    counts the bytes that it has in any case. `parse` and `build` convert between bytes and value;
+    `number` is how a single number is written.
     """
 
     name: str
@@ -111,6 +112,7 @@ class FieldSpec:
     flags: tuple[tuple[str, int], ...] = ()
     constant: bytes | None = None
     many: Many | None = None
+    number: Number | None = None
 
     def in_range(self, value: Value) -> bool:
         """Whether a value is in the range; that of several numbers is the range of each."""
@@ -328,6 +330,7 @@ def _number_field(name: str, member: Construct, body: Construct, offset: int) ->
         code=ranged.code if ranged else "",
         names=names,
         flags=flags,
+        number=number,
     )
 
 

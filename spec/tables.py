@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import VARIABLES, Motion, is_moving
+from bilprov.spec.number_arrays import WIDEST, number_values
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.steps import Steps, data_decide
 
@@ -68,7 +69,7 @@ class FrameTables:
         ends = [end for both in protocol.bounds.values() for end in both]
         self._number = np.result_type(np.int16, *(np.min_scalar_type(-abs(v) - 1) for v in ends))
         sizes = [part.size for spec in protocol.instructions for part in spec.fields]
-        if self._number.kind != "i" or max(sizes, default=0) > _WIDEST:
+        if self._number.kind != "i" or max(sizes, default=0) > WIDEST:
             raise OverflowError("a state variable or a field does not fit into 64 bits")
         self._sets = np.zeros(1 << 16, np.uint8)  # one bit for each variable
         self._values = {variable: np.zeros(1 << 16, self._type(variable)) for variable in VARIABLES}
@@ -224,7 +225,6 @@ _DRIVES = np.array([is_moving(motion, 1) for motion in MOTIONS])
 _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
 _DOUBLINGS = 5
 _TAIL = 256  # frames in which each variable is mostly set
-_WIDEST = 7  # bytes of a field whose values, signed or not, all fit into 64 bits
 VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
 
 
@@ -235,6 +235,8 @@ def field_values(
     at = offset + 1 + part.offset
     if part.size == 1:
         return np.take(_byte_values(part.parse), data.take(at))
+    if part.number and part.size <= WIDEST:
+        return number_values(part.number, data, at)
     raw = data.take(at[:, None] + np.arange(part.size)).view(f"V{part.size}").ravel()
     distinct, place = np.unique(raw, return_inverse=True)
     values = [part.parse(one.tobytes()) for one in distinct]
