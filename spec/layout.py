@@ -376,6 +376,7 @@ class _Reader:
             if type(bits) is not BitsInteger or bits.signed or bits.swapped:
                 raise LayoutError(f"{name} must be written BitsInteger(width)")
             require_name(f"the name of a part of {self._what}", part.name)
+            require_text(f"the prose of {name}", prose_of(part))
             require_whole(f"the width of {name}", bits.length, 1, 64)
             total += bits.length
         if total % 8 or not total:
