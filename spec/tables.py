@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import VARIABLES, Motion, is_moving
-from bilprov.spec.number_arrays import WIDEST, number_values
+from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.steps import Steps, data_decide
 
@@ -225,6 +225,7 @@ _DRIVES = np.array([is_moving(motion, 1) for motion in MOTIONS])
 _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
 _DOUBLINGS = 5
 _TAIL = 256  # frames in which each variable is mostly set
+WIDEST = 7  # bytes of a field whose values, signed or not, all fit into 64 bits
 VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
 
 
@@ -241,6 +242,21 @@ def field_values(
     distinct, place = np.unique(raw, return_inverse=True)
     values = [part.parse(one.tobytes()) for one in distinct]
     return np.take(np.array(values) if values else np.zeros(0, np.int64), place)
+
+
+def number_values(
+    number: Number, data: NDArray[np.uint8], at: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The numbers whose first bytes are at these places of `data`; of at most WIDEST bytes."""
+    places = range(number.size) if number.order == "big" else reversed(range(number.size))
+    value = np.zeros(len(at), np.int64)
+    for place in places:
+        value <<= 8
+        value |= data.take(at + place)
+    if number.signed:
+        half = np.int64(1 << 8 * number.size - 1)
+        value = (value ^ half) - half
+    return value
 
 
 @lru_cache(maxsize=256)

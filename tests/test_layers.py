@@ -28,6 +28,7 @@ ROOMS = (
     ("spec",),
     ("spec.grammars",),
     ("spec.emit",),
+    ("spec.arrays",),
     ("captures",),  # closing, errors, schemas, text, topics: values
     ("captures.storage",),
     (
@@ -86,11 +87,14 @@ HOMES = {
     "mcap": ("captures/",),
     "numpy": (
         "spec/tables.py",
+        "spec/arrays/",
         "captures/events.py",
         "captures/recorded.py",
         "captures/storage/",
         "analyzer/decode/batch.py",
         "analyzer/decode/regular.py",
+        "analyzer/decode/framed.py",
+        "analyzer/decode/framed_batch.py",
         "analyzer/totals/",
         "analyzer/filters/columns.py",
         "analyzer/filters/masks.py",

@@ -8,10 +8,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.check_arrays import Checking
+from bilprov.spec.arrays.checks import Checking
 from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
-from bilprov.spec.number_arrays import WIDEST, number_values
 from bilprov.spec.numbers import Number
+from bilprov.spec.tables import WIDEST, number_values
 
 NUMBERS = st.builds(
     Number, st.integers(1, WIDEST), st.sampled_from(["big", "little"]), signed=st.booleans()
