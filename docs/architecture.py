@@ -62,6 +62,7 @@ PLACES = {
     "analyzer.output": Place(2, 0.65, 0.18),
     "analyzer.html": Place(2, 0.88, 0.12),
     "analyzer.client": Place(3, 0, 0.19),
+    "analyzer.simulated": Place(3, 0.25, 0.16),
     "analyzer.filters": Place(3, 0.7, 0.15),
     "analyzer.transport": Place(4, 0.27, 0.17),
     "analyzer.monitor": Place(4, 0.5, 0.15),

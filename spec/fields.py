@@ -39,6 +39,7 @@ __all__ = [
     "Instruction",
     "Length",
     "LineDefaults",
+    "Memory",
     "Outcome",
     "Ranged",
     "Same",
@@ -141,6 +142,42 @@ class Sets:
                 f"it has {', '.join(VARIABLES)}"
             )
         self.values = values
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """Cells of a device's memory `name`, so that what was written is read back.
+
+    A request with the fields `at` and `value` writes them; one with `at`, whose answer has `value`,
+    reads them. `at` is the first cell, times `factor`; with `latest` it is that of the latest
+    request that had it. `value` holds the cells: a number is one, bytes and several numbers are one
+    each. `count` is the field of the request that tells how many are read. With `bits` a cell is
+    one bit, eight to a byte and the first in bit 0. Each value of the field `of` has cells of its
+    own. `by` names the instructions that use them, where others have these fields too; `only` is
+    "reads" or "writes" where they do not do both.
+    """
+
+    name: str
+    at: str
+    value: str
+    count: str = ""
+    factor: int = 1
+    bits: bool = False
+    of: str = ""
+    latest: bool = False
+    by: tuple[str, ...] = ()
+    only: str = ""
+
+    def __post_init__(self) -> None:
+        require_text("the name of a Memory", self.name)
+        for name in (self.at, self.value, *filter(None, (self.count, self.of))):
+            require_name("a field of a Memory", name)
+        require_whole("the factor of a Memory", self.factor, 1)
+        require_kind("the bits of a Memory", self.bits, bool)
+        require_kind("the latest of a Memory", self.latest, bool)
+        require_kind("the instructions of a Memory", self.by, tuple)
+        if self.only not in ("", "reads", "writes"):
+            raise WrongValue(f"a Memory is only {shown(self.only)}, allowed are reads and writes")
 
 
 NO_DATA = Struct()

@@ -12,7 +12,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,6 +27,7 @@ from bilprov.spec.fields import (
     From,
     Instruction,
     LineDefaults,
+    Memory,
     Outcome,
     Sets,
     Timing,
@@ -54,7 +55,8 @@ class GrammarError(UserError):
 class InstructionSpec:
     """One instruction: its ID, names, prose, data, effect, and the data of its answer.
 
-    `answer` is None where it is not answered at all.
+    `answer` is None where it is not answered at all. `writes` and `reads` are the memory that it
+    writes, and that its answer tells.
     """
 
     id: int
@@ -64,11 +66,18 @@ class InstructionSpec:
     data: DataSpec
     effect: Effect
     answer: DataSpec | None
+    writes: Memory | None = None
+    reads: Memory | None = None
 
     @property
     def fields(self) -> tuple[FieldSpec, ...]:
         """The fields of its data."""
         return self.data.fields
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The names of its fields."""
+        return frozenset(part.name for part in self.data.fields)
 
     @property
     def length(self) -> int:
@@ -410,6 +419,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     reply, acknowledgement, errors, flags = _replies(space)
     instructions = tuple(_instruction(i, declared[i], layout, reply) for i in sorted(declared))
     _require_each_name_once("two instructions are named", (spec.name for spec in instructions))
+    instructions = _with_memory(instructions, space.get("MEMORY", ()))
     responses = _responses(space)
     _require_each_outcome(space, layout, instructions, responses)
     framed = "REPLY" in space
@@ -591,6 +601,50 @@ def _instruction(
         effect=_effect(body.effect, tuple(spec.name for spec in data.fields)),
         answer=_answer(name, body.answer, reply),
     )
+
+
+def _with_memory(
+    instructions: tuple[InstructionSpec, ...], declared: Any
+) -> tuple[InstructionSpec, ...]:
+    """The instructions with the memory that each writes and reads."""
+    if not isinstance(declared, tuple) or not all(isinstance(one, Memory) for one in declared):
+        raise GrammarError(f"MEMORY is {shown(declared)}, it must be a tuple of Memory")
+    for memory in declared:
+        if not any(_writes(spec, memory) or _reads(spec, memory) for spec in instructions):
+            raise GrammarError(
+                f"MEMORY has {memory.name} at {memory.at}, and no instruction writes or reads "
+                f"{memory.value} there"
+            )
+    return tuple(
+        replace(
+            spec,
+            writes=next((one for one in declared if _writes(spec, one)), None),
+            reads=next((one for one in declared if _reads(spec, one)), None),
+        )
+        for spec in instructions
+    )
+
+
+def _writes(spec: InstructionSpec, memory: Memory) -> bool:
+    """Whether an instruction writes a memory."""
+    return _addresses(spec, memory, "writes") and memory.value in spec.names
+
+
+def _reads(spec: InstructionSpec, memory: Memory) -> bool:
+    """Whether the answer to an instruction tells a memory, and not what was just asked."""
+    if spec.answer is None or memory.value not in {part.name for part in spec.answer.fields}:
+        return False
+    counted = not memory.count or memory.count in spec.names
+    told = memory.only == "reads" or memory.value not in spec.names
+    return _addresses(spec, memory, "reads") and counted and told
+
+
+def _addresses(spec: InstructionSpec, memory: Memory, how: str) -> bool:
+    """Whether an instruction may use a memory in this way, and tells the place."""
+    named = not memory.by or spec.name in memory.by
+    placed = memory.latest or memory.at in spec.names
+    of = not memory.of or memory.of in spec.names
+    return memory.only in ("", how) and named and placed and of
 
 
 def _answer(name: str, declared: Construct | None, reply: Layout) -> DataSpec | None:

@@ -24,7 +24,7 @@ WORDS = {
     },
     "bilprov.spec.fields": {
         *("Answer", "Answers", "Clauses", "From", "Instruction", "LineDefaults", "Outcome"),
-        *("Ranged", "Sets", "Timing"),
+        *("Memory", "Ranged", "Sets", "Timing"),
         *("Address", "Crc", "Data", "Length", "Same", "Sum", "Xor", "asked"),
     },
     "bilprov.spec.motion": {"Motion"},

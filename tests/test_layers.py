@@ -43,6 +43,7 @@ ROOMS = (
     ("analyzer",),  # files, foreign, grammar_file, version
     ("analyzer.html",),
     ("analyzer.transport",),
+    ("analyzer.simulated",),
     ("analyzer.taps",),
     ("analyzer.decode",),
     ("analyzer.totals",),

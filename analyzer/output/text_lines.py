@@ -80,12 +80,15 @@ class LineRenderer:
 
     def _device_line(self, record: DeviceRecord) -> str:
         severity = severity_of(record) if record.faults else None
-        text = self._device(record.byte, record.words, severity)
+        if record.reply:
+            text = self._device_text(record.hex, record.words, severity)
+        else:
+            text = self._device(f"{record.byte:02x}", record.words, severity)
         latency = "" if record.latency is None else f" {record.latency / 1e6:8.3f} ms"
         return f"{text}{latency}{self._why(record.reason, severity)}".rstrip()
 
-    def _device_text(self, byte: int, name: str, severity: Severity | None) -> str:
-        body = f"{bytes([byte]).hex():<{HEX_WIDTH}}  {name:<13}"
+    def _device_text(self, coded: str, name: str, severity: Severity | None) -> str:
+        body = f"{coded:<{HEX_WIDTH}}  {name:<13}"
         return f"{self._to_host} {self._paint(body, severity)}"
 
     def _fault_line(self, fault: Anomaly) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from random import Random
 
+from bilprov.analyzer.simulated.device import SimulatedDevice
+from bilprov.analyzer.simulated.requests import drawn_request, with_wrong_end
 from bilprov.analyzer.taps.sources import Events, Source
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.ports import wait_readable
@@ -42,6 +44,26 @@ def drive(protocol: Protocol, byte_time: int, seed: int = 1) -> Iterator[Chunk]:
         yield Chunk(t, "device", bytes([judgement.response.code]))
 
 
+def exchanges(protocol: Protocol, byte_time: int, seed: int = 1) -> Iterator[Chunk]:
+    """As `drive`, for a protocol whose header is not one byte."""
+    chance = Random(seed)
+    device = SimulatedDevice(protocol)
+    t = 0
+    while True:
+        t += chance.randint(*_PAUSES) * MS
+        frame = drawn_request(protocol, chance)
+        if chance.random() < _FAULTY:
+            frame = with_wrong_end(protocol, frame, chance)
+        yield Chunk(t, "host", frame)
+        t += len(frame) * byte_time
+        device.receive(frame, t)
+        answer = device.advance(t)
+        if answer:
+            t += chance.randint(*_LATENCIES) * 1_000
+            yield Chunk(t, "device", answer)
+            t += len(answer) * byte_time
+
+
 def _valid_frame(protocol: Protocol, chance: Random) -> bytes:
     spec = chance.choice(protocol.instructions)
     data = b"".join(part.build(chance.randint(part.low, part.high)) for part in spec.fields)
@@ -66,7 +88,8 @@ class SimulatedDrive(Source):
     def __init__(self, protocol: Protocol, settings: LineSettings) -> None:
         super().__init__({})
         self.names = {"simulated": "drive"}
-        self._chunks = drive(protocol, settings.byte_time)
+        made = drive if protocol.plain else exchanges
+        self._chunks = made(protocol, settings.byte_time)
         self._next = next(self._chunks)
 
     @property

@@ -138,6 +138,7 @@ def send(options: SendOptions) -> int:
 @contextmanager
 def _simulator(protocol: Protocol) -> Iterator[tuple[str, str]]:
     """Serve the reference device in a thread; gives the names of its port and of its probe."""
+    from bilprov.analyzer.simulated.device import SimulatedDevice
     from bilprov.analyzer.transport.server import serve
     from bilprov.conformance.dut.simulator import Simulator
 
@@ -146,7 +147,7 @@ def _simulator(protocol: Protocol) -> Iterator[tuple[str, str]]:
     with closing(Stopper()) as stop, ThreadPoolExecutor(max_workers=1) as pool:
         served = pool.submit(
             serve,
-            Simulator(protocol),
+            Simulator(protocol) if protocol.plain else SimulatedDevice(protocol),
             pty=True,
             listen=None,
             probe_listen="127.0.0.1:0",

@@ -13,6 +13,7 @@ import click
 
 from bilprov.analyzer.cli.command import command, flag, option, protocol_in_use
 from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
@@ -59,6 +60,10 @@ def simulate(options: SimulateOptions) -> int:
     line for each thing it serves: the pty's path, socket://HOST:PORT, and probe tcp:HOST:PORT,
     which are what sniff, replay, conform and --probe take.
 
+    With the --grammar of another protocol it is a device of that: one at each address, which
+    answers what is due, and from which what was written is read back. Its probe is a line of JSON
+    with the state at each address.
+
     With --firmware it is a board's: the ELF file for an Arduino Uno (ATmega328P, 16 MHz), run under
     simavr. It runs as fast as the wall clock, and bytes take as long as on a wire of the grammar's
     baud. The probe reports what the pins show. For conform alone, emulator:simavr:FILE.elf is
@@ -74,6 +79,8 @@ def simulate(options: SimulateOptions) -> int:
     Exit code: 0 after Ctrl-C or SIGTERM.
     """
     protocol, firmware = protocol_in_use(), options.firmware
+    if not protocol.plain:
+        _require_no_faults(protocol, options)
     if options.list_faults or options.list_variants:
         from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
 
@@ -86,9 +93,7 @@ def simulate(options: SimulateOptions) -> int:
         )
     with ExitStack() as stack:
         board = None if firmware is None else stack.enter_context(_board(protocol, firmware))
-        device = board or Simulator(
-            protocol, named_device(protocol, options.fault, options.variant)
-        )
+        device = board or _simulated(protocol, options)
         stopper = stack.enter_context(Stopper())
         power_on = time.monotonic_ns()
         try:
@@ -105,6 +110,30 @@ def simulate(options: SimulateOptions) -> int:
         except ValueError as error:
             raise click.UsageError(str(error)) from error
     return 2 if board and board.crashed else 0
+
+
+def _require_no_faults(protocol: Protocol, options: SimulateOptions) -> None:
+    """Refuse the options of the robot car for the device of another grammar."""
+    given = {
+        "--firmware": options.firmware,
+        "--fault": options.fault,
+        "--variant": options.variant,
+        "--list-faults": options.list_faults,
+        "--list-variants": options.list_variants,
+    }
+    refused = [name for name, value in given.items() if value]
+    if refused:
+        raise click.UsageError(
+            f"{refused[0]} is for the robot car and its family; the simulator of {protocol.name} "
+            "only conforms"
+        )
+
+
+def _simulated(protocol: Protocol, options: SimulateOptions) -> Simulator | SimulatedDevice:
+    """The simulator of a grammar; that of the car's family can misbehave."""
+    if not protocol.plain:
+        return SimulatedDevice(protocol)
+    return Simulator(protocol, named_device(protocol, options.fault, options.variant))
 
 
 @contextmanager

@@ -26,6 +26,7 @@ from bilprov.spec.fields import (
     Instruction,
     Length,
     LineDefaults,
+    Memory,
     Outcome,
     Same,
     Sum,
@@ -75,6 +76,7 @@ INSTRUCTIONS = {
     * "Writes the same registers of several servos, which may move.",
 }
 
+MEMORY = (Memory("registers", at="register", value="values", count="size", by=("Read", "Write")),)
 RESPONSE = Answers(
     Byte,
     {

@@ -29,6 +29,7 @@ from bilprov.spec.fields import (
     Data,
     Instruction,
     LineDefaults,
+    Memory,
     Outcome,
     Ranged,
     Same,
@@ -47,7 +48,7 @@ REGISTER = "register" / Int16ub * "address of the register, from 0"
 BITS_ASKED = "quantity" / Ranged(Int16ub, 1, 2000) * "how many"
 WORDS_ASKED = "quantity" / Ranged(Int16ub, 1, 125) * "how many"
 BITS_SENT = "quantity" / Ranged(Int16ub, 1, 1968) * "how many"
-WORDS_SENT = "quantity" / Ranged(Int16ub, 1, 123) * "how many"
+SENT = "quantity" / Ranged(Int16ub, 1, 123) * "how many"
 COILS = "coils" / Prefixed(Byte, GreedyBytes) * "eight to a byte, the first in bit 0"
 INPUTS = "inputs" / Prefixed(Byte, GreedyBytes) * "eight to a byte, the first in bit 0"
 VALUES = "values" / Prefixed(Byte, GreedyRange(Int16ub)) * "one for each register"
@@ -57,6 +58,8 @@ TEST = "function" / Int16ub * "which test: 0 returns the word, 1 restarts, 4 mak
 WORD = "word" / Int16ub * "the data of the test"
 AND_MASK = "and_mask" / Int16ub * "the bits that are kept"
 OR_MASK = "or_mask" / Int16ub * "what the other bits become"
+WORDS = "registers"
+SWITCHED = Struct(COIL, SWITCH)
 SINGLE = Struct(REGISTER, VALUE)
 MANY = Struct(START, "quantity" / Int16ub * "how many were written")
 
@@ -74,20 +77,15 @@ INSTRUCTIONS = {
     / Instruction(START, WORDS_ASKED, document="6.4 Read Input Registers", answer=Struct(VALUES))
     * "Reads 1 to 125 input registers.",
     0x05: "WriteSingleCoil"
-    / Instruction(
-        COIL, SWITCH, document="6.5 Write Single Coil", answer=Struct(COIL, SWITCH), changes="coils"
-    )
+    / Instruction(COIL, SWITCH, document="6.5 Write Single Coil", answer=SWITCHED, changes="coils")
     * "Switches one coil on or off.",
     0x06: "WriteSingleRegister"
     / Instruction(
-        REGISTER, VALUE, document="6.6 Write Single Register", answer=SINGLE, changes="registers"
+        REGISTER, VALUE, document="6.6 Write Single Register", answer=SINGLE, changes=WORDS
     )
     * "Writes one holding register.",
     0x07: "ReadExceptionStatus"
-    / Instruction(
-        document="6.7 Read Exception Status",
-        answer=Struct("status" / Byte * "eight outputs of the device's own choice"),
-    )
+    / Instruction(document="6.7 Read Exception Status", answer=Struct("status" / Byte * "outputs"))
     * "Reads eight outputs that the device chose.",
     0x08: "Diagnostics"
     / Instruction(
@@ -110,12 +108,7 @@ INSTRUCTIONS = {
     * "Writes 1 to 1968 coils.",
     0x10: "WriteMultipleRegisters"
     / Instruction(
-        START,
-        WORDS_SENT,
-        VALUES,
-        document="6.12 Write Multiple Registers",
-        answer=MANY,
-        changes="registers",
+        START, SENT, VALUES, document="6.12 Write Multiple Registers", answer=MANY, changes=WORDS
     )
     * "Writes 1 to 123 holding registers.",
     0x11: "ReportServerId"
@@ -131,7 +124,7 @@ INSTRUCTIONS = {
         OR_MASK,
         document="6.16 Mask Write Register",
         answer=Struct(REGISTER, AND_MASK, OR_MASK),
-        changes="registers",
+        changes=WORDS,
     )
     * "Sets and clears bits of a holding register.",
     0x17: "ReadWriteMultipleRegisters"
@@ -143,11 +136,20 @@ INSTRUCTIONS = {
         VALUES,
         document="6.17 Read/Write Multiple Registers",
         answer=Struct(VALUES),
-        changes="registers",
+        changes=WORDS,
     )
     * "Writes holding registers, then reads others.",
 }
 
+MEMORY = (
+    Memory("coils", at="coil", value="value", bits=True),
+    Memory("coils", at="start", value="coils", count="quantity", bits=True),
+    Memory("inputs", at="start", value="inputs", count="quantity", bits=True),
+    Memory("registers", at="register", value="value"),
+    Memory("registers", at="start", value="values", count="quantity"),
+    Memory("registers", at="read_start", value="values", count="read_quantity", only="reads"),
+    Memory("registers", at="write_start", value="values", count="write_quantity"),
+)
 RESPONSE = Answers(
     Byte,
     {

@@ -26,6 +26,7 @@ from bilprov.spec.fields import (
     Data,
     Instruction,
     LineDefaults,
+    Memory,
     Outcome,
     Ranged,
     Timing,
@@ -39,7 +40,7 @@ DEVICE = "bootloader"
 
 PARAMETER = "parameter" / Byte * "which one: 81 and 82 are the version"
 SIZE = "size" / Ranged(Int16ub, 1, 256) * "number of bytes"
-MEMORY = "memory" / Enum(Byte, flash=0x46, eeprom=0x45) * "which memory"
+KIND = "memory" / Enum(Byte, flash=0x46, eeprom=0x45) * "which memory"
 VALUE = "value" / Byte * "the byte"
 WORD = "word" / Int16ul * "the word"
 LOW = "low" / Byte * "low fuses"
@@ -121,7 +122,7 @@ INSTRUCTIONS = {
     / Instruction(VALUE, document="Program Data Memory", changes="EEPROM")
     * "Writes one byte of EEPROM.",
     0x64: "ProgPage"
-    / Instruction(SIZE, MEMORY, CONTENT, document="Program Page", changes="flash or EEPROM")
+    / Instruction(SIZE, KIND, CONTENT, document="Program Page", changes="flash or EEPROM")
     * "Writes a page of flash or EEPROM.",
     0x70: "ReadFlash"
     / Instruction(document="Read Flash Memory", answer=Struct(WORD))
@@ -136,7 +137,7 @@ INSTRUCTIONS = {
     / Instruction(document="Read Lock Bits", answer=Struct("lock" / Byte * "lock bits"))
     * "Reads the lock bits.",
     0x74: "ReadPage"
-    / Instruction(SIZE, MEMORY, document="Read Page", answer=PAGE)
+    / Instruction(SIZE, KIND, document="Read Page", answer=PAGE)
     * "Reads a page of flash or EEPROM.",
     0x75: "ReadSign"
     / Instruction(document="Read Signature Bytes", answer=SIGNATURE)
@@ -149,6 +150,10 @@ INSTRUCTIONS = {
     * "Reads the fuses, the extended ones too.",
 }
 
+# Pages of words of flash, or of bytes of EEPROM, at the address that was loaded.
+MEMORY = (
+    Memory("p", at="address", value="content", count="size", factor=2, of="memory", latest=True),
+)
 RESPONSE = Answers(
     Byte,
     {

@@ -1,0 +1,1 @@
+"""A simulated device of any grammar, and drawn requests to it."""

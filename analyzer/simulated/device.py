@@ -1,0 +1,134 @@
+"""A simulated device of any grammar: bytes and times in, answers out. No port, no clock.
+
+It conforms: it answers what is due, changes its state by the effects, and remembers what was
+written to it where the grammar declares a Memory. The robot car has a simulator of its own, which
+can misbehave.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import msgspec
+
+from bilprov.analyzer.simulated.memory import Cells
+from bilprov.captures.schemas import MS
+from bilprov.spec.codec import FRAMING_FAULTS, Judgement, judge
+from bilprov.spec.framing import Framed, framer
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import build_reply
+
+
+@dataclass
+class _Device:
+    """What the device at one address knows."""
+
+    state: Any
+    cells: Cells = field(default_factory=Cells)
+
+
+class SimulatedDevice:
+    """The devices at all addresses of a line, each of which conforms. Times are integers in ns.
+
+    Where frames have no address there is one device. `latency` (ns) is the time to each answer.
+    What is sent to all is done by every device, and answered by none.
+    """
+
+    lossless = True
+
+    def __init__(self, protocol: Protocol, latency: int = 0) -> None:
+        self.protocol = protocol
+        self._latency = latency
+        self.power_cycle(0)
+
+    def power_cycle(self, now: int) -> None:
+        """Switch the devices off and on: they forget everything."""
+        timeout = int(self.protocol.timing.truncation_timeout * MS)
+        self._framer = framer(self.protocol, timeout)
+        self._untold = _Device(self.protocol.power_on)  # a device that nobody has addressed yet
+        self._devices: dict[int | None, _Device] = {}
+        self._answers: deque[tuple[int, bytes]] = deque()
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Bytes from the host that arrive at `now`."""
+        self._take(self._framer.feed(data, now))
+
+    def advance(self, now: int) -> bytes:
+        """Let time pass until `now`; return the bytes that were sent until then."""
+        self._take(self._framer.advance(now))
+        due = bytearray()
+        while self._answers and self._answers[0][0] <= now:
+            due += self._answers.popleft()[1]
+        return bytes(due)
+
+    def deadline(self) -> int | None:
+        """When (ns) a device next acts by itself, None if they only wait for bytes."""
+        times = [self._framer.deadline, self._answers[0][0] if self._answers else None]
+        return min((at for at in times if at is not None), default=None)
+
+    def probe(self, now: int) -> bytes:
+        """The state of each addressed device at `now` as a line of JSON without newline."""
+        states = {str(address): one.state for address, one in self._devices.items()}
+        return msgspec.json.encode(states)
+
+    def state(self, address: int | None = None) -> Any:
+        """The state of the device at an address; None where frames have no address."""
+        return self._devices.get(address, self._untold).state
+
+    def _take(self, records: Iterable[Framed]) -> None:
+        for record in records:
+            if record.kind != "garbage":
+                self._handle(judge(self.protocol, record.data), record.known)
+
+    def _handle(self, judgement: Judgement, known: int) -> None:
+        if judgement.outcome in FRAMING_FAULTS:  # whom such a frame is for is not known
+            self._answer(judgement, {}, known)
+            return
+        for device in self._meant(judgement):
+            self._do(device, judgement)
+        values = self._told(judgement) if judgement.valid and judgement.answer_due else {}
+        self._answer(judgement, values, known)
+
+    def _answer(self, judgement: Judgement, values: dict[str, Any], known: int) -> None:
+        answer = build_reply(self.protocol, judgement, values)
+        if answer:
+            self._answers.append((known + self._latency, answer))
+
+    def _meant(self, judgement: Judgement) -> list[_Device]:
+        """The devices that a frame is for; those that do not know of themselves yet are one."""
+        part = self.protocol.layout.part("address")
+        address = judgement.address
+        if part is not None and address == part.broadcast:
+            return [self._untold, *self._devices.values()]
+        if part is not None and address is not None and not part.low <= address <= part.high:
+            return []
+        return [self._device(address)]
+
+    def _device(self, address: int | None) -> _Device:
+        if address not in self._devices:
+            self._devices[address] = replace(self._untold, cells=self._untold.cells.copy())
+        return self._devices[address]
+
+    def _do(self, device: _Device, judgement: Judgement) -> None:
+        """Change a device as a frame asks."""
+        spec = judgement.instruction
+        if not judgement.valid or spec is None:
+            device.state = self.protocol.on_fault.apply(device.state)
+            return
+        fields = dict(judgement.fields)
+        device.state = spec.effect.apply(device.state, fields)
+        device.cells.note(fields)
+        if spec.writes:
+            device.cells.write(spec.writes, fields)
+
+    def _told(self, judgement: Judgement) -> dict[str, Any]:
+        """The values of an answer's fields that the device remembers."""
+        spec = judgement.instruction
+        if spec is None or spec.reads is None or spec.answer is None:
+            return {}
+        told = next(part for part in spec.answer.fields if part.name == spec.reads.value)
+        cells = self._device(judgement.address).cells
+        return {told.name: cells.read(spec.reads, dict(judgement.fields), told)}
