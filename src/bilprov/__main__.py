@@ -117,6 +117,9 @@ COMMANDS = {
     ),
     "spec show": Row("", "analyzer.spec", "Show the grammar in use."),
     "spec grammars": Row("", "analyzer.spec", "List the grammars that the kit has."),
+    "spec check": Row(
+        "", "analyzer.spec_check", "Report how much of recorded bytes a grammar decodes."
+    ),
     "spec readings": Row("", "analyzer.spec", "Show how the document is read where it is silent."),
     "spec errata": Row("", "analyzer.spec", "Show where the document contradicts itself."),
     "spec emit": Row(

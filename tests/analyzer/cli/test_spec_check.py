@@ -1,0 +1,100 @@
+"""`spec check`: the share of recorded bytes that a grammar decodes, and the first that do not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
+from tests.analyzer.decode.test_foreign_traffic import FOLDER, TRAFFIC, events
+from tests.support.commands import Done, command
+
+
+def checked(*words: str | Path) -> Done:
+    return command("spec", "check", *map(str, words))
+
+
+@pytest.mark.parametrize("name", list(TRAFFIC))
+def test_recorded_traffic_decodes_whole(name: str) -> None:
+    result = checked(TRAFFIC[name][0], FOLDER / f"{name}.jsonl")
+
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert b"decodes all of the bytes" in result.stdout
+
+
+def test_the_first_bytes_that_do_not_decode_are_told(tmp_path: Path) -> None:
+    lines = (FOLDER / "sr_wizmodbus.jsonl").read_text(encoding="utf-8").splitlines()
+    row = json.loads(lines[3])
+    damaged = row["hex"][:-1] + "0"
+    file = tmp_path / "line.jsonl"
+    text = "\n".join([*lines[:3], json.dumps({**row, "hex": damaged}), *lines[4:]])
+    file.write_text(text, encoding="utf-8")
+
+    result = checked("modbus-rtu", file, "--format", "json")
+    told = json.loads(result.stdout)
+
+    assert result.returncode == 1
+    assert told["host"] == {"bytes": 352, "decoded": 352, "frames": 44}
+    assert told["device"] == {"bytes": 364, "decoded": 355, "frames": 43}
+    assert (told["first"]["direction"], told["first"]["offset"]) == ("device", 9)
+    assert told["first"]["hex"].startswith("01 03 04 a4 71 46 2c ba a0")
+    assert told["first"]["nearly"] == {
+        "name": "ReadHoldingRegisters",
+        "obstacle": "checksum",
+        "reason": "crc is ba a0, right is ba a5",
+    }
+
+
+def test_a_capture_and_hex_are_read_too(tmp_path: Path) -> None:
+    file, text = tmp_path / "line.mcap", tmp_path / "line.txt"
+    sent = list(events("sr_wizmodbus"))
+    with CaptureWriter(file, start_wall=0, metadata={}, version="1") as writer:
+        for chunk in sent:
+            writer.chunk(Chunk(chunk.t, chunk.direction, chunk.data))
+    asked = b"".join(chunk.data for chunk in sent if chunk.direction == "host")
+    text.write_text(asked.hex(" "), encoding="utf-8")
+
+    assert b"device  364 of 364 bytes decode: 44 answers" in checked("modbus-rtu", file).stdout
+    assert b"host  352 of 352 bytes decode: 44 requests" in checked("modbus-rtu", text).stdout
+    result = checked("dynamixel1", "ff", "ff", "01", "02", "01", "fb", "fffe010201fb")
+    assert result.returncode == 1
+    assert b"dynamixel1 decodes 50.0 % of the bytes" in result.stdout
+    assert b"Ping (sync): it begins with ff fe, right is ff ff" in result.stdout
+
+
+def test_a_check_that_fits_is_told() -> None:
+    result = checked("modbus-rtu", "11 03 00 6b 00 03 87 76 11 06 00 01 00 03 9b 9a")
+
+    assert result.returncode == 1
+    assert b"Crc(16, 0x8005, 0xFFFF, reflected=True) in the big-endian order" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("nono", "11"), "there is no grammar nono"),
+        (("modbus-rtu", "zz"), "'zz' is not hex"),
+        (("modbus-rtu", "README.md"), "is neither a capture nor JSON lines"),
+        (("modbus-rtu", "no.jsonl"), "line 1 of no.jsonl cannot be read"),
+        (("modbus-rtu", "hex.jsonl"), "line 2 of hex.jsonl cannot be read"),
+        (("modbus-rtu", "raw.bin"), "raw.bin cannot be read: it is not text"),
+        (("modbus-rtu", "none.jsonl"), "none.jsonl"),
+    ],
+)
+def test_wrong_input_is_told_in_a_sentence(
+    words: tuple[str, ...], said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "README.md").write_text("# no bytes", encoding="utf-8")
+    (tmp_path / "no.jsonl").write_text('{"t": 1}', encoding="utf-8")
+    line = '{"t": 1, "dir": "host", "hex": "%s"}\n'
+    (tmp_path / "hex.jsonl").write_text(line % "00" + line % "0", encoding="utf-8")
+    (tmp_path / "raw.bin").write_bytes(b"\xff\xfe")
+
+    result = command("spec", "check", *words, cwd=tmp_path)
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert said in result.stderr.decode()
+    assert result.stderr.count(b"\n") == 1

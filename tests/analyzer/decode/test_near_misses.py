@@ -1,0 +1,85 @@
+"""What bytes nearly are that do not decode, and why: checksum, length, range, sync, ID."""
+
+from __future__ import annotations
+
+import pytest
+
+from bilprov.analyzer.decode.near_misses import declared, fitting_check, near_miss
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.spec.checks import Crc
+from tests.vectors_modbus_rtu import REQUESTS
+
+
+@pytest.mark.parametrize(
+    ("grammar", "sent", "name", "obstacle", "reason"),
+    [
+        (
+            "modbus-rtu",
+            "11 03 006B 0003 8776",
+            "ReadHoldingRegisters",
+            "checksum",
+            "right is 76 87",
+        ),
+        ("modbus-rtu", "11 05 0028 0001 8E92", "WriteSingleCoil", "range", "value is 1"),
+        ("modbus-rtu", "11 06 0001 0003 0000 2B0B", "WriteSingleRegister", "length", "takes 4"),
+        ("modbus-rtu", "11 03 006B", "ReadHoldingRegisters", "length", "4 bytes of 8 bytes came"),
+        ("modbus-rtu", "11 41 CDD0", "", "id", "no instruction has ID 65"),
+        ("dynamixel1", "FFFE 01 02 01 FB", "Ping", "sync", "begins with ff fe, right is ff ff"),
+        ("dynamixel1", "FF 01 02 01 FB", "Ping", "sync", "begins with ff, right is ff ff"),
+        ("dynamixel1", "01 02 01 FB", "Ping", "sync", "no such bytes"),
+        ("dynamixel1", "FFFF 01 02 01 FA", "Ping", "checksum", "sum is fa, right is fb"),
+        ("dynamixel1", "FFFF 01 03 01 00 FA", "Ping", "length", "takes 0 data bytes, 1 came"),
+        ("stk500v1", "30 21", "GetSync", "sync", "21 stands where 20 must be"),
+        ("stk500v1", "74 0010 58 20", "ReadPage", "range", "memory is 88"),
+        ("robot-car", "81 09", "LED", "range", "rgb is 9"),
+        ("robot-car", "90", "", "id", "no instruction has ID 9"),
+    ],
+)
+def test_the_nearest_instruction_is_told_with_what_is_wrong(
+    grammar: str, sent: str, name: str, obstacle: str, reason: str
+) -> None:
+    found = near_miss(load_protocol(grammar), bytes.fromhex(sent))
+
+    assert found is not None
+    assert (found.name, found.obstacle) == (name, obstacle)
+    assert reason in found.reason
+
+
+def test_a_valid_frame_is_no_near_miss() -> None:
+    assert near_miss(load_protocol("dynamixel1"), bytes.fromhex("FFFF 01 02 01 FB")) is None
+    assert near_miss(load_protocol("dynamixel1"), bytes.fromhex("123456789ABC")) is None
+
+
+@pytest.mark.parametrize(
+    ("used", "said"),
+    [
+        (
+            lambda body: Crc(16, 0x8005, 0xFFFF, reflected=True)(body).to_bytes(2, "big"),
+            "Crc(16, 0x8005, 0xFFFF, reflected=True) in the big-endian order",
+        ),
+        (
+            lambda body: Crc(16, 0x1021)(body[1:]).to_bytes(2, "little"),
+            "Crc(16, 0x1021, 0x0000) of the bytes from 1 on",
+        ),
+        (lambda body: b"\1\2", ""),
+    ],
+)
+def test_a_usual_check_that_fits_is_found(used, said: str) -> None:  # type: ignore[no-untyped-def]
+    bodies = [one.frame[:-2] for one in REQUESTS if one.outcome == "valid"]
+    frames = [body + used(body) for body in bodies]
+
+    assert fitting_check(load_protocol("modbus-rtu").layout, frames) == said
+
+
+def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
+    layout = load_protocol("dynamixel1").layout
+    frames = [bytes.fromhex("FFFF 01 02 01 04"), bytes.fromhex("FFFF 02 02 01 05")]
+
+    assert fitting_check(layout, frames[:1]) == ""
+    assert fitting_check(layout, frames) == "Sum(8)"
+
+
+def test_a_check_is_told_as_it_is_declared() -> None:
+    crc = Crc(16, 0x1021, 0xFFFF, reflected=True, xorout=0xFFFF)
+
+    assert eval(declared(crc), {"Crc": Crc}) == crc
