@@ -31,7 +31,7 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.tables import frame_tables, values_of
+from bilprov.spec.tables import frame_tables
 
 if TYPE_CHECKING:
     from bilprov.analyzer.screen.browser import Browser
@@ -57,7 +57,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
 
     def decode(data: bytes) -> list[Columns]:
         buffer, at, columns = numpy.frombuffer(data, numpy.uint8), 0, []
-        state = list(values_of(protocol.power_on))
+        state = list(protocol.power_on.codes)
         while at < len(data):
             part = buffer[at : at + _PART]
             offsets, used = found.offsets(part)

@@ -49,16 +49,6 @@ class Line(Timed, frozen=True, gc=False):
     detail: str = ""
 
 
-class State(msgspec.Struct, frozen=True, gc=False):
-    """The motion state that the instructions so far predict (topic `/state`)."""
-
-    motion: str
-    speed: int
-    steering: int
-    led: int
-    moving: bool
-
-
 class Instruction(Timed, frozen=True, gc=False):
     """Host bytes with their judgement (topic `/host/instructions`).
 

@@ -26,8 +26,8 @@ from bilprov.captures.schemas import (
     Log,
     Look,
     Response,
-    State,
 )
+from bilprov.spec.state import State
 
 Written: TypeAlias = (
     Instruction | Response | State | Log | Line | CaseMark | Look | Asked | Checkpoint
@@ -100,6 +100,11 @@ TOPICS: tuple[Topic, ...] = (
 
 _SCHEMAS = {topic.name for topic in TOPICS if topic.schema}
 BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
+
+
+def topic_of(value: Written) -> Topic:
+    """The topic of a value."""
+    return BY_VALUE[State if isinstance(value, State) else type(value)]
 
 
 def encoded(value: Written) -> bytes:

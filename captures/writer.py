@@ -103,7 +103,7 @@ class CaptureWriter(Closing):
         refuse it, and it can be decoded again from the raw bytes. Raises CaptureError if the file
         cannot be written.
         """
-        topic = topics.BY_VALUE[type(value)]
+        topic = topics.topic_of(value)
         data = topics.encoded(value)
         if len(data) <= MESSAGE_BYTES:
             self._add(topic.channel, data, t)

@@ -6,14 +6,16 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
 from typing import Any, NamedTuple
 
-from bilprov.spec.codec import build
-from bilprov.spec.motion import VARIABLES, Motion, State, rotates
+from bilprov.spec.codec import build, judge
+from bilprov.spec.motion import Motion, car_state, rotates
 from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.state import State
 
 
 def moves(spec: InstructionSpec) -> bool:
@@ -52,7 +54,7 @@ def setting(protocol: Protocol, variable: str, value: int, beside: State | None 
 
     Where it sets others too, they keep their value in `beside` (at power-on, if None) if they can.
     """
-    state = replace(beside or protocol.power_on, **{variable: value})  # type: ignore[arg-type]
+    state = (beside or protocol.power_on).but(**{variable: value})
     found: list[tuple[int, bytes]] = []
     for spec in protocol.instructions:
         if spec.effect.sets(variable) and not spec.effect.sets("motion"):
@@ -65,7 +67,7 @@ def setting(protocol: Protocol, variable: str, value: int, beside: State | None 
 
 def _differing(one: State, other: State) -> frozenset[str]:
     """The variables in which two states differ."""
-    return frozenset(name for name in VARIABLES if getattr(one, name) != getattr(other, name))
+    return frozenset(name for name in one.variables if getattr(one, name) != getattr(other, name))
 
 
 @lru_cache(maxsize=1 << 12)
@@ -81,9 +83,9 @@ def frames_to(protocol: Protocol, state: State, known: State | None = None) -> t
     """
     wanted = _settable(protocol, state)
     frames = _candidates(protocol, wanted)
-    start = frozenset(VARIABLES) - _differing(known, wanted) if known else frozenset()
+    start = frozenset(state.variables) - _differing(known, wanted) if known else frozenset()
     start -= {"motion"}
-    if wanted.motion is Motion.STOPPED:
+    if wanted.motion == Motion.STOPPED:
         start |= {"motion"}
     # From the variables that are right already to those that are right after each frame.
     paths: dict[frozenset[str], tuple[bytes, ...]] = {start: ()}
@@ -113,7 +115,7 @@ def _candidates(
         sets = touched - spoils
         if sets:
             rank = min(map(order.index, {"motion"} & touched or touched))
-            last = spec.effect.motion is Motion.STOPPED
+            last = spec.effect.motion == Motion.STOPPED
             found.append(((last, rank), (frame, frozenset(sets), spoils)))
     return [candidate for _, candidate in sorted(found, key=itemgetter(0))]
 
@@ -129,7 +131,7 @@ def _settable(protocol: Protocol, state: State) -> State:
     for name, ends in values.items():
         own = getattr(state, name)
         values[name] = min(ends, key=lambda value: abs(value - own))
-    return replace(state, **values)
+    return state.but(**values)
 
 
 def reached(protocol: Protocol, state: State) -> State:
@@ -160,7 +162,7 @@ def moving_motions(protocol: Protocol) -> tuple[Motion, ...]:
 
 def moving_to(protocol: Protocol, state: State) -> bytes:
     """Return the frame that sets a robot into the motion of a state, b"" if there is none."""
-    found = (spec for spec in movers(protocol) if spec.effect.motion is state.motion)
+    found = (spec for spec in movers(protocol) if spec.effect.motion == state.motion)
     return next((fitted(protocol, spec, state) for spec in found), b"")
 
 
@@ -200,3 +202,62 @@ def link_check(protocol: Protocol, taken: int | None = None) -> LinkCheck:
     unused = bytes([protocol.header_bytes[free[0], 0]]) if free else b""
     short = bytes([protocol.header_bytes[identity, 0]]) if length else b""
     return LinkCheck(frame, unused, short)
+
+
+@dataclass(frozen=True, slots=True)
+class Movement:
+    """What frames make a robot do; `speed` is the greatest that is set, None if none is."""
+
+    motions: frozenset[Motion] = frozenset()
+    speed: int | None = None
+
+    def __or__(self, other: Movement) -> Movement:
+        """What both make it do."""
+        speeds = [speed for speed in (self.speed, other.speed) if speed is not None]
+        return Movement(self.motions | other.motions, max(speeds, default=None))
+
+
+def all_movement(protocol: Protocol) -> Movement:
+    """What the instructions of a protocol can make a robot do."""
+    motions = {spec.effect.motion for spec in protocol.instructions}
+    speed = protocol.limits["speed"][1] if "speed" in protocol.limits else None
+    return Movement(frozenset(m for m in motions if m not in (None, Motion.STOPPED)), speed)
+
+
+def movement_of(protocol: Protocol, frames: Iterable[bytes]) -> Movement:
+    """What these frames make a conforming robot do; faulty ones stop it.
+
+    No more of them are taken once they do all that the protocol can.
+    """
+    every, found = all_movement(protocol), Movement()
+    known: set[bytes] = set()
+    for frame in frames:
+        if frame in known:
+            continue
+        judged = judge(protocol, frame)
+        if not judged.valid or judged.instruction is None:
+            continue
+        known.add(frame)
+        effect = judged.instruction.effect
+        after = effect.apply(car_state(), dict(judged.fields))
+        found |= Movement(
+            frozenset({after.motion} - {Motion.STOPPED}),
+            after.speed if effect.sets("speed") else None,
+        )
+        if found == every:
+            break
+    return found
+
+
+def movement_words(protocol: Protocol, movement: Movement) -> str:
+    """What will move, how fast at most, and what to do before it does, in words."""
+    kinds = {rotates(motion): motion for motion in movement.motions}
+    verbs = [verb for turning, verb in ((False, "drives"), (True, "turns")) if turning in kinds]
+    words = f"it {' and '.join(verbs)}" if verbs else "it is sent no motion"
+    if "speed" in protocol.limits:
+        fast = f"speeds up to {movement.speed} of {protocol.limits['speed'][1]}"
+        if movement.speed is not None:
+            words += f", at {fast}" if verbs else f", only {fast}"
+        elif verbs:
+            words += ", at the speed that it has"
+    return f"{words}; its wheels should be off the ground"

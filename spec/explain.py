@@ -10,9 +10,9 @@ from bilprov.spec.data import FieldSpec
 from bilprov.spec.errata import Finding, check
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
-from bilprov.spec.motion import VARIABLES, Effect, Motion
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import READINGS, Erratum, Reading
+from bilprov.spec.state import Effect, assigned, value_words
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +108,8 @@ def _response(protocol: Protocol, offset: int, byte: int) -> ResponseExplanation
         meaning = "unused: a device that sends one does not conform"
     else:
         meaning = response.prose
-        if response.outcome is not Outcome.VALID:
-            meaning += f"; the robot stops ({protocol.clauses.safety})"
+        if response.outcome is not Outcome.VALID and protocol.stops(protocol.on_fault):
+            meaning += f"; the {protocol.device} stops ({protocol.clauses.safety})"
     name = response.name if response else "unused"
     group = BitGroup(0, 1, 7, 0, f"{byte:08b}", "code", byte, name, fault=response is None)
     return ResponseExplanation(offset, byte, group, response, meaning, protocol.clauses.responses)
@@ -142,9 +142,9 @@ def _frame(
         missing=1 + judgement.length - len(frame),
         answer=answer,
         action=action,
-        stops=effect.motion is Motion.STOPPED,
+        stops=protocol.stops(effect),
         changes=tuple(_changes(effect, dict(judgement.fields))),
-        keeps=tuple(name for name in VARIABLES if not effect.sets(name)),
+        keeps=tuple(name for name in protocol.variables if not effect.sets(name)),
         readings=_readings(judgement, errata),
         errata=errata,
         nearest=meant,
@@ -153,9 +153,8 @@ def _frame(
 
 
 def _changes(effect: Effect, fields: dict[str, int]) -> Iterator[tuple[str, str]]:
-    for variable, value in effect.assignments:
-        known = fields[value[0]] * value[1] if isinstance(value, tuple) else value
-        yield variable, str(known)
+    for variable, value in assigned(effect, fields):
+        yield variable, value_words(value)
 
 
 def _readings(judgement: Judgement, errata: Iterable[Erratum]) -> tuple[Reading, ...]:

@@ -16,7 +16,17 @@ from construct import Construct, ExprAdapter, Struct, Validator
 
 from bilprov.spec.checks import Crc, Sum, Xor
 from bilprov.spec.frame_words import Address, Data, Length, Same, asked, question
-from bilprov.spec.motion import VARIABLES
+from bilprov.spec.state import (
+    AllOf,
+    AnyOf,
+    Bits,
+    Changed,
+    Unknown,
+    Variables,
+    Wheels,
+    Whole,
+    Word,
+)
 from bilprov.spec.value_checks import (
     LONGEST_NAME,
     WrongValue,
@@ -30,8 +40,12 @@ from bilprov.spec.value_checks import (
 
 __all__ = [
     "Address",
+    "AllOf",
     "Answer",
     "Answers",
+    "AnyOf",
+    "Bits",
+    "Changed",
     "Clauses",
     "Crc",
     "Data",
@@ -46,6 +60,11 @@ __all__ = [
     "Sets",
     "Sum",
     "Timing",
+    "Unknown",
+    "Variables",
+    "Wheels",
+    "Whole",
+    "Word",
     "Xor",
     "asked",
     "question",
@@ -128,19 +147,13 @@ class From:
 
 
 class Sets:
-    """Effect of an instruction on the motion state: each named variable gets a value or a field.
+    """Effect of an instruction on the state: each named variable gets a value or a field.
 
-    Variables that are not named keep their value. Raises TypeError for a variable that the motion
-    state does not have.
+    Variables that are not named keep their value. A Changed makes the new value of the old one; an
+    Unknown says that it is not told.
     """
 
-    def __init__(self, **values: int | str | From) -> None:
-        unknown = sorted(set(values) - set(VARIABLES))
-        if unknown:
-            raise TypeError(
-                f"the motion state has no variable {', '.join(unknown)}; "
-                f"it has {', '.join(VARIABLES)}"
-            )
+    def __init__(self, **values: int | str | From | Changed | Unknown) -> None:
         self.values = values
 
 

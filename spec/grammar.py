@@ -11,6 +11,8 @@ from construct import BitsInteger, BitStruct, Byte, Struct, Switch, this
 from bilprov.spec.fields import (
     Answer,
     Answers,
+    AnyOf,
+    Bits,
     Clauses,
     From,
     Instruction,
@@ -19,12 +21,36 @@ from bilprov.spec.fields import (
     Ranged,
     Sets,
     Timing,
+    Variables,
+    Wheels,
+    Whole,
+    Word,
 )
-from bilprov.spec.motion import Motion
 
 NAME = "robot-car"
 VERSION = "1.1"
 DOCUMENT = "Protokoll för seriell kommunikation för robotbil, MindRoad, v1.1, 2015-06-23"
+
+DEVICE = "robot"
+
+STATE = Variables(
+    motion=Word("stopped", "forward", "backward", "rotate_right", "rotate_left"),
+    speed=Whole(0, 255),
+    steering=Whole(-255, 255),  # right positive
+    led=Bits("RGB"),
+)
+AT_REST = AnyOf(motion="stopped", speed=0)  # R-speed-zero: a direction with speed 0 does not move
+WHEELS = Wheels(
+    by="motion",
+    speed="speed",
+    steering="steering",
+    turns={  # forward 1, backward -1: the left wheel, the right one
+        "forward": (1, 1),
+        "backward": (-1, -1),
+        "rotate_right": (1, -1),
+        "rotate_left": (-1, 1),
+    },
+)
 
 HEADER = BitStruct(
     "id" / BitsInteger(4) * "which instruction it is",
@@ -35,7 +61,7 @@ INSTRUCTIONS = {
     0: "Stop"
     / Instruction(
         document="Stopp",
-        effect=Sets(motion=Motion.STOPPED, steering=0),  # R-stop-steering, R-stop-speed
+        effect=Sets(motion="stopped", steering=0),  # R-stop-steering, R-stop-speed
     )
     * "Stops the robot and resets the directions that were set.",
     1: "Speed"
@@ -46,10 +72,10 @@ INSTRUCTIONS = {
     )
     * "Sets the speed with which the robot moves; used together with the other instructions.",
     2: "Forward"
-    / Instruction(document="Framåt", effect=Sets(motion=Motion.FORWARD))  # R-drive-steering
+    / Instruction(document="Framåt", effect=Sets(motion="forward"))  # R-drive-steering
     * "Sets the direction forward and drives at the speed set before.",
     3: "Backward"
-    / Instruction(document="Bakåt", effect=Sets(motion=Motion.BACKWARD))
+    / Instruction(document="Bakåt", effect=Sets(motion="backward"))
     * "Sets the direction backward and drives at the speed set before.",
     4: "Right"
     / Instruction(
@@ -66,10 +92,10 @@ INSTRUCTIONS = {
     )
     * "Moves left at the speed and in the direction set before.",
     6: "RotateRight"
-    / Instruction(document="Rotera hö.", effect=Sets(motion=Motion.ROTATE_RIGHT))
+    / Instruction(document="Rotera hö.", effect=Sets(motion="rotate_right"))
     * "Stops, then rotates on the spot to the right at the speed set before.",
     7: "RotateLeft"
-    / Instruction(document="Rotera vä.", effect=Sets(motion=Motion.ROTATE_LEFT))
+    / Instruction(document="Rotera vä.", effect=Sets(motion="rotate_left"))
     * "Stops, then rotates on the spot to the left at the speed set before.",
     8: "LED"  # E5, R-led-id
     / Instruction(
@@ -110,10 +136,10 @@ RESPONSE = Answers(
 )
 
 # Section 2: a faulty instruction stops the robot at once. R-fault-state: it resets what Stop does.
-FAULTY = Sets(motion=Motion.STOPPED, steering=0)
+FAULTY = Sets(motion="stopped", steering=0)
 
 # R-power-on
-POWER_ON = Sets(motion=Motion.STOPPED, speed=0, steering=0, led=0)
+POWER_ON = Sets(motion="stopped", speed=0, steering=0, led=0)
 
 TIMING = Timing(
     truncation_timeout=50,

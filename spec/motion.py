@@ -1,11 +1,10 @@
-"""The motion state that instructions change, and how the wheels turn in it."""
+"""What only a car has: kinds of motion, and how its wheels turn in them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+
+from bilprov.spec.state import CAR, CAR_AT_REST, CAR_WHEELS, Effect, State, Wheels, state_class
 
 
 class Motion(StrEnum):
@@ -19,41 +18,15 @@ class Motion(StrEnum):
 
 
 # The direction in which the wheels (left, right) turn in each kind of motion.
-WHEELS = {
-    Motion.STOPPED: (0, 0),
-    Motion.FORWARD: (1, 1),
-    Motion.BACKWARD: (-1, -1),
-    Motion.ROTATE_RIGHT: (1, -1),
-    Motion.ROTATE_LEFT: (-1, 1),
-}
+WHEELS = {motion: CAR_WHEELS.turns.get(motion, (0, 0)) for motion in Motion}
 
 
-def is_moving(motion: str, speed: int) -> bool:
-    """Return whether the wheels turn: a direction with speed 0 does not move (R-speed-zero)."""
-    return speed > 0 and motion != Motion.STOPPED
+def visible_motion(state: State) -> Motion:
+    """The motion that can be seen: `stopped` unless the wheels turn."""
+    return Motion(state.motion) if state.moving else Motion.STOPPED
 
 
-@dataclass(frozen=True, slots=True)
-class State:
-    """Motion state of the robot: kind of motion, speed, steering (right positive) and LED."""
-
-    motion: Motion = Motion.STOPPED
-    speed: int = 0
-    steering: int = 0
-    led: int = 0
-
-    @property
-    def moving(self) -> bool:
-        """Whether the wheels turn."""
-        return is_moving(self.motion, self.speed)
-
-    @property
-    def visible_motion(self) -> Motion:
-        """The motion that can be seen: `stopped` unless the wheels turn."""
-        return self.motion if self.moving else Motion.STOPPED
-
-
-VARIABLES = tuple(State.__dataclass_fields__)
+VARIABLES = tuple(CAR.kinds)
 
 
 class Moment(StrEnum):
@@ -69,43 +42,9 @@ class Moment(StrEnum):
 MOTIONS = (Moment.DRIVE, Moment.ROTATION)
 
 
-@dataclass(frozen=True, slots=True)
-class Effect:
-    """Assignments to state variables: (variable, value) or (variable, (field, factor))."""
-
-    assignments: tuple[tuple[str, int | Motion | tuple[str, int]], ...] = ()
-
-    def apply(self, state: State, fields: Mapping[str, int] | None = None) -> State:
-        """Return the state after this effect; `fields` are the instruction's values by name."""
-        if not self.assignments:
-            return state
-        values: dict[str, Any] = {
-            variable: (fields or {})[value[0]] * value[1] if isinstance(value, tuple) else value
-            for variable, value in self.assignments
-        }
-        given = values.get
-        return State(
-            given("motion", state.motion),
-            given("speed", state.speed),
-            given("steering", state.steering),
-            given("led", state.led),
-        )
-
-    def sets(self, variable: str) -> bool:
-        """Return whether this effect assigns to the variable."""
-        return any(name == variable for name, _ in self.assignments)
-
-    @property
-    def motion(self) -> Motion | None:
-        """The kind of motion that this effect sets, None if it leaves it."""
-        return next(
-            (v for n, v in self.assignments if n == "motion" and isinstance(v, Motion)), None
-        )
-
-
-def rotates(motion: Motion) -> bool:
+def rotates(motion: str) -> bool:
     """Return whether a kind of motion turns the wheels against each other."""
-    left, right = WHEELS[motion]
+    left, right = CAR_WHEELS.turns.get(motion, (0, 0))
     return left != right
 
 
@@ -115,23 +54,32 @@ def moment_of(effect: Effect | None) -> Moment:
         return Moment.FAULT
     if effect.motion is None:
         return Moment.SETTING
-    if effect.motion is Motion.STOPPED:
+    if effect.motion == Motion.STOPPED:
         return Moment.STOP
     return Moment.ROTATION if rotates(effect.motion) else Moment.DRIVE
 
 
-def wheels(state: State, full_steering: int) -> tuple[int, int]:
+def wheels(state: State, full_steering: int, car: Wheels = CAR_WHEELS) -> tuple[int, int]:
     """Return the wheel speeds (left, right) of the reference robot, forward positive.
 
     The document gives no mixing law: the reference slows the inner wheel in proportion to the
     steering (at `full_steering` it stands still), and does not steer while it rotates. A test may
     therefore judge only the signs and which wheel is faster.
     """
-    left, right = WHEELS[state.visible_motion]
-    inner = state.speed
-    if state.motion in (Motion.FORWARD, Motion.BACKWARD) and full_steering:
-        inner = state.speed * (full_steering - abs(state.steering)) // full_steering
-    return (
-        left * (inner if state.steering < 0 else state.speed),
-        right * (inner if state.steering > 0 else state.speed),
-    )
+    motion, speed, steering = (getattr(state, name) for name in (car.by, car.speed, car.steering))
+    left, right = car.turns.get(motion, (0, 0)) if state.moving else (0, 0)
+    inner = speed
+    if left == right and full_steering:
+        inner = speed * (full_steering - abs(steering)) // full_steering
+    return left * (inner if steering < 0 else speed), right * (inner if steering > 0 else speed)
+
+
+def car_state(
+    motion: str = Motion.STOPPED, speed: int = 0, steering: int = 0, led: int = 0
+) -> State:
+    """The state of a car with these values."""
+    values = {"motion": str(motion), "speed": speed, "steering": steering, "led": led}
+    return _CAR_STATE.of(values)
+
+
+_CAR_STATE = state_class(tuple(kind.spec(name) for name, kind in CAR.kinds.items()), CAR_AT_REST)

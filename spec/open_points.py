@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Effect, Moment
+from bilprov.spec.motion import Moment
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, Behaviour, OpenPoint
+from bilprov.spec.state import Effect
 
 SILENCE_READING = "R-truncated-known"
 """The reading that lets a device stop at a truncated frame without an answer."""

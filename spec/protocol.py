@@ -12,7 +12,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,8 +33,23 @@ from bilprov.spec.fields import (
     Timing,
 )
 from bilprov.spec.layout import Layout, read_layout
-from bilprov.spec.motion import Effect, Motion, State
 from bilprov.spec.numbers import LayoutError
+from bilprov.spec.state import (
+    CAR,
+    CAR_AT_REST,
+    CAR_WHEELS,
+    Changed,
+    Condition,
+    Effect,
+    Source,
+    State,
+    Unknown,
+    Variables,
+    VariableSpec,
+    Wheels,
+    plain,
+    state_class,
+)
 from bilprov.spec.value_checks import (
     WrongValue,
     require_name,
@@ -47,6 +62,14 @@ _LONGEST_DATA = 255  # bytes of data that are expected where a header byte does 
 _LONGEST = 200  # characters of what Python says about a grammar, and of the name of its file
 
 
+# The built-in text is the same grammar as the first one, which did not declare the state: whatever
+# holds the hash of that one still matches, such as recordings, profiles and reports.
+_FIRST = "784fbb0b76e02c6703df30b623f9ed0d040db9d062dba0396b23863fe89ae234"
+_SAME_AS_FIRST = frozenset(
+    {"8a0bb1c6b82900a82100364dd82df18e11664e7845861b36995caedf8583c18d"}
+)  # hashes of the texts that say the same
+
+
 class GrammarError(UserError):
     """Raised for a grammar that cannot be used; the text is one sentence for the user."""
 
@@ -56,7 +79,8 @@ class InstructionSpec:
     """One instruction: its ID, names, prose, data, effect, and the data of its answer.
 
     `answer` is None where it is not answered at all. `writes` and `reads` are the memory that it
-    writes, and that its answer tells.
+    writes, and that its answer tells. `changes` names what else it changes that the state does not
+    have, "" if there is no such thing.
     """
 
     id: int
@@ -68,6 +92,7 @@ class InstructionSpec:
     answer: DataSpec | None
     writes: Memory | None = None
     reads: Memory | None = None
+    changes: str = ""
 
     @property
     def fields(self) -> tuple[FieldSpec, ...]:
@@ -136,7 +161,9 @@ class Protocol:
     `source` is the grammar's text and `origin` its file name; two protocols are equal when their
     texts are. `layout` is that of a request, `reply` that of an answer with data,
     `acknowledgement` that of one without, `errors` those of errors, tried in order. With `flags` a
-    code is some bits, each a response.
+    code is some bits, each a response. `device` is the noun for the device. `variables` are the
+    parts of the state by name, `at_rest` is the condition in which the device stands still (None
+    where it is not declared: then nothing is said about stopping), `wheels` is declared by a car.
     """
 
     source: str
@@ -151,6 +178,10 @@ class Protocol:
     acknowledgement: Layout = field(compare=False, repr=False)
     errors: tuple[Layout, ...] = field(compare=False, repr=False)
     flags: bool = field(compare=False)
+    device: str = field(compare=False)
+    variables: Mapping[str, VariableSpec] = field(compare=False)
+    at_rest: Condition | None = field(compare=False)
+    wheels: Wheels | None = field(compare=False)
     on_fault: Effect = field(compare=False)
     power_on: State = field(compare=False)
     timing: Timing = field(compare=False)
@@ -164,6 +195,16 @@ class Protocol:
     def sha256(self) -> str:
         """The hash of the grammar's text."""
         return grammar_hash(self.source)
+
+    @property
+    def state_type(self) -> type[State]:
+        """The class of its states."""
+        return type(self.power_on)
+
+    def state(self, **values: int | str) -> State:
+        """The state with these values; the other variables have the first word, or 0."""
+        found = {name: spec.default for name, spec in self.variables.items()}
+        return self.state_type.of({**found, **{n: plain(value) for n, value in values.items()}})
 
     @cached_property
     def by_id(self) -> Mapping[int, InstructionSpec]:
@@ -274,9 +315,11 @@ class Protocol:
         for spec in self.instructions:
             ranges = {f.name: (f.low, f.high) for f in spec.fields}
             for variable, value in spec.effect.assignments:
-                if isinstance(value, tuple):
+                if isinstance(value, tuple) and len(value) == 2:
                     ends = [end * value[1] for end in ranges[value[0]]]
                     found.setdefault(variable, []).extend(ends)
+                elif isinstance(value, tuple):
+                    found.setdefault(variable, []).extend(value[2:])
                 elif value and isinstance(value, int):
                     found.setdefault(variable, []).append(value)
         return {variable: (min(ends), max(ends)) for variable, ends in found.items()}
@@ -284,25 +327,44 @@ class Protocol:
     @cached_property
     def bounds(self) -> Mapping[str, tuple[int, int]]:
         """The smallest and largest value that each state variable with a number can ever have."""
-        found = {
-            variable: [value, *self.limits.get(variable, ())]
-            for variable, value in asdict(self.power_on).items()
-            if not isinstance(value, Motion)
+        return {
+            name: (spec.low, spec.high) for name, spec in self.variables.items() if not spec.words
         }
-        for effect in (self.on_fault, *(spec.effect for spec in self.instructions)):
-            for variable, value in effect.assignments:
-                if isinstance(value, int):
-                    found[variable].append(value)
-        return {variable: (min(ends), max(ends)) for variable, ends in found.items()}
+
+    def stops(self, effect: Effect) -> bool:
+        """Whether an effect brings the device to rest, whatever its state was.
+
+        A car stops by its motion; that its speed is 0 is a setting.
+        """
+        values = effect.constants
+        if self.wheels:
+            by = self.wheels.by
+            return by in values and values[by] not in self.wheels.turns
+        return self.at_rest is not None and self.at_rest.follows(values)
+
+    def directed(self, state: State) -> bool:
+        """Whether the device moves, or is a car that has a direction in which to move."""
+        if self.wheels:
+            return getattr(state, self.wheels.by) in self.wheels.turns
+        return state.moving
 
     @cached_property
+    def stop_or_none(self) -> InstructionSpec | None:
+        """The instruction without data that stops the device, None if there is none."""
+        short = (spec for spec in self.instructions if not spec.length)
+        return next((spec for spec in short if self.stops(spec.effect)), None)
+
+    @property
     def stop(self) -> InstructionSpec:
-        """The instruction without data that stops the robot; homing sends it."""
-        return next(
-            spec
-            for spec in self.instructions
-            if spec.effect.motion is Motion.STOPPED and not spec.length
-        )
+        """The instruction without data that stops the device; homing sends it.
+
+        Raises GrammarError if the grammar has none.
+        """
+        if self.stop_or_none is None:
+            raise GrammarError(
+                f"no instruction without data of the grammar {self.origin} stops the {self.device}"
+            )
+        return self.stop_or_none
 
     @cached_property
     def pad_byte(self) -> int:
@@ -317,8 +379,9 @@ _ONE_PACKAGE = re.compile(r"^from bilprov\.spec\.", re.MULTILINE)
 
 
 def grammar_hash(source: str) -> str:
-    """The SHA-256, in hex, by which the text of a grammar is known."""
-    return hashlib.sha256(_ONE_PACKAGE.sub("from spec.", source).encode()).hexdigest()
+    """The SHA-256, in hex, by which a grammar is known: texts that say the same have one."""
+    found = hashlib.sha256(_ONE_PACKAGE.sub("from spec.", source).encode()).hexdigest()
+    return _FIRST if found in _SAME_AS_FIRST else found
 
 
 def load(source: str, origin: str = "grammar") -> Protocol:
@@ -417,30 +480,29 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         if not 0 <= identity <= identities.most:
             raise GrammarError(f"the header cannot carry the ID {identity}")
     reply, acknowledgement, errors, flags = _replies(space)
-    instructions = tuple(_instruction(i, declared[i], layout, reply) for i in sorted(declared))
-    _require_each_name_once("two instructions are named", (spec.name for spec in instructions))
+    specs = [_instruction(i, declared[i], layout, reply) for i in sorted(declared)]
+    _require_each_name_once("two instructions are named", (spec.name for spec in specs))
+    effects = {identity: unwrapped(one).effect for identity, one in declared.items()}
+    space = _with_state(space, effects.values())
+    at_rest: Condition | None = _given(space, "AT_REST", Condition)
+    wheels: Wheels | None = _given(space, "WHEELS", Wheels)
+    faulty, at_power_on = (
+        _take(space, name, Sets) if wheels or name in space else Sets()
+        for name in ("FAULTY", "POWER_ON")
+    )
+    variables = _variables(space, specs, effects, (faulty, at_power_on))
+    instructions = tuple(
+        replace(spec, effect=_effect(effects[spec.id], variables, spec.fields)) for spec in specs
+    )
     instructions = _with_memory(instructions, space.get("MEMORY", ()))
     responses = _responses(space)
     _require_each_outcome(space, layout, instructions, responses)
-    framed = "REPLY" in space
-    if not framed and not any(
-        s.effect.motion is Motion.STOPPED and not s.length for s in instructions
-    ):
-        raise GrammarError("no instruction without data stops the robot; the kit needs one to home")
-    if framed:
-        space.setdefault("FAULTY", Sets())
-        space.setdefault("POWER_ON", Sets())
-    on_fault = _effect(_take(space, "FAULTY", Sets), ())
-    if not framed and on_fault.motion is not Motion.STOPPED:
-        raise GrammarError(
-            "FAULTY does not set motion to Motion.STOPPED; a faulty instruction must stop the robot"
-        )
-    power_on = _effect(_take(space, "POWER_ON", Sets), ()).apply(State())
-    if power_on.motion is not Motion.STOPPED:
-        raise GrammarError(
-            f"POWER_ON sets motion to {power_on.motion.value}; a robot must stand still at power-on"
-        )
-    return Protocol(
+    on_fault = _effect(faulty, variables)
+    _require_known(at_rest, wheels, variables)
+    made = state_class(tuple(variables.values()), at_rest)
+    first = made.of({name: spec.default for name, spec in variables.items()})
+    power_on = _effect(at_power_on, variables).apply(first)
+    protocol = Protocol(
         source=source,
         origin=origin,
         name=_text(space, "NAME"),
@@ -453,12 +515,128 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         acknowledgement=acknowledgement,
         errors=errors,
         flags=flags,
+        device=_text(space, "DEVICE") if "DEVICE" in space else "device",
+        variables=variables,
+        at_rest=at_rest,
+        wheels=wheels,
         on_fault=on_fault,
         power_on=power_on,
         timing=_take(space, "TIMING", Timing),
         line=_take(space, "LINE", LineDefaults),
         clauses=_take(space, "CLAUSES", Clauses),
     )
+    if wheels:
+        _require_stops(protocol, wheels)
+    return protocol
+
+
+def _require_stops(protocol: Protocol, wheels: Wheels) -> None:
+    """Raise GrammarError for a car that cannot be stopped, or runs where it must stand still."""
+    still = " or ".join(
+        word for word in protocol.variables[wheels.by].words if word not in wheels.turns
+    )
+    if protocol.stop_or_none is None:
+        raise GrammarError(
+            f"no instruction without data stops the {protocol.device}; the kit needs one to home"
+        )
+    if not protocol.stops(protocol.on_fault):
+        raise GrammarError(
+            f"FAULTY does not set {wheels.by} to {still}; a faulty instruction must stop the "
+            f"{protocol.device}"
+        )
+    at_first = getattr(protocol.power_on, wheels.by)
+    if at_first in wheels.turns:
+        raise GrammarError(
+            f"POWER_ON sets {wheels.by} to {at_first}; a {protocol.device} must stand still at "
+            "power-on"
+        )
+
+
+def _with_state(space: dict[str, Any], effects: Iterable[Sets]) -> dict[str, Any]:
+    """The declarations with the car's state, where a grammar sets variables but declares none.
+
+    Grammars could not declare the state at first: it was the car's.
+    """
+    others = [space[name] for name in ("FAULTY", "POWER_ON") if name in space]
+    if "STATE" in space or not any(getattr(one, "values", {}) for one in (*effects, *others)):
+        return {"STATE": Variables(), **space}
+    car = {"STATE": CAR, "AT_REST": CAR_AT_REST, "WHEELS": CAR_WHEELS, "DEVICE": "robot"}
+    return {**car, **space, "STATE": None}
+
+
+def _variables(
+    space: dict[str, Any],
+    specs: Iterable[InstructionSpec],
+    effects: Mapping[int, Sets],
+    others: Iterable[Sets],
+) -> dict[str, VariableSpec]:
+    """The variables by name.
+
+    A grammar that does not declare its state sets the car's, to any numbers.
+    """
+    declared = space["STATE"]
+    kinds = CAR.kinds if declared is None else _take(space, "STATE", Variables).kinds
+    found = {name: kind.spec(name) for name, kind in kinds.items()}
+    every = [*effects.values(), *others]
+    for sets in every:
+        for name, value in sets.values.items():
+            if name not in found:
+                raise GrammarError(
+                    f"an effect sets {shown(name)}, allowed are "
+                    f"{', '.join(found) or 'no variables, since STATE has none'}"
+                )
+            if isinstance(value, Unknown):
+                found[name] = replace(found[name], unknown=True)
+    if declared is None:
+        ranges = {
+            spec.id: {part.name: (part.low, part.high) for part in spec.fields} for spec in specs
+        }
+        for identity, sets in (*effects.items(), *((-1, one) for one in others)):
+            for name, value in sets.values.items():
+                ends = [value]
+                if isinstance(value, From):
+                    ends = [end * value.factor for end in ranges[identity].get(value.field, ())]
+                numbers = [end for end in ends if type(end) is int]
+                spec = found[name]
+                if not spec.words and numbers:
+                    low, high = min(spec.low, *numbers), max(spec.high, *numbers)
+                    found[name] = replace(spec, low=low, high=high)
+    return found
+
+
+def _require_known(
+    at_rest: Condition | None, wheels: Wheels | None, variables: Mapping[str, VariableSpec]
+) -> None:
+    """Raise GrammarError where AT_REST or WHEELS name what STATE does not have."""
+    told = [("AT_REST", name) for name in at_rest.values] if at_rest else []
+    if wheels:
+        told += [("WHEELS", name) for name in (wheels.by, wheels.speed, wheels.steering)]
+    for where, name in told:
+        if name not in variables:
+            raise GrammarError(
+                f"{where} names the variable {shown(name)}, allowed are {', '.join(variables)}"
+            )
+    if at_rest:
+        for name, value in at_rest.values.items():
+            if not variables[name].holds(value):
+                raise GrammarError(
+                    f"AT_REST names {name}={shown(value)}, allowed is {variables[name].allowed}"
+                )
+    if wheels:
+        words = variables[wheels.by].words
+        unknown = [word for word in wheels.turns if word not in words]
+        if unknown or set(words) <= set(wheels.turns):
+            raise GrammarError(
+                f"WHEELS turns by {', '.join(wheels.turns)}; allowed are words of {wheels.by}, and "
+                "one of them must be left out, in which the wheels stand still"
+            )
+        if at_rest is None:
+            raise GrammarError("it declares WHEELS and no AT_REST")
+
+
+def _given(space: dict[str, Any], name: str, kind: type) -> Any:
+    """Return the declaration of that name, None if there is none."""
+    return _take(space, name, kind) if name in space else None
 
 
 def _take(space: dict[str, Any], name: str, kind: type) -> Any:
@@ -598,8 +776,9 @@ def _instruction(
         document=body.document,
         prose=prose_of(declaration),
         data=data,
-        effect=_effect(body.effect, tuple(spec.name for spec in data.fields)),
+        effect=Effect(),
         answer=_answer(name, body.answer, reply),
+        changes=body.changes,
     )
 
 
@@ -658,21 +837,45 @@ def _answer(name: str, declared: Construct | None, reply: Layout) -> DataSpec | 
     return read_data(f"the answer of {name}", members, framed=framed)
 
 
-def _effect(sets: Sets, fields: tuple[str, ...]) -> Effect:
-    assignments: list[tuple[str, int | Motion | tuple[str, int]]] = []
-    for variable, value in sets.values.items():
+def _effect(
+    sets: Sets, variables: Mapping[str, VariableSpec], fields: Iterable[FieldSpec] = ()
+) -> Effect:
+    """The effect of an instruction with these fields. Raises GrammarError if STATE lacks it."""
+    by_name = {part.name: part for part in fields}
+    assignments: list[tuple[str, Source]] = []
+    for name, value in sets.values.items():
+        spec = variables[name]
+        source: Source
         if isinstance(value, From):
-            if value.field not in fields:
-                raise GrammarError(f"an effect names the field {value.field}, which is not there")
-            if variable == "motion":
-                raise GrammarError("an effect sets motion to a number, allowed is a Motion")
-            assignments.append((variable, (value.field, value.factor)))
-        elif variable == "motion":
-            motion = next((motion for motion in Motion if motion == value), None)
-            if motion is None:
-                raise GrammarError(f"an effect sets motion to {shown(value)}, allowed is a Motion")
-            assignments.append((variable, motion))
+            source = _from(value, spec, by_name)
+        elif isinstance(value, Changed):
+            if spec.words:
+                raise GrammarError(f"an effect sets {name} to a number, allowed is {spec.allowed}")
+            source = value.factor, value.plus, spec.low, spec.high
+        elif isinstance(value, Unknown):
+            source = None
         else:
-            require_whole(f"what an effect sets {variable} to", value)
-            assignments.append((variable, int(value)))
+            spec.require(value)
+            source = str(value) if isinstance(value, str) else value
+        assignments.append((name, source))
     return Effect(tuple(assignments))
+
+
+def _from(value: From, spec: VariableSpec, fields: Mapping[str, FieldSpec]) -> tuple[str, int]:
+    """The field that a variable is set from, with its factor."""
+    if value.field not in fields:
+        raise GrammarError(f"an effect names the field {value.field}, which is not there")
+    if spec.words:
+        raise GrammarError(f"an effect sets {spec.name} to a number, allowed is {spec.allowed}")
+    part = fields[value.field]
+    if part.many or part.constant is not None:
+        raise GrammarError(
+            f"an effect sets {spec.name} from the field {value.field}, allowed is a field of one "
+            "number"
+        )
+    low, high = sorted((part.low * value.factor, part.high * value.factor))
+    if not spec.low <= low <= high <= spec.high:
+        raise GrammarError(
+            f"an effect sets {spec.name} to {low} to {high}, allowed is {spec.allowed}"
+        )
+    return value.field, value.factor

@@ -24,8 +24,10 @@ WORDS = {
     },
     "bilprov.spec.fields": {
         *("Answer", "Answers", "Clauses", "From", "Instruction", "LineDefaults", "Outcome"),
-        *("Memory", "Ranged", "Sets", "Timing"),
+        "Memory",
         *("Address", "Crc", "Data", "Length", "Same", "Sum", "Xor", "asked"),
+        *("Ranged", "Sets", "Timing", "Variables", "Word", "Whole", "Bits", "AnyOf", "AllOf"),
+        *("Wheels", "Changed", "Unknown"),
     },
     "bilprov.spec.motion": {"Motion"},
 }

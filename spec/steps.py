@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 from msgspec.structs import replace
 
 from bilprov.spec.codec import Judgement, judge
-from bilprov.spec.motion import Effect
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import Assigned, assigned
 
 _REMEMBERED = 1 << 16  # frames
 
 
 class Step(msgspec.Struct, frozen=True, gc=False):
-    """One frame's judgement, and the new value of each state variable, None where it is kept."""
+    """One frame's judgement, and the state variables that it sets with their new values."""
 
     judgement: Judgement
-    motion: str | None = None
-    speed: int | None = None
-    steering: int | None = None
-    led: int | None = None
+    sets: Assigned
 
 
 class Steps(dict[bytes, Step]):
@@ -58,7 +53,7 @@ class Steps(dict[bytes, Step]):
         effect = self._protocol.on_fault
         if judgement.valid and judgement.instruction:
             effect = judgement.instruction.effect
-        return Step(judgement, **_assigned(effect, dict(judgement.fields)))
+        return Step(judgement, assigned(effect, dict(judgement.fields)))
 
 
 def data_decide(protocol: Protocol, frame: bytes) -> bool:
@@ -68,13 +63,3 @@ def data_decide(protocol: Protocol, frame: bytes) -> bool:
     identity, length = protocol.headers[frame[0]]
     known = protocol.by_id.get(identity)
     return known is not None and known.length == length == len(frame) - 1
-
-
-def _assigned(effect: Effect, fields: dict[str, int]) -> dict[str, Any]:
-    """The new value of each variable that the effect sets."""
-    return {
-        variable: fields[value[0]] * value[1]
-        if isinstance(value, tuple)
-        else getattr(value, "value", value)
-        for variable, value in effect.assignments
-    }

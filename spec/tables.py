@@ -1,6 +1,7 @@
 """Lookup tables made from a Protocol, by which whole arrays of frames are judged. Needs numpy.
 
 They say what `codec.judge` and `Effect.apply` say about single frames, by which they are filled.
+A column of a state variable has numbers, as `State.code` makes them.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import VARIABLES, Motion, is_moving
 from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.state import AnyOf, State, VariableSpec, changed
 from bilprov.spec.steps import Steps, data_decide
 
 OUTCOMES = tuple(Outcome)
@@ -66,19 +67,27 @@ class FrameTables:
         self._verdict = np.zeros(1 << 16, np.uint8)
         # Instructions with more than one data byte: their data are judged field by field.
         self._long: dict[int, InstructionSpec] = {}
-        ends = [end for both in protocol.bounds.values() for end in both]
+        self._variables = tuple(protocol.variables.values())
+        self._state = protocol.state_type
+        ends = [end for spec in self._variables for end in (spec.low, spec.high)]
         self._number = np.result_type(np.int16, *(np.min_scalar_type(-abs(v) - 1) for v in ends))
         sizes = [part.size for spec in protocol.instructions for part in spec.fields]
         if self._number.kind != "i" or max(sizes, default=0) > WIDEST:
             raise OverflowError("a state variable or a field does not fit into 64 bits")
-        self._sets = np.zeros(1 << 16, np.uint8)  # one bit for each variable
-        self._values = {variable: np.zeros(1 << 16, self._type(variable)) for variable in VARIABLES}
+        # One bit for each variable.
+        self._sets = np.zeros(1 << 16, np.min_scalar_type((1 << len(self._variables)) - 1))
+        self._values = {v.name: np.zeros(1 << 16, self._type(v)) for v in self._variables}
+        # The variables whose new value may depend on the old one, with the frames' place in a list
+        # of changes, from 1 on.
+        self._changes: dict[str, tuple[NDArray[np.uint8], list[tuple[int, int, int, int]]]] = {}
         steps = Steps(protocol)
         for header in range(256):
             self._fill(header, steps)
 
-    def _type(self, variable: str) -> np.dtype[Any]:
-        return np.dtype(np.uint8) if variable == "motion" else self._number
+    def _type(self, variable: VariableSpec) -> np.dtype[Any]:
+        if variable.unknown:
+            return np.dtype(np.int64)  # which holds NOT_KNOWN
+        return np.dtype(np.int8) if variable.words else self._number
 
     def _fill(self, header: int, steps: Steps) -> None:
         """Fill the 256 rows of a header from the judgements of its frames."""
@@ -94,11 +103,20 @@ class FrameTables:
                 header << 8 | first if decided and length else slice(header << 8, 1 + header << 8)
             )
             self._verdict[rows] = OUTCOMES.index(step.judgement.outcome)
-            for bit, variable in enumerate(VARIABLES):
-                value = getattr(step, variable)
-                if value is not None:
+            sets = dict(step.sets)
+            for bit, variable in enumerate(self._variables):
+                if variable.name in sets:
                     self._sets[rows] |= 1 << bit
-                    self._values[variable][rows] = coded(value)
+                    self._fill_value(variable, rows, sets[variable.name])
+
+    def _fill_value(self, variable: VariableSpec, rows: int | slice, value: Any) -> None:
+        if not isinstance(value, tuple):
+            self._values[variable.name][rows] = self._state.code(variable.name, value)
+            return
+        made = np.zeros(1 << 16, np.uint8), list[tuple[int, int, int, int]]()
+        places, changes = self._changes.setdefault(variable.name, made)
+        changes.append(value)
+        places[rows] = len(changes)
 
     def blocks(
         self, data: NDArray[np.uint8], start: int = 0
@@ -167,12 +185,12 @@ class FrameTables:
         frames: FrameColumns,
         before: Sequence[int],
     ) -> NDArray[Any]:
-        """A state variable after each frame, a motion as its place in `MOTIONS`.
+        """A state variable after each frame.
 
-        `before` are the values of `VARIABLES` before the first frame (see `values_of`).
+        `before` are the values of all variables before the first frame (see `State.codes`).
         """
-        place = VARIABLES.index(variable)
-        rows = np.flatnonzero(self._sets.take(frames.key) & 1 << place)
+        place = list(self._values).index(variable)
+        rows = np.flatnonzero(self._sets.take(frames.key) & self._sets.dtype.type(1 << place))
         values = self._values[variable].take(frames.key.take(rows))
         for name, more, set_to in self._long_effects(data, frames):
             if name == variable:
@@ -181,17 +199,19 @@ class FrameTables:
         if self._long:
             order = np.argsort(rows, kind="stable")
             rows, values = rows[order], values[order]
+        if variable in self._changes:
+            values = self._changed(variable, frames.key[rows], values, before[place])
         counts = np.diff(np.append(rows, len(frames.key)), prepend=0)
         return np.repeat(np.append(np.array([before[place]], values.dtype), values), counts)
 
     def last_state(
         self, data: NDArray[np.uint8], frames: FrameColumns, before: Sequence[int]
     ) -> tuple[int, ...]:
-        """The values of `VARIABLES` after all of the frames; `before` is as in `state`."""
+        """The values of all variables after all of the frames; `before` is as in `state`."""
         if (
-            len(frames.key) and not self._long
+            len(frames.key) and not self._long and not self._changes
         ):  # then the last frame that sets a variable tells, for each of them
-            bits = [1 << bit for bit in range(len(VARIABLES))]
+            bits = [1 << bit for bit in range(len(self._variables))]
             sets = self._sets.take(frames.key[-_TAIL:])
             if np.bitwise_or.reduce(sets) != sum(bits):  # none of the last frames sets one of them
                 sets = self._sets.take(frames.key)
@@ -200,7 +220,20 @@ class FrameTables:
             frames = frames.rows(sorted(last))
         if not len(frames.key):
             return tuple(before)
-        return tuple(int(self.state(name, data, frames, before)[-1]) for name in VARIABLES)
+        return tuple(int(self.state(name, data, frames, before)[-1]) for name in self._values)
+
+    def _changed(
+        self, variable: str, key: NDArray[np.int64], values: NDArray[Any], before: int
+    ) -> NDArray[Any]:
+        """The values of a variable, where some frames make the new one of the old one."""
+        kind = self._state
+        places, changes = self._changes[variable]
+        found: list[int] = []
+        value = kind.value(variable, before)
+        for place, code in zip(places.take(key).tolist(), values.tolist(), strict=True):
+            value = changed(value, changes[place - 1]) if place else kind.value(variable, code)
+            found.append(kind.code(variable, value))
+        return np.array(found, values.dtype)
 
     def _long_effects(
         self, data: NDArray[np.uint8], frames: FrameColumns
@@ -212,16 +245,14 @@ class FrameTables:
             for good, effect in ((True, spec.effect), (False, self._protocol.on_fault)):
                 where = rows[valid == good]
                 for variable, value in effect.assignments:
-                    if isinstance(value, tuple):
+                    if isinstance(value, tuple) and len(value) == 2:
                         part = next(part for part in spec.fields if part.name == value[0])
                         set_to = field_values(part, data, frames.offset[where]) * value[1]
                     else:
-                        set_to = np.full(len(where), coded(value))
+                        set_to = np.full(len(where), self._state.code(variable, value))
                     yield variable, where, set_to
 
 
-MOTIONS = tuple(Motion)
-_DRIVES = np.array([is_moving(motion, 1) for motion in MOTIONS])
 _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit into a cache
 _DOUBLINGS = 5
 _TAIL = 256  # frames in which each variable is mostly set
@@ -264,20 +295,17 @@ def _byte_values(parse: Callable[[bytes], int]) -> NDArray[np.int64]:
     return np.array([parse(bytes([byte])) for byte in range(256)], np.int64)
 
 
-def values_of(state: Any) -> tuple[int, ...]:
-    """The values of VARIABLES in a state, each as `coded`."""
-    return tuple(coded(getattr(state, variable)) for variable in VARIABLES)
+def moving(kind: type[State], columns: Callable[[str], NDArray[Any]]) -> NDArray[np.bool_]:
+    """Whether the device moves in each row: AT_REST, which must be declared, does not hold.
 
-
-def coded(value: str | int) -> int:
-    """A state variable's value as a number: a motion is its place in `MOTIONS`."""
-    return MOTIONS.index(Motion(value)) if isinstance(value, str) else value
-
-
-def moving(motion: NDArray[np.integer], speed: NDArray[Any]) -> NDArray[np.bool_]:
-    """Whether the wheels turn in each row: of the motion, as its place in `MOTIONS`, and speed."""
-    turning: NDArray[np.bool_] = _DRIVES.take(motion) & np.greater(speed, 0)
-    return turning
+    `columns` gives the column of a variable of this kind of state.
+    """
+    at_rest = kind.at_rest
+    assert at_rest is not None
+    terms = [columns(name) == kind.code(name, value) for name, value in at_rest.values.items()]
+    both = np.logical_or if isinstance(at_rest, AnyOf) else np.logical_and
+    found: NDArray[np.bool_] = np.logical_not(both.reduce(terms))
+    return found
 
 
 @lru_cache(maxsize=8)

@@ -287,7 +287,7 @@ def confirm_motion(protocol: Protocol, what: str, *, yes: bool, option: str = "-
     the value of the command's `--yes` (or of the option named `option`). Raises NotConfirmed if the
     answer is no, or if there is no terminal to ask on.
     """
-    from bilprov.spec.movement import all_movement
+    from bilprov.spec.by_effect import all_movement
 
     if yes or not all_movement(protocol).motions:
         return

@@ -131,8 +131,7 @@ def _list(*, as_json: bool) -> None:
 
 
 def _what_may_move(protocol: Protocol, port: str, rates: Sequence[int], seconds: float) -> str:
-    from bilprov.spec.by_effect import link_check
-    from bilprov.spec.movement import all_movement, movement_of, movement_words
+    from bilprov.spec.by_effect import all_movement, link_check, movement_of, movement_words
 
     first = f"the robot at {port} is asked at {rates[0]} baud"
     if len(rates) == 1:

@@ -54,7 +54,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.topics import HOST_RAW
-from bilprov.spec.movement import movement_of, movement_words
+from bilprov.spec.by_effect import movement_of, movement_words
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:

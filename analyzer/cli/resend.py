@@ -13,7 +13,6 @@ from bilprov.analyzer.decode.records import (
     HostRecord,
     Record,
     Severity,
-    written_state,
 )
 from bilprov.analyzer.output.outputs import Output, Window
 from bilprov.analyzer.pipeline import Pipeline
@@ -118,7 +117,7 @@ def _compare(protocol: Protocol, recorded: ReplayRun, now: ReplayRun, output: Ou
         about = difference.instruction
         t = 0 if about is None else recorded.frames[about].t
         fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
-        output.show(Records([FaultRecord(fault, written_state(protocol.power_on))]))
+        output.show(Records([FaultRecord(fault, protocol.power_on)]))
     sent = quantity(len(recorded.frames), "instruction")
     note(f"{sent} sent, {quantity(len(found), 'difference')}")
     return 1 if found else 0

@@ -24,9 +24,9 @@ from bilprov.analyzer.decode.records import (
     Record,
     serious_faults,
 )
-from bilprov.captures.schemas import FrameKind, State
-from bilprov.spec.motion import VARIABLES, is_moving
-from bilprov.spec.tables import MOTIONS, OUTCOMES, VALID, coded, moving
+from bilprov.captures.schemas import FrameKind
+from bilprov.spec.state import NOT_KNOWN, State
+from bilprov.spec.tables import OUTCOMES, VALID, moving
 
 Mask: TypeAlias = NDArray[np.bool_]
 Integers: TypeAlias = NDArray[np.integer]
@@ -38,8 +38,6 @@ INSTRUCTION, TRUNCATED, GARBAGE = range(3)
 
 NO_VERDICT = len(OUTCOMES)
 """In a column of verdicts (places in `OUTCOMES`): bytes that are no frame."""
-
-_MOTION_NAMES = np.array([motion.value for motion in MOTIONS], object)
 
 LATEST = 1 << 62
 """The latest time (ns) in columns: some time later still fits into 64 bits. It is 146 years."""
@@ -91,9 +89,14 @@ class Kinds(NamedTuple):
 
 
 class StateColumns:
-    """The predicted state of rows: `columns[variable]` is an array; a motion is its place."""
+    """The predicted state of rows: `columns[variable]` is an array, of `State.code`.
 
-    def __init__(self, made: Callable[[str], NDArray[Any]]) -> None:
+    `kind` is the class of the states; `made` makes a column.
+    """
+
+    def __init__(self, kind: type[State], count: int, made: Callable[[str], NDArray[Any]]) -> None:
+        self.kind = kind
+        self._count = count
         self._made = made
         self._columns: dict[str, NDArray[Any]] = {}
 
@@ -104,21 +107,24 @@ class StateColumns:
 
     @property
     def moving(self) -> Mask:
-        """Whether the wheels turn."""
-        return moving(self["motion"], self["speed"])
+        """Whether the device is not at rest; nowhere if the grammar does not say when it is."""
+        if self.kind.at_rest is None:
+            return np.zeros(self._count, np.bool_)
+        return moving(self.kind, self.__getitem__)
 
     def states(self) -> list[State]:
         """The state of each row as it is written; neighbours with one state share one object."""
-        columns = {variable: self[variable] for variable in VARIABLES}
-        count = len(self["motion"])
+        kind, count = self.kind, self._count
+        columns = {variable: self[variable] for variable in kind.variables}
         changed = np.zeros(count, np.bool_)
         changed[:1] = True
         for column in columns.values():
             changed[1:] |= column[1:] != column[:-1]
         first = np.flatnonzero(changed)
-        columns["moving"] = self.moving
-        columns["motion"] = _MOTION_NAMES.take(columns["motion"])
-        distinct = map(State, *(columns[name][first].tolist() for name in State.__struct_fields__))
+        values = [_values(kind, name, column[first]) for name, column in columns.items()]
+        if kind.at_rest is not None:
+            values.append(self.moving[first].tolist())
+        distinct = map(kind, *values) if values else [kind() for _ in first]
         return repeated(distinct, np.diff(first, append=count))
 
 
@@ -423,11 +429,15 @@ def sliced(
     return list(map(taken.__getitem__, slices))
 
 
-def written(*values: int) -> State:
-    """The state with these values of VARIABLES, each as `coded`, as it is written."""
-    named = dict(zip(VARIABLES, values, strict=True))
-    motion = MOTIONS[named.pop("motion")].value
-    return State(motion=motion, moving=is_moving(motion, named["speed"]), **named)
+def _values(kind: type[State], variable: str, codes: NDArray[Any]) -> list[Any]:
+    """The values of a variable with these numbers."""
+    unknown = codes == NOT_KNOWN
+    words = kind.words.get(variable)
+    values = codes if words is None else np.array(words, object).take(codes, mode="clip")
+    listed: list[Any] = values.tolist()
+    for row in np.flatnonzero(unknown).tolist():
+        listed[row] = None
+    return listed
 
 
 def repeated(values: Iterable[Any], counts: NDArray[np.integer]) -> list[Any]:
@@ -442,11 +452,13 @@ def _numbers(values: Sequence[int | None]) -> NDArray[np.int64]:
 
 
 def _states_of(records: Sequence[HostRecord] | Sequence[DeviceRecord]) -> StateColumns:
+    kind = type(records[0].state) if records else State
+
     def made(variable: str) -> NDArray[Any]:
-        values = [coded(getattr(record.state, variable)) for record in records]
+        values = [kind.code(variable, getattr(record.state, variable)) for record in records]
         return np.array(values) if values else np.zeros(0, np.int64)
 
-    return StateColumns(made)
+    return StateColumns(kind, len(records), made)
 
 
 def _verdict(record: HostRecord) -> int:

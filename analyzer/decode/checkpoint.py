@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 from msgspec.structs import replace
 
-from bilprov.captures.schemas import MS, Direction, State
+from bilprov.captures.schemas import MS, Direction
 from bilprov.spec.framing import frame_size
-from bilprov.spec.motion import Motion, is_moving
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 # What a text may hold; what is decoded after it may still be as large again.
 _MOST = 1 << 61  # instructions
@@ -86,12 +87,9 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         past += [t for t, _ in self.held]
         past += [t for t in (self.lost_at, self.unsynced_since) if t is not None]
         sane = (
-            state.motion in tuple(Motion)
-            and state.moving == is_moving(state.motion, state.speed)
-            and all(
-                low <= getattr(state, variable) <= high
-                for variable, (low, high) in protocol.bounds.items()
-            )
+            type(state) is protocol.state_type
+            and all(spec.holds(getattr(state, name)) for name, spec in protocol.variables.items())
+            and state == state.of({name: getattr(state, name) for name in state.variables})
             and self.time <= 2 * _LATEST
             and all(0 <= t <= self.time for t in past)
             and self.frame_start <= self.frame_end
@@ -145,7 +143,10 @@ def encoded(state: DecoderState) -> str:
 def decoded(text: str, protocol: Protocol) -> DecoderState | None:
     """The state in a JSON text; None if it is none, or one that no session can be in."""
     try:
-        state = msgspec.json.decode(text, type=DecoderState)
+        told = msgspec.json.decode(text, type=dict[str, Any])
+        of_device = msgspec.convert(told.get("state"), protocol.state_type)
+        state = msgspec.convert(told, DecoderState)  # which keeps no variable of a State
+        state = replace(state, state=of_device)
         state.require_sense(protocol)
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return None

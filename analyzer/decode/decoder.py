@@ -21,15 +21,14 @@ from bilprov.analyzer.decode.records import (
     HostRecord,
     LineRecord,
     Record,
-    written_state,
 )
 from bilprov.analyzer.decode.replies import Heard, ReplyFramer
-from bilprov.captures.schemas import Direction, Line, State
+from bilprov.captures.schemas import Direction, Line
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Kind, framer
-from bilprov.spec.motion import is_moving
 from bilprov.spec.protocol import Protocol, ResponseSpec
-from bilprov.spec.steps import Step, Steps
+from bilprov.spec.state import State, after
+from bilprov.spec.steps import Steps
 
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})
@@ -60,7 +59,7 @@ class Decoder:
         self._skew = skew
         self._pairing = Pairing(protocol, skew)
         self._steps = Steps(protocol)
-        self._state = written_state(protocol.power_on)
+        self._state = protocol.power_on
         self._sequence = 0
         self._out_of_step: int | None = None  # when the open frame is given up
         self._lost_at: int | None = None  # when bytes were last known to be missing
@@ -368,7 +367,7 @@ class Decoder:
         judgement = step.judgement
         sequence = self._sequence
         self._sequence = sequence + 1
-        state = self._state = _after(self._state, step)
+        state = self._state = after(self._state, step.sets)
         out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state))
         if self._paired and judgement.answer_due:
             pairing = self._pairing
@@ -464,19 +463,3 @@ def _meaning(protocol: Protocol, held: Held) -> ResponseSpec | None:
 def _held(heard: Heard) -> Held:
     reply = heard.reply
     return Held(heard.start, reply.response.code if reply.response else -1, reply)
-
-
-def _after(state: State, step: Step) -> State:
-    """The state after a frame; the same object where the frame changes nothing."""
-    motion = step.motion or state.motion
-    speed = state.speed if step.speed is None else step.speed
-    steering = state.steering if step.steering is None else step.steering
-    led = state.led if step.led is None else step.led
-    if (
-        motion == state.motion
-        and speed == state.speed
-        and steering == state.steering
-        and led == state.led
-    ):
-        return state
-    return State(motion, speed, steering, led, is_moving(motion, speed))

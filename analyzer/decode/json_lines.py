@@ -15,8 +15,9 @@ Each line is one object, always with these keys in this order. A key that does n
 - `reason`: the reason for the judgement or the fault, in words; may be empty.
 - `latency`: seconds from the instruction's last byte to this response; negative where two taps
   stamped it earlier.
-- `state`: the motion state that the instructions so far predict: `motion`, `speed`, `steering`
-  (right positive), `led`, `moving`.
+- `state`: the state that the instructions so far predict, as the grammar declares it: `motion`,
+  `speed`, `steering` (right positive), `led`. `moving` tells that the device is not at rest, where
+  the grammar says when it is. A value that is not known is null.
 - `sequence`: the number of the instruction, counted from 0 (whole and truncated ones).
 - `answers`: the `sequence` of the instruction that this response answers.
 - `agrees`: whether the response is the expected one.
@@ -49,10 +50,10 @@ from bilprov.analyzer.decode.records import (
     Record,
     serious_faults,
 )
-from bilprov.captures.schemas import State
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement
 from bilprov.spec.data import plain_values
+from bilprov.spec.state import State
 
 
 class JsonLine(msgspec.Struct, frozen=True, gc=False):

@@ -7,18 +7,17 @@ same as `t` and `latency`, which in JSON lines and CSV are seconds.
 from __future__ import annotations
 
 from enum import IntEnum
-from functools import lru_cache
 from typing import Any, TypeAlias
 
 import msgspec
 
-from bilprov.captures.schemas import Instruction, Line, Response, State, Timed
+from bilprov.captures.schemas import Instruction, Line, Response, Timed
 from bilprov.spec.codec import Judgement
 from bilprov.spec.data import plain_values
 from bilprov.spec.framing import Kind
-from bilprov.spec.motion import State as MotionState
 from bilprov.spec.protocol import ResponseSpec
 from bilprov.spec.replies import Reply
+from bilprov.spec.state import State
 
 
 class Severity(IntEnum):
@@ -247,9 +246,3 @@ def serious_faults(record: Record) -> list[Anomaly]:
 def is_frame(record: Record) -> bool:
     """Whether the record holds bytes (these are the records that `--count` counts)."""
     return isinstance(record, HostRecord | DeviceRecord)
-
-
-@lru_cache(maxsize=4096)
-def written_state(state: MotionState) -> State:
-    """Convert a motion state to its written form; `moving` tells whether the wheels turn."""
-    return State(state.motion.value, state.speed, state.steering, state.led, state.moving)

@@ -31,20 +31,19 @@ from bilprov.analyzer.decode.batch import (
     StateColumns,
     repeated,
     sliced,
-    written,
 )
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import TURNS, unpaired_record
 from bilprov.analyzer.decode.pairing import MOST, Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
-from bilprov.captures.schemas import MS, Line, State
+from bilprov.captures.schemas import MS, Line
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 from bilprov.spec.steps import Steps, data_decide
-from bilprov.spec.tables import FrameColumns, FrameTables, frame_tables, values_of
+from bilprov.spec.tables import FrameColumns, FrameTables, frame_tables
 
 
 def prepare(protocol: Protocol) -> None:
@@ -128,7 +127,7 @@ class RegularBatch(Batch):
             size=self.decoding.tables.sizes.take(new.key >> 8),
             verdict=new.verdict,
             sequence=self.first + np.arange(self.carried, len(self.frame_end)),
-            states=StateColumns(alone._host_states),
+            states=StateColumns(type(self.before), len(end), alone._host_states),
             reasons=lambda rows: [one.reason for one in alone._judgements(alone.carried + rows)],
         )
 
@@ -136,7 +135,8 @@ class RegularBatch(Batch):
     def devices(self) -> DeviceRows:
         """The device's rows."""
         tables, count, alone = self.decoding.tables, len(self.byte), self._alone
-        states = StateColumns(partial(alone._device_states, self.hosts.states))
+        made = partial(alone._device_states, self.hosts.states)
+        states = StateColumns(type(self.before), count, made)
         if not self.decoding.paired:
             nothing = np.broadcast_to(np.int64(-1), count)
             used = tables.used.take(self.byte)
@@ -296,11 +296,11 @@ class RegularBatch(Batch):
 
     def _host_states(self, variable: str) -> NDArray[Any]:
         new = self.frames.rows(slice(self.carried, None))
-        return self.decoding.tables.state(variable, self.data, new, values_of(self.before))
+        return self.decoding.tables.state(variable, self.data, new, self.before.codes)
 
     def _device_states(self, hosts: StateColumns, variable: str) -> NDArray[Any]:
         column = hosts[variable]
-        first = values_of(self.before)[VARIABLES.index(variable)]
+        first = self.before.code(variable, getattr(self.before, variable))
         return np.append(np.array([first], column.dtype), column).take(self.after)
 
     @cached_property
@@ -457,7 +457,7 @@ class RegularDecoder:
         heard = len(held) + (int(device.bytes[answers - 1]) if answers else 0)
         given = min(heard, rows) if paired else heard
         new_frames = frames.rows(slice(carried, rows))
-        last = written(*tables.last_state(data, new_frames, values_of(rest.state)))
+        last = rest.state.of_codes(tables.last_state(data, new_frames, rest.state.codes))
         if paired:  # an answer that is held follows its instruction at once
             there = np.maximum(there, np.arange(1, len(there) + 1))
         line_event = line_event[line_event < cut]

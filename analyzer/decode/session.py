@@ -14,7 +14,7 @@ import msgspec
 from bilprov.analyzer.decode import anomalies, checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.decoder import LOSSES, UNREAD, Decoder
-from bilprov.analyzer.decode.records import LineRecord, Record, written_state
+from bilprov.analyzer.decode.records import LineRecord, Record
 from bilprov.analyzer.decode.resync import Resync
 from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Resumption
 from bilprov.spec.framing import Framed
@@ -144,7 +144,7 @@ class Session:
                 skew=self._skew,
                 heard=self._heard,
                 sequence=0,
-                state=written_state(self._protocol.power_on),
+                state=self._protocol.power_on,
                 unsynced_since=self._unsynced_since,
                 spoken=self._spoken,
             )

@@ -38,7 +38,7 @@ ROWS = 1 << 16
 """Rows of a row group at most, which is what a reader holds in memory."""
 
 _INT_BYTES = 8
-_WORDS = {"direction", "kind", "name", "judgement", "response", "state.motion"}
+_WORDS = {"direction", "kind", "name", "judgement", "response"}
 _SECONDS = {"t", "latency"}
 _TRUTHS = {"state.moving", "agrees"}
 _TEXTS = {"hex", "data", "fields", "state", "reason"}
@@ -159,6 +159,11 @@ def _wide(protocol: Protocol) -> set[str]:
     }
 
 
+def _words(protocol: Protocol) -> set[str]:
+    """The columns of words, of which there are few."""
+    return _WORDS | {f"state.{name}" for name, spec in protocol.variables.items() if spec.words}
+
+
 def _types(pa: Any, protocol: Protocol) -> dict[str, Any]:
     """The types of the columns that are no whole numbers of 64 bits."""
     return {
@@ -167,7 +172,7 @@ def _types(pa: Any, protocol: Protocol) -> dict[str, Any]:
         "faults": pa.list_(pa.string()),
         **dict.fromkeys(_SECONDS, pa.float64()),
         **dict.fromkeys(_TRUTHS, pa.bool_()),
-        **dict.fromkeys(_WORDS, pa.dictionary(pa.int32(), pa.string())),
+        **dict.fromkeys(_words(protocol), pa.dictionary(pa.int32(), pa.string())),
         **dict.fromkeys(_TEXTS, pa.string()),
         **dict.fromkeys(_wide(protocol), pa.decimal128(38)),
     }

@@ -26,9 +26,9 @@ from bilprov.analyzer.decode.batch import (
 from bilprov.analyzer.decode.json_lines import JsonLine
 from bilprov.analyzer.filters.moments import DAY, STEP, offset
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
-from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.tables import MOTIONS, OUTCOMES, VALID, field_values
+from bilprov.spec.state import NOT_KNOWN
+from bilprov.spec.tables import OUTCOMES, VALID, field_values
 
 
 class Numbers(NamedTuple):
@@ -154,7 +154,8 @@ def line_columns(lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | N
     def listed(value: Callable[[JsonLine], Any]) -> Callable[[], Column]:
         return lambda: _listed([value(line) for line in lines])
 
-    states = [f"state.{name}" for name in (*VARIABLES, "moving")]
+    kinds = [type(line.state) for line in lines[:1]]
+    states = [f"state.{name}" for kind in kinds for name in kind.__struct_fields__]
     as_they_are = ("direction", "kind", "name", "reason", "sequence", *states)
     makers: Makers = {
         **{name: listed(attrgetter(name)) for name in as_they_are},
@@ -193,16 +194,20 @@ def _of_time(t: NDArray[np.int64], start: int | None) -> Makers:
 
 
 def _of_state(states: StateColumns) -> Makers:
-    """The variables of the predicted state, and whether the wheels turn."""
-    numbers = {
-        f"state.{name}": partial(lambda name: Numbers(states[name]), name) for name in VARIABLES
-    }
-    motions = [motion.value for motion in MOTIONS]
-    return {
-        **numbers,
-        "state.motion": lambda: Words(states["motion"], motions),
-        "state.moving": lambda: _truth(states.moving),
-    }
+    """The variables of the predicted state, and whether the device moves."""
+
+    def variable(name: str) -> Column:
+        column, words = states[name], states.kind.words.get(name)
+        known = column != NOT_KNOWN
+        if words is None:
+            return Numbers(column, known)
+        return Words(np.where(known, column, len(words)), (*words, None))
+
+    kind = states.kind
+    makers: Makers = {f"state.{name}": partial(variable, name) for name in kind.variables}
+    if kind.at_rest is None:
+        return makers
+    return {**makers, "state.moving": lambda: _truth(states.moving)}
 
 
 @lru_cache(maxsize=8)

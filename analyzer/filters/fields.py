@@ -12,7 +12,6 @@ from typing import TypeAlias, get_args
 from bilprov.analyzer.decode.anomalies import KINDS, LINE_SEVERITY
 from bilprov.captures.schemas import Direction, FrameKind
 from bilprov.spec.data import FieldSpec
-from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol
 
 Value: TypeAlias = "bool | int | str"
@@ -141,13 +140,15 @@ def _of_rows(protocol: Protocol) -> list[Field]:
 
 
 def _of_state(protocol: Protocol) -> Iterator[Field]:
-    for variable in VARIABLES:
+    for variable, spec in protocol.variables.items():
         name, says = f"state.{variable}", f"the predicted {variable}"
-        if variable == "motion":
-            yield Field(name, Kind.WORD, says, words=_itself(Motion))
+        if spec.words:
+            yield Field(name, Kind.WORD, says, words=_itself(spec.words))
         else:
-            yield Field(name, Kind.NUMBER, says, "", *protocol.bounds[variable])
-    yield Field("state.moving", Kind.TRUTH, "whether the wheels turn", words=_TRUTH)
+            yield Field(name, Kind.NUMBER, says, "", spec.low, spec.high)
+    if protocol.at_rest:
+        says = "whether the wheels turn" if protocol.wheels else "whether it is not at rest"
+        yield Field("state.moving", Kind.TRUTH, says, words=_TRUTH)
 
 
 def _part(protocol: Protocol, name: str) -> Field:

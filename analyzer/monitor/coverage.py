@@ -8,8 +8,8 @@ import msgspec
 
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 _KEPT = 1 << 16  # frames remembered of each kind: a limit for the memory of long, varied sessions
 
@@ -34,11 +34,13 @@ class Coverage:
         self._cuts: set[bytes] = set()
         self._unused: set[int] = set()
         self._wrong: set[int] = set()
+        self._wheels = protocol.wheels
         self._moving: set[tuple[Outcome | None, str]] = set()
         self._codes: set[int] = set()
 
-    def frame(self, judgement: Judgement, motion: str) -> None:
-        """Count a frame; `motion` is the predicted motion of the robot before the frame."""
+    def frame(self, judgement: Judgement, state: State) -> None:
+        """Count a frame; `state` is the predicted state of the device before the frame."""
+        motion = getattr(state, self._wheels.by) if self._wheels else ""
         frame = judgement.frame
         if judgement.valid:
             met = self._valid[judgement.id]
@@ -90,12 +92,14 @@ class Coverage:
         yield Covered(clauses.responses, "frames cut short", len(self._cuts), cuts)
         codes = len(self._codes & set(protocol.codes))
         yield Covered(clauses.responses, "response codes", codes, len(protocol.codes))
-        yield Covered(
-            clauses.safety,
-            "classes of fault x kinds of motion",
-            len({key for key in self._moving if key[1] != Motion.STOPPED}),
-            self._classes() * len([m for m in Motion if m is not Motion.STOPPED]),
-        )
+        if self._wheels:
+            turns = self._wheels.turns
+            yield Covered(
+                clauses.safety,
+                "classes of fault x kinds of motion",
+                len({key for key in self._moving if key[1] in turns}),
+                self._classes() * len(turns),
+            )
 
     def _classes(self) -> int:
         """How many classes of faulty frame the protocol has; truncated is one of them."""

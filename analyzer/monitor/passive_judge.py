@@ -21,13 +21,11 @@ from bilprov.analyzer.decode.records import (
     LineRecord,
     Record,
     Severity,
-    written_state,
 )
 from bilprov.analyzer.monitor.coverage import Coverage, Covered
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion
 from bilprov.spec.open_points import SILENCE_READING, other_choices
 from bilprov.spec.protocol import Protocol
 
@@ -106,7 +104,7 @@ class PassiveJudge:
         self._pending: dict[int, bool] = {}
         self._flushes_until = -1  # R-drain-known: the device may flush until the line is idle
         self._newest = -1
-        self._motion = written_state(protocol.power_on).motion
+        self._state = protocol.power_on
         self._stopped_by: int | None = None  # the faulty instruction that stopped the robot
         self._away: frozenset[str] = frozenset()  # the sides whose port is unplugged
         self._said = 0  # time of the host's last byte
@@ -186,12 +184,12 @@ class PassiveJudge:
         self._findings.instructions += 1
         if record.t < self._in_step_from:  # it was buffered: the host was not silent then
             self._in_step_from = _NEVER
-        self._coverage.frame(judgement, self._motion)
-        self._motion = record.state.motion
-        if not judgement.valid:
+        self._coverage.frame(judgement, self._state)
+        self._state = record.state
+        if not judgement.valid and self._protocol.stops(self._protocol.on_fault):
             self._stopped_by, self._stood = number, False
             self._refused = max((record.end, *(fault.t for fault in record.faults)))
-        elif self._motion != Motion.STOPPED:
+        elif judgement.valid and self._protocol.directed(self._state):
             self._stopped_by = None
         if record.end - record.t > self._pause and not judgement.truncated:
             self._out_of_step()  # the device may have given up on it (R-truncation-timeout)

@@ -30,7 +30,6 @@ from bilprov.analyzer.output.row_columns import (
     nanoseconds,
 )
 from bilprov.captures.text import escape_controls
-from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
 
 _FRONT = ("t", "direction", "kind", "hex", "name")
@@ -44,7 +43,7 @@ def usual_columns(protocol: Protocol, *, time: bool = False) -> tuple[Column, ..
     """
     known = columns_of(protocol)
     fields = [name for name in known if name.startswith("fields.")]
-    states = [f"state.{name}" for name in (*VARIABLES, "moving")]
+    states = [name for name in known if name.startswith("state.")]
     names = [*_FRONT, *fields, "judgement", "reason", "latency", *states, *_BACK]
     return tuple(known[name] for name in (["time", *names] if time else names))
 

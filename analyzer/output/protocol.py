@@ -16,9 +16,9 @@ from bilprov.spec.codec import judge, spaced
 from bilprov.spec.data import DataSpec
 from bilprov.spec.errata import Finding
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Effect
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Reading
+from bilprov.spec.state import Effect, value_words
 
 
 def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
@@ -44,8 +44,10 @@ def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
     if protocol.unused_ids:
         answer = protocol.answers[Outcome.UNKNOWN_ID].name
         unused = ", ".join(map(str, protocol.unused_ids))
-        yield Text(f"  unused: {unused} (answered {answer}, stops the robot)", style="dim")
-    yield from _titled("Effects on the motion state")
+        stops = f", stops the {protocol.device}" if protocol.stops(protocol.on_fault) else ""
+        yield Text(f"  unused: {unused} (answered {answer}{stops})", style="dim")
+    kind = "motion state" if protocol.at_rest else "state"
+    yield from _titled(f"Effects on the {kind}")
     yield table(("after", "becomes"), _effect_rows(protocol))
     yield from _titled(f"Responses, one byte ({protocol.clauses.responses})")
     yield _responses(protocol)
@@ -101,15 +103,20 @@ def _effect_rows(protocol: Protocol) -> Iterator[tuple[str, str]]:
     for spec in protocol.instructions:
         yield spec.name, _effect(spec.effect)
     yield "a faulty instruction", _effect(protocol.on_fault)
-    start = asdict(protocol.power_on)
+    start = _power_on(protocol)
     yield "power-on", ", ".join(f"{name} = {value}" for name, value in start.items())
+
+
+def _power_on(protocol: Protocol) -> dict[str, Any]:
+    """The value of each variable at power-on."""
+    return {name: getattr(protocol.power_on, name) for name in protocol.variables}
 
 
 def _effect(effect: Effect) -> str:
     words = [
         f"{variable} = {'-' if value[1] < 0 else ''}{value[0]}"
-        if isinstance(value, tuple)
-        else f"{variable} = {value}"
+        if isinstance(value, tuple) and len(value) == 2
+        else f"{variable} = {value_words(value)}"
         for variable, value in effect.assignments
     ]
     return ", ".join(words) or "nothing changes"
@@ -154,7 +161,7 @@ def protocol_json(protocol: Protocol) -> dict[str, Any]:
         "unused_ids": list(protocol.unused_ids),
         "responses": [_response_json(response) for response in protocol.responses],
         "on_fault": _effect_json(protocol.on_fault),
-        "power_on": asdict(protocol.power_on),
+        "power_on": _power_on(protocol),
         "timing_ms": asdict(protocol.timing),
         "line": asdict(protocol.line),
         "clauses": asdict(protocol.clauses),
@@ -207,10 +214,13 @@ def _fields_json(data: DataSpec) -> list[dict[str, Any]]:
 
 
 def _effect_json(effect: Effect) -> dict[str, Any]:
-    return {
-        variable: {"field": value[0], "factor": value[1]} if isinstance(value, tuple) else value
-        for variable, value in effect.assignments
-    }
+    def told(value: Any) -> Any:
+        if not isinstance(value, tuple):
+            return value
+        names = ("field", "factor") if len(value) == 2 else ("factor", "plus", "low", "high")
+        return dict(zip(names, value, strict=True))
+
+    return {variable: told(value) for variable, value in effect.assignments}
 
 
 def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[RenderableType]:

@@ -7,7 +7,7 @@ and as `fields.NAME`; where a field is called like a column, only the latter rea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -17,10 +17,9 @@ from typing import Any, TypeAlias, TypeVar
 
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record, severity_of
-from bilprov.analyzer.output.text_lines import painted, state_words
+from bilprov.analyzer.output.text_lines import painted
 from bilprov.captures.text import printable
 from bilprov.spec.errors import UserError
-from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol
 
 Value: TypeAlias = str | int | float | bool | None
@@ -157,7 +156,7 @@ def _described(line: JsonLine) -> str | None:
 
 
 def _state_words(line: JsonLine) -> str:
-    return state_words(line.state)
+    return line.state.described
 
 
 def _time(line: JsonLine) -> Value:
@@ -171,11 +170,13 @@ def _key(
     return Column(name, heading, width, says, attrgetter(name), text, right)
 
 
-def _state(variable: str) -> Column:
-    """The column of one variable of the predicted state."""
-    width = max(map(len, Motion)) if variable == "motion" else len(variable)
-    right = variable not in ("motion", "moving")
-    return _key(f"state.{variable}", variable, width, "predicted", right=right)
+def _states(protocol: Protocol) -> Iterator[Column]:
+    """The columns of the predicted state."""
+    for name, spec in protocol.variables.items():
+        width = max(map(len, spec.words), default=len(name))
+        yield _key(f"state.{name}", name, width, "predicted", right=not spec.words)
+    if protocol.at_rest:
+        yield _key("state.moving", "moving", len("moving"), "predicted")
 
 
 COLUMNS: Mapping[str, Column] = {
@@ -200,7 +201,6 @@ COLUMNS: Mapping[str, Column] = {
         ),
         Column("latency_ns", "latency ns", 10, "the same in ns", _latency_ns, right=True),
         Column("state", "state", 26, "the predicted state in words", _state_words),
-        *map(_state, (*VARIABLES, "moving")),
         _key("sequence", "number", 8, "the instruction's, from 0", right=True),
         _key(
             *("answers", "answers", 8, "the number of the instruction that is answered"),
@@ -211,7 +211,7 @@ COLUMNS: Mapping[str, Column] = {
         _key("reason", "reason", 40, "why, in words"),
     )
 }
-"""The columns of every grammar but `id`, `len` and the fields."""
+"""The columns of every grammar but `id`, `len`, the fields and the variables of the state."""
 
 TIME = COLUMNS["time"]
 
@@ -232,9 +232,12 @@ def columns_of(protocol: Protocol) -> dict[str, Column]:
         Column("len", "len", 3, "the data bytes that its header announces", part(1), right=True),
     )
     fields = {f"fields.{column.name}": column for column in _fields(protocol)}
+    common = list(COLUMNS.items())
+    at = list(COLUMNS).index("state") + 1
+    states = [(column.name, column) for column in _states(protocol)]
     return {
         **{column.name: column for column in fields.values()},
-        **COLUMNS,
+        **dict([*common[:at], *states, *common[at:]]),
         **{column.name: column for column in about_header},
         **{name: replace(column, name=name) for name, column in fields.items()},
     }

@@ -21,8 +21,9 @@ from bilprov.analyzer.decode.records import (
     Severity,
     severity_of,
 )
-from bilprov.captures.schemas import Line, State
+from bilprov.captures.schemas import Line
 from bilprov.captures.text import printable
+from bilprov.spec.state import State
 
 HEX_WIDTH = 11  # fits four bytes; longer frames shift the rest of the line to the right
 WORDS_WIDTH = 22
@@ -96,7 +97,7 @@ class LineRenderer:
         return f"{self._time(fault.t)} ! {self._paint(words, fault.severity)}"
 
     def _state_text(self, state: State) -> str:
-        words = state_words(state)
+        words = state.described
         return f"  {click.style(words, dim=True) if self._colour else words}"
 
     def _why(self, reason: str, severity: Severity | None) -> str:
@@ -112,12 +113,6 @@ ASCII_ARROWS = (">", "<")
 def painted(text: str, severity: Severity | None) -> str:
     """The text in the colour of what it tells: green where nothing is odd."""
     return click.style(text, fg="green" if severity is None else SEVERITY_COLOURS[severity])
-
-
-def state_words(state: State) -> str:
-    """The predicted state in words, like `forward speed 255 steering +64 led 5`."""
-    steering = f" steering {state.steering:+d}" if state.steering else ""
-    return f"{state.motion} speed {state.speed}{steering} led {state.led}"
 
 
 def _line_event(line: Line) -> str:

@@ -11,10 +11,9 @@ from typing import Any
 from bilprov.analyzer.html.markup import Safe, bar, joined, json_block, tag
 from bilprov.analyzer.html.page import html_page
 from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency
-from bilprov.analyzer.totals.timeline import Mark, Range, Timeline
+from bilprov.analyzer.totals.timeline import Mark, Range, Timeline, word_of
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.tables import MOTIONS
 
 _ASSETS = Path(__file__).parent / "assets"
 SECOND = 1e9  # ns
@@ -61,18 +60,19 @@ def plot_data(protocol: Protocol, timeline: Timeline) -> dict[str, Any]:
     """What the page's script draws. Times are in ns; those of a list each from the one before."""
     states, latencies, (marks, _) = timeline.states(), timeline.latencies(), timeline.marks()
     exact = not states.step
+    word = word_of(protocol)
+    words = protocol.variables[word].words if word else ()
     return {
         "begin": timeline.begin,
         "end": timeline.end,
         "folds": [(first, last, _long(last - first)) for first, last in _folds(timeline)],
-        "motions": [motion.value.replace("_", " ") for motion in MOTIONS],
-        "bounds": {name: protocol.bounds[name] for name in ("speed", "steering")},
+        "motions": [word.replace("_", " ") for word in words],
+        "bounds": {name: protocol.bounds[name] for name in states.ranges},
         "states": {
             "t": _deltas(states.t),
             "motion": states.motion,
             "seen": None if exact else states.seen,
-            "speed": _range(states.speed, exact=exact),
-            "steering": _range(states.steering, exact=exact),
+            **{name: _range(values, exact=exact) for name, values in states.ranges.items()},
         },
         "latencies": {
             "t": _deltas(latencies.t),

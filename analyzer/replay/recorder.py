@@ -15,21 +15,12 @@ from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.closing import Closing
 from bilprov.captures.parts import part_path, require_new
-from bilprov.captures.schemas import (
-    MS,
-    Checkpoint,
-    Chunk,
-    Direction,
-    Line,
-    Log,
-    Resumption,
-    State,
-    Time,
-)
+from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Log, Resumption, Time
 from bilprov.captures.storage.records import STRING_BYTES
 from bilprov.captures.topics import Written
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 # A call comes some 50 ms or a read later than what it is due at: so a little less than 1 s, 64 KiB.
 CHECKPOINT_AFTER: Final = 900 * MS

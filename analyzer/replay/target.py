@@ -12,14 +12,13 @@ from bilprov.analyzer.client.homing import halt, home, home_once
 from bilprov.analyzer.client.link import LinkListener, done
 from bilprov.analyzer.client.operations import send
 from bilprov.analyzer.client.port_link import PortLink
-from bilprov.analyzer.decode.records import Record, written_state
+from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import MS, Chunk, Line
-from bilprov.spec.motion import Motion, State
 from bilprov.spec.protocol import Protocol
 
 
@@ -44,7 +43,7 @@ class Target(Closing, LinkListener):
         heard: Callable[[Record], object],
         max_drive: float = 0.0,
     ) -> None:
-        self.state = written_state(protocol.power_on)
+        self.state = protocol.power_on
         self.answered_stops = False
         self.driven_out = False
         self._max_drive = max_drive
@@ -90,7 +89,7 @@ class Target(Closing, LinkListener):
         readable are returned. A device that has driven too long is stopped. Raises LinkError.
         """
         now = self.now()
-        limited = self._max_drive > 0 and self.state.motion != Motion.STOPPED
+        limited = self._max_drive > 0 and self._protocol.directed(self.state)
         until = self._instructed + self._max_drive
         if limited:
             seconds = min(seconds, until - time.monotonic())
@@ -131,9 +130,7 @@ class Target(Closing, LinkListener):
         """
         self._show(self._session.finish())
         self._home(patient=patient)
-        was = self.state
-        before = State(Motion(was.motion), was.speed, was.steering, was.led)
-        self.state = written_state(self._protocol.stop.effect.apply(before))
+        self.state = self._protocol.stop.effect.apply(self.state)
         saved = self._session.saved()
         if saved is not None:  # frame boundaries are known: all that was sent came from here
             self._session.resume(

@@ -25,7 +25,7 @@ from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.filters.parts import FilterError
 from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle, columns_of
 from bilprov.analyzer.screen.bars import head_line, status_line
-from bilprov.analyzer.screen.car import car
+from bilprov.analyzer.screen.car import picture
 from bilprov.analyzer.screen.details import FieldTree
 from bilprov.analyzer.screen.dialogs import ColumnChoice, Help
 from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
@@ -36,7 +36,6 @@ from bilprov.analyzer.screen.places import REFUSAL, row_of
 from bilprov.analyzer.screen.prompt import Prompt, Question
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.row_export import export, new_file_refusal, refusal
-from bilprov.captures.schemas import State
 from bilprov.captures.text import quantity
 from bilprov.spec.codec import spaced
 
@@ -249,8 +248,8 @@ class Browser(App[str | None]):
         record = self.frames.record
         self.fields.show(record, state=self.size.width < _SIDE_FROM)
         self.frames.lit = self.fields.bytes
-        state = record.state if record else State("stopped", 0, 0, 0, moving=False)
-        lines = car(self._recording.protocol, state)
+        protocol = self._recording.protocol
+        lines = picture(protocol, record.state if record else protocol.power_on)
         self._write(self.car, Text("\n", no_wrap=True).join(lines))
 
     def _show_figures(self) -> None:

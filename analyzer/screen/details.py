@@ -16,7 +16,6 @@ from textual.widgets import Tree
 from textual.widgets.tree import TreeNode
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
-from bilprov.analyzer.output.text_lines import state_words
 from bilprov.analyzer.screen.signs import FOLDED, ORDINARY, UNFOLDED, Look, look_of
 from bilprov.captures.text import escape_controls
 from bilprov.spec.codec import spaced
@@ -44,7 +43,7 @@ def details(protocol: Protocol, record: Record, *, state: bool) -> Iterator[Deta
     look = look_of(record)
     for fault in serious_faults(record):
         yield Detail("fault", f"{fault.kind}: {fault.reason}", look=look)
-    after = [Detail("state", state_words(record.state))] if state else []
+    after = [Detail("state", record.state.described)] if state else []
     numbers: list[Detail] = []
     if isinstance(record, HostRecord):
         if record.judgement:

@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.analyzer.decode.batch import Batch, Selection
-from bilprov.analyzer.decode.records import Record, serious_faults, written_state
-from bilprov.captures.schemas import State
+from bilprov.analyzer.decode.records import Record, serious_faults
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.tables import coded
 
 MOST = 1 << 14
 """Rows of states, and of latencies, at most."""
@@ -50,15 +48,15 @@ class Range(NamedTuple):
 class States:
     """The predicted state: each row holds from its time `t` (ns) to the next one's.
 
-    `motion` is the place of a motion in `MOTIONS`, twice, plus 1 while the wheels turn; `seen` has
-    a bit for each such value that occurs in the row. In exact rows (`step` is 0 ns) there is one.
+    `motion` is the place of a word, twice, plus 1 while the device moves; `seen` has a bit for each
+    such value that occurs in the row. In exact rows (`step` is 0 ns) there is one. `ranges` are
+    those of the variables that are numbers.
     """
 
     t: list[int]
     motion: list[int]
     seen: list[int]
-    speed: Range
-    steering: Range
+    ranges: dict[str, Range]
     step: int
 
 
@@ -90,10 +88,16 @@ class Timeline:
     """
 
     def __init__(self, protocol: Protocol) -> None:
-        state = written_state(protocol.power_on)
-        self._last = (-1, 0, 0)  # motion, speed and steering; none is like that
-        self._power_on = (_code(state), state.speed, state.steering)
-        self._states = _Rows(_merged_states, 9)
+        self._word = word_of(protocol)
+        self._numbers = numbers_of(protocol)
+        self._last = (-1, *(0 for _ in self._numbers))  # no state is like that
+        at_first = protocol.power_on
+        self._power_on = (
+            2 * (at_first.code(self._word, getattr(at_first, self._word)) if self._word else 0)
+            + at_first.moving,
+            *(at_first.code(name, getattr(at_first, name)) for name in self._numbers),
+        )
+        self._states = _Rows(_merged_states, 3 + 3 * len(self._numbers))
         self._latencies = _Rows(_merged_latencies, 4)
         self._marks = _Marks()
         self._end: int | None = None
@@ -110,8 +114,11 @@ class Timeline:
         hosts, devices, serious = batch.hosts, batch.devices, batch.serious
         odd = batch.others.t[serious.other]
         self._reach(np.concatenate([hosts.t, hosts.end, devices.t, odd]))
-        code = 2 * hosts.states["motion"].astype(np.int64) + hosts.states.moving
-        self._add_states(hosts.known, code, hosts.states["speed"], hosts.states["steering"])
+        states = hosts.states
+        code = states.moving.astype(np.int64)
+        if self._word is not None:
+            code += 2 * states[self._word].astype(np.int64)
+        self._add_states(hosts.known, code, *(states[name] for name in self._numbers))
         answering = devices.answering
         self._add_latencies(devices.t[answering], devices.latency[answering])
         self._add_marks(batch)
@@ -122,7 +129,8 @@ class Timeline:
         if step:
             table = np.concatenate([table, _held_after(table[-1:], step)])
         t, motion, seen, *ranges = (column.tolist() for column in table.T)
-        return States(t, motion, seen, Range(*ranges[:3]), Range(*ranges[3:]), step)
+        named = {name: Range(*ranges[3 * at :][:3]) for at, name in enumerate(self._numbers)}
+        return States(t, motion, seen, named, step)
 
     def latencies(self) -> LatencyRows:
         """The latencies, in the order in which the answers came."""
@@ -164,23 +172,21 @@ class Timeline:
     def _add_states(
         self,
         t: NDArray[np.int64],
-        motion: NDArray[np.int64],
-        speed: NDArray[np.signedinteger],
-        steering: NDArray[np.signedinteger],
+        *values: NDArray[np.signedinteger],
     ) -> None:
         """Take states in order, each with the time (ns) from which on it holds."""
-        values = (motion, speed, steering)
         changed = np.zeros(len(t), np.bool_)
         for column, last in zip(values, self._last, strict=True):
             changed |= np.append(last, column[:-1]) != column
         rows = np.flatnonzero(changed)
         if len(rows):
-            self._last = (int(motion[-1]), int(speed[-1]), int(steering[-1]))
-            motion, speed, steering = (column.take(rows) for column in values)
-            table = np.empty((9, len(rows)), np.int64)
-            for place, column in enumerate([t.take(rows), motion, 1 << motion]):
+            self._last = tuple(int(column[-1]) for column in values)
+            motion, *numbers = (column.take(rows) for column in values)
+            table = np.empty((3 + 3 * len(numbers), len(rows)), np.int64)
+            for place, column in enumerate([t.take(rows), motion, 1 << motion.astype(np.int64)]):
                 table[place] = column
-            table[3:6], table[6:9] = speed, steering
+            for place, column in enumerate(numbers):
+                table[3 + 3 * place : 6 + 3 * place] = column
             self._states.add(table.T)
 
     def _add_marks(self, batch: Batch) -> None:
@@ -249,7 +255,7 @@ class _Rows:
 
 
 _MOTION, _SEEN = 1, 2  # columns of a table of states
-_RANGES = (3, 6)  # where the columns of a range begin: last, low, high
+_FIRST_RANGE = 3  # where the ranges begin, each with the columns last, low, high
 
 
 def _merged_states(table: Table, start: NDArray[np.int64], step: int) -> Table:
@@ -262,13 +268,13 @@ def _merged_states(table: Table, start: NDArray[np.int64], step: int) -> Table:
     entered = (table[first, 0] > start[first]) & (first > 0)
     seen = np.bitwise_or.reduceat(table[:, _SEEN], first)
     rows[:, _SEEN] = seen | np.where(entered, 1 << entry[:, _MOTION], 0)
-    for value in _RANGES:
+    for value in range(_FIRST_RANGE, table.shape[1], 3):
         low = np.minimum.reduceat(table[:, value + 1], first)
         high = np.maximum.reduceat(table[:, value + 2], first)
         rows[:, value + 1] = np.where(entered, np.minimum(low, entry[:, value]), low)
         rows[:, value + 2] = np.where(entered, np.maximum(high, entry[:, value]), high)
     changing = rows[:, _SEEN] != 1 << rows[:, _MOTION]
-    for value in _RANGES:
+    for value in range(_FIRST_RANGE, table.shape[1], 3):
         changing |= rows[:, value + 1] != rows[:, value + 2]
     # More may come in the last step, of which all the same nothing is said beyond it.
     after = rows[:-1][changing[:-1] & (np.diff(rows[:, 0]) != step)]
@@ -281,7 +287,7 @@ def _held_after(rows: Table, step: int) -> Table:
     rows = rows.copy()
     rows[:, 0] += step
     rows[:, _SEEN] = 1 << rows[:, _MOTION]
-    for value in _RANGES:
+    for value in range(_FIRST_RANGE, rows.shape[1], 3):
         rows[:, value + 1] = rows[:, value + 2] = rows[:, value]
     return rows
 
@@ -369,9 +375,14 @@ def _only(side: int, rows: NDArray[np.int64], batch: Batch) -> Selection:
     return Selection(*masks)
 
 
-def _code(state: State) -> int:
-    """The motion of a state as `States` has it."""
-    return 2 * coded(state.motion) + state.moving
+def word_of(protocol: Protocol) -> str | None:
+    """The variable whose words a timeline has: the first one that has words; None: none has."""
+    return next((name for name, spec in protocol.variables.items() if spec.words), None)
+
+
+def numbers_of(protocol: Protocol) -> tuple[str, ...]:
+    """The variables whose ranges a timeline has: those that are whole numbers."""
+    return tuple(n for n, spec in protocol.variables.items() if spec.kind == "whole")
 
 
 def _distinct(ordered: NDArray[np.int64]) -> int:

@@ -16,8 +16,9 @@ from typing import NamedTuple
 from bilprov.conformance.cases.field_prefixes import FieldPrefixes
 from bilprov.conformance.cases.steps import Step, framed
 from bilprov.conformance.machines.mealy import Mealy, Output, explore, input_classes, minimal
-from bilprov.spec.motion import Effect, State
+from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import Effect, State
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +68,7 @@ def byte_machine(protocol: Protocol, variables: tuple[str, ...] | None) -> ByteM
             robot = _signs(effect.apply(robot, dict(end.values)), counted)
         seen: Hashable = None
         if position is None and variables is not None:
-            seen = robot.visible_motion, *(getattr(robot, name) for name in variables)
+            seen = visible_motion(robot), *(getattr(robot, name) for name in variables)
         return (position, robot), (end.code if end else None, seen)
 
     first: tuple[_Position, State] = None, _first(protocol, counted)
@@ -82,13 +83,15 @@ def _first(protocol: Protocol, variables: tuple[str, ...]) -> State:
     """The first state: stopped, at a speed above zero where one can be set."""
     at_rest = protocol.stop.effect.apply(protocol.power_on)
     fast = protocol.limits.get("speed", (0, at_rest.speed))[1]
-    return _signs(State(at_rest.motion, speed=fast), variables)
+    return _signs(at_rest.but(speed=fast), variables)
 
 
 def _signs(state: State, variables: tuple[str, ...]) -> State:
     """The state with each of these variables as its sign, and the others zero."""
     values = {name: getattr(state, name) for name in variables}
-    return State(state.motion, **{n: (v > 0) - (v < 0) for n, v in values.items()})
+    signs = {name: (value > 0) - (value < 0) for name, value in values.items()}
+    zero = {name: 0 for name in state.variables if name not in state.words}
+    return state.but(**{**zero, **signs})
 
 
 class _Faulty(NamedTuple):

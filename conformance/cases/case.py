@@ -7,8 +7,8 @@ from typing import Any, Self
 
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.oracle.state_model import NOTHING
-from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

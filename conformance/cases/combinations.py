@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import count
 from typing import Any, NamedTuple
@@ -26,8 +26,9 @@ from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, setting
-from bilprov.spec.motion import Motion, State, rotates
+from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 ARRAY = "combined"
 """What the id of a sequence of an array begins with."""
@@ -301,10 +302,10 @@ class Combinations:
             # The fault is to stop a robot that moves and steers.
             (_, motions), (_, steerings), *_ = space.states
             drawn |= {"motion": pick(motions[1:] or motions)[0], "steering": pick(pick(steerings))}
-        state = replace(protocol.power_on, **drawn)
+        state = protocol.power_on.but(**drawn)
         steps = []
         # Steering while it rotates may make a curve of it (R-steer-rotating).
-        if state.motion is Motion.STOPPED or rotates(motion):
+        if state.motion == Motion.STOPPED or rotates(motion):
             steps.append(step_of(protocol, bytes([protocol.pad_byte])))
         steps += steps_to(protocol, state)
         if fault:

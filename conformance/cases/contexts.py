@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import count, cycle, product
 from math import ceil
 from typing import Any, NamedTuple
@@ -27,8 +26,9 @@ from bilprov.conformance.cases.steps import (
     step_of,
 )
 from bilprov.spec.by_effect import moving_motions
-from bilprov.spec.motion import Motion, State, rotates
+from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 AFTER, CUT, ALONE = "combined/after", "combined/cut", "sequence/left-alone"
 """The groups of complete frames, of truncated ones, and of those that are followed by silence."""
@@ -315,9 +315,9 @@ class _Walk:
         known, steps = self._state, list[Step]()
         state = known or protocol.power_on
         if known is None or not state.moving or draw.random() < _SETS_ALL:
-            wanted = replace(state, motion=draw.choice(self._motions or [Motion.STOPPED]))
+            wanted = state.but(motion=draw.choice(self._motions or [Motion.STOPPED]))
             if known is None or not state.speed or draw.random() < _SETS_ALL:
-                wanted = replace(wanted, **self._any_settings())
+                wanted = wanted.but(**self._any_settings())
             # Steering while it rotates may make a curve of it (R-steer-rotating).
             if rotates(state.motion):
                 steps.append(self.took(step_of(protocol, bytes([protocol.pad_byte]))))

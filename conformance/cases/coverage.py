@@ -27,7 +27,7 @@ from bilprov.conformance.cases.preamble import state_after
 from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step, kind_of, one_of_each
 from bilprov.spec.by_effect import moves, moving_motions
-from bilprov.spec.motion import Motion
+from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol
 
 Fact = tuple[str, object]
@@ -48,7 +48,7 @@ def facts(protocol: Protocol, case: AnyCase) -> Iterator[Fact]:
     if isinstance(case, SequenceCase):
         yield from _run(protocol, case)
         return
-    yield from _sent(protocol, case, case.setup.visible_motion, "waited")
+    yield from _sent(protocol, case, visible_motion(case.setup), "waited")
 
 
 def _sent(protocol: Protocol, step: Step, motion: Motion, way: str) -> Iterator[Fact]:
@@ -72,7 +72,7 @@ def _run(protocol: Protocol, sequence: SequenceCase) -> Iterator[Fact]:
         last = kind_of(protocol, step)
     for burst in sequence.bursts:
         for step in burst.steps:
-            kind, motion = kind_of(protocol, step), state.visible_motion
+            kind, motion = kind_of(protocol, step), visible_motion(state)
             yield from _sent(protocol, step, motion, burst.delivery)
             if last:
                 yield PAIRS, (last, kind)
@@ -91,7 +91,7 @@ def totals(protocol: Protocol) -> dict[str, int]:
     # After a motion the robot moves so, or stands still (speed 0); a setting leaves any motion on.
     reached = (
         sum(
-            2 if moves(s) else 1 if s.effect.motion is Motion.STOPPED else len(motions)
+            2 if moves(s) else 1 if s.effect.motion == Motion.STOPPED else len(motions)
             for s in specs
         )
         + faults

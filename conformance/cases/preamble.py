@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.spec.by_effect import frames_to, reached
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.state import State
 
 
 def full_state(protocol: Protocol, mover: InstructionSpec) -> State:
@@ -15,7 +16,7 @@ def full_state(protocol: Protocol, mover: InstructionSpec) -> State:
         name: high if name == "speed" else max(high, low, key=abs)
         for name, (low, high) in protocol.limits.items()
     }
-    return reached(protocol, State(mover.effect.motion or Motion.STOPPED, **ends))
+    return reached(protocol, protocol.state(motion=mover.effect.motion or Motion.STOPPED, **ends))
 
 
 def steps_to(protocol: Protocol, state: State, known: State | None = None) -> tuple[Step, ...]:

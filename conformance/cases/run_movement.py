@@ -9,8 +9,7 @@ from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.opening import motion_first
 from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.spec.by_effect import frames_to, link_check, movers
-from bilprov.spec.movement import Movement, movement_of
+from bilprov.spec.by_effect import Movement, frames_to, link_check, movement_of, movers
 from bilprov.spec.protocol import Protocol
 
 

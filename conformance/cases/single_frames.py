@@ -24,8 +24,9 @@ from bilprov.conformance.cases.steps import (
 )
 from bilprov.spec.by_effect import after, fitted, movers, moving_motions, reached
 from bilprov.spec.codec import spaced
-from bilprov.spec.motion import Motion, State, rotates
+from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 _VALUES = 1024  # of a variable that are used; those of a wide field are evenly spaced
 
@@ -54,8 +55,7 @@ class _Setups:
         motion = motion or next(self._motions)
         # Steering in a rotation may become a curve (R-steer-rotating): a case tests it, no set-up.
         steers = not rotates(motion)
-        state = replace(
-            self._power_on,
+        state = self._power_on.but(
             motion=motion,
             speed=next(self._speeds),
             steering=next(self._steers) if steers else self._power_on.steering,

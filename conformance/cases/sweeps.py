@@ -10,7 +10,7 @@ from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks
 from bilprov.conformance.cases.steps import FrameClass, Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, moving_to, setting
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 _LENGTH = 64  # bursts of a sequence
@@ -116,7 +116,9 @@ def _driven(go: Step, steps: Sequence[Step], again: Step | None = None) -> Itera
 
 def _moving(protocol: Protocol, motion: Motion) -> Step:
     """The frame that sets a robot into a motion, the stop for the motion `stopped`."""
-    frame = moving_to(protocol, State(motion, _speed(protocol))) or bytes([protocol.pad_byte])
+    frame = moving_to(protocol, protocol.state(motion=motion, speed=_speed(protocol))) or bytes(
+        [protocol.pad_byte]
+    )
     return step_of(protocol, frame)
 
 
@@ -137,6 +139,6 @@ def _sequence(
     protocol: Protocol, name: str, what: str, motion: Motion, bursts: Sequence[Burst]
 ) -> SequenceCase:
     _, led = protocol.limits.get("led", (0, 0))
-    state = State(motion=motion, speed=_speed(protocol), steering=0, led=led)
+    state = protocol.state(motion=motion, speed=_speed(protocol), steering=0, led=led)
     setup = steps_to(protocol, state)
     return SequenceCase(name, protocol.clauses.instructions, what, setup, tuple(bursts))

@@ -14,8 +14,9 @@ from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.preamble import state_after, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 _LENGTH = 40  # bursts of a sequence
 CUT = FrameClass.TRUNCATED
@@ -98,7 +99,7 @@ class Tours:
         """A preamble that sets the whole state and makes the robot drive, and where it leads."""
         protocol = self._protocol
         motions = [s.effect.motion for s in protocol.instructions if s.name in self._inputs.movers]
-        state = State(
+        state = protocol.state(
             motion=self._draw.choice([m for m in motions if m] or [Motion.STOPPED]),
             speed=self._draw.randint(self._fast // 2, self._fast),
             steering=0,

@@ -10,8 +10,9 @@ from bilprov.conformance.oracle.state_model import NOTHING
 from bilprov.conformance.oracle.wheel_order import READING
 from bilprov.spec.by_effect import movers, setting
 from bilprov.spec.codec import build
-from bilprov.spec.motion import Moment, State, moment_of
+from bilprov.spec.motion import Moment, moment_of
 from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.state import State
 
 # Of the greatest value: whichever of them is halved is less than the one before it.
 _SIXTEENTHS = (2, 3, 4, 6, 8, 12, 16)
@@ -59,7 +60,7 @@ def wheel_orders(protocol: Protocol) -> tuple[OrderCase, ...]:
 def _case(protocol: Protocol, drive: InstructionSpec, variable: str, speed: int) -> OrderCase:
     """The case about a variable of a robot that is set to this speed first."""
     assert drive.effect.motion is not None
-    setup = State(drive.effect.motion, speed=speed)
+    setup = protocol.state(motion=drive.effect.motion, speed=speed)
     settings = _settings(protocol, variable, setup)
     clause, last = protocol.clauses.instructions, settings[-1][1] if settings else b""
     step = Step(last, FrameClass.VALID, (), NOTHING, clause, reading=READING)

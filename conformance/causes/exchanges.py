@@ -27,7 +27,7 @@ from bilprov.conformance.oracle.judge import MOVING, differences
 from bilprov.conformance.oracle.sight import facets_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.spec.codec import Judgement, judge
-from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.motion import VARIABLES, Motion, visible_motion
 
 ANSWER, MOTION = "answer", "motion"
 
@@ -397,9 +397,9 @@ class Exchanges:
                 found[name] = wanted, seen  # type: ignore[assignment]
         # The wheels are held to the settings that the probe reports, right or wrong.
         own = {name: getattr(look, name) for name in ("speed", "steering") if name in found}
-        reported = replace(self._expected, state=replace(self._expected.state, **own))
+        reported = replace(self._expected, state=self._expected.state.but(**own))
         if any(name in MOVING for name, _, _ in differences(self._model, reported, look)):
-            found[MOTION] = reported.state.visible_motion.value, seen_motion(look)
+            found[MOTION] = visible_motion(reported.state).value, seen_motion(look)
         return found
 
     def _may_show_in(self, exchange: Exchange) -> None:
@@ -427,7 +427,7 @@ class Exchanges:
         pending = self._expected.pending_speed
         if values.get("speed") == pending:
             pending = None
-        self._expected = ExpectedState(replace(state, **values), unknown, pending)
+        self._expected = ExpectedState(state.but(**values), unknown, pending)
 
 
 def _repeats(exchange: Exchange) -> bool:
@@ -445,7 +445,7 @@ def value_of(facet: str, expected: ExpectedState) -> int | str | None:
     """Return the value of a facet in a state, None where it is not known."""
     if facet == MOTION:
         unknown = expected.unknown & {"motion", "speed"}
-        return None if unknown else expected.state.visible_motion.value
+        return None if unknown else visible_motion(expected.state).value
     return None if facet in expected.unknown else getattr(expected.state, facet)
 
 

@@ -28,9 +28,9 @@ from bilprov.conformance.learning.drawing import (
     svg_text,
 )
 from bilprov.conformance.machines.wp_method import state_cover
+from bilprov.spec.by_effect import all_movement
 from bilprov.spec.codec import spaced
 from bilprov.spec.errors import UserError
-from bilprov.spec.movement import all_movement
 
 if TYPE_CHECKING:
     from bilprov.conformance.learning.learned import Learned

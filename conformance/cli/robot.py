@@ -32,7 +32,7 @@ from bilprov.conformance.dut.target import (
     open_target,
     target_named,
 )
-from bilprov.spec.movement import Movement, movement_words
+from bilprov.spec.by_effect import Movement, movement_words
 from bilprov.spec.protocol import Protocol
 
 

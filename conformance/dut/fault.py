@@ -10,8 +10,8 @@ import msgspec
 
 from bilprov.captures.schemas import Look
 from bilprov.spec.codec import Judgement
-from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,9 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.dut.fault import CONFORMING, Event, Fault, Reaction
 from bilprov.spec.codec import Judgement, judge
-from bilprov.spec.motion import State, wheels
+from bilprov.spec.motion import visible_motion, wheels
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 ReferenceStep = Callable[[bytes, State], tuple[Judgement, State]]
 
@@ -132,7 +133,7 @@ class Simulator:
         seen = Look(
             t=now,
             moving=self.state.moving,
-            motion=self.state.visible_motion.value,
+            motion=visible_motion(self.state).value,
             speed=self.state.speed,
             steering=self.state.steering,
             led=self.state.led,

@@ -26,7 +26,6 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import home, set_up, watch
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.waiting import GaveUp
-from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
 
 
@@ -161,7 +160,7 @@ def _measure_stop(run: Run) -> Procedure[None]:
         return
     fault = next(step for step in alphabet(run.protocol) if step.faulty and not step.truncated)
     _, fast = run.protocol.limits.get("speed", (0, 0))
-    yield from set_up(run, State(motion=min(run.profile.moves), speed=fast))
+    yield from set_up(run, run.protocol.state(motion=min(run.profile.moves), speed=fast))
     yield from send(fault.frame)
     heard = yield from run.waiting.answers(1)
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)

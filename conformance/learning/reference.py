@@ -14,7 +14,7 @@ from bilprov.conformance.machines.mealy import Mealy, explore, minimal
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.conformance.oracle.timers import timers_of
-from bilprov.spec.motion import wheels
+from bilprov.spec.motion import visible_motion, wheels
 
 _OPENING = 10.0  # s for the link check, measurements and experiments
 _LATENCY = MS // 2  # of an answer, and of a look
@@ -82,7 +82,7 @@ def _expected(model: Model, step: Step, after: ExpectedState) -> Output:
     state = after.state
     full = max(abs(end) for end in model.protocol.limits.get("steering", (0, 0)))
     left, right = wheels(state, full)
-    motion = state.visible_motion.value
+    motion = visible_motion(state).value
     look = Look(t=0, moving=state.moving, motion=motion, led=state.led, left=left, right=right)
     unknown = after.unknown - {"speed"} if after.still else after.unknown
     hidden = (facet for variable in unknown for facet in _SHOWS[variable])

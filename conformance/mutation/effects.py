@@ -32,7 +32,7 @@ class At(NamedTuple):
 
     def state(self, **variables: Any) -> Reaction:
         """Return the reaction with these values of state variables."""
-        return replace(self.reaction, state=replace(self.reaction.state, **variables))
+        return replace(self.reaction, state=self.reaction.state.but(**variables))
 
     def code(self, outcome: Outcome) -> int:
         """Return the code of an outcome."""
@@ -183,7 +183,7 @@ def drives_on(at: At) -> Reaction:
 @effect
 def starts_driving(at: At) -> Reaction:
     """A stopped robot drives forward."""
-    stopped = at.event.before.motion is Motion.STOPPED
+    stopped = at.event.before.motion == Motion.STOPPED
     return at.state(motion=Motion.FORWARD) if stopped else at.reaction
 
 
@@ -302,7 +302,7 @@ def watchdog(at: At, milliseconds: float, *resumes: float) -> Reaction:
     """Without another frame the robot stops that much later; after `resumes` ms it drives on."""
     if not at.reaction.state.moving:
         return at.reaction
-    stopped = replace(at.reaction.state, motion=Motion.STOPPED)
+    stopped = at.reaction.state.but(motion=Motion.STOPPED)
     goes_on = ((_ns(time), at.reaction.state) for time in resumes)
     return replace(at.reaction, later=((_ns(milliseconds), stopped), *goes_on))
 

@@ -7,7 +7,6 @@ returns fields of `Fault`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -17,7 +16,7 @@ from bilprov.conformance.dut.fault import Event, MutatedDevice, Reaction
 from bilprov.conformance.mutation.effects import at_frames, entered
 from bilprov.conformance.mutation.triggers import Trigger
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion, State, wheels
+from bilprov.spec.motion import Motion, car_state, wheels
 from bilprov.spec.protocol import Protocol
 
 Hooks = dict[str, Any]
@@ -245,7 +244,7 @@ def stops_at_header(protocol: Protocol, acting: Trigger, which: str = "") -> Hoo
         identity, length = protocol.headers[header]
         known = protocol.by_id.get(identity)
         if known is None or (not which and length != known.length):
-            device.state = replace(device.state, motion=Motion.STOPPED)
+            device.state = device.state.but(motion=Motion.STOPPED)
         return ()
 
     return {"begins": begins}
@@ -290,7 +289,7 @@ def power_on(protocol: Protocol, acting: Trigger, *values: Any) -> Hooks:
     given = dict(zip(values[::2], values[1::2], strict=True))
     if "motion" in given:
         given["motion"] = Motion(given["motion"])
-    return {"power_on": replace(protocol.power_on, **given)}
+    return {"power_on": protocol.power_on.but(**given)}
 
 
 @hook
@@ -325,7 +324,7 @@ def wheels_astray(
         if size < least:
             return look
         values[variable] = -values[variable] if how == "reversed" else _halved(values[variable])
-        state = State(
+        state = car_state(
             Motion(look.motion or Motion.STOPPED), abs(values["speed"]), values["steering"]
         )
         sign = -1 if values["speed"] < 0 else 1

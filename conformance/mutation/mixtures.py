@@ -14,7 +14,7 @@ from itertools import product
 from bilprov.conformance.dut.fault import Event, Fault
 from bilprov.conformance.mutation.variants import MIXTURE, Variant, variants
 from bilprov.spec.codec import judge
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 _TIMES = 12  # how often the point arises before the device changes its choice
@@ -75,7 +75,7 @@ def _where_it_arises(protocol: Protocol, variant: Variant) -> tuple[list[int], l
     motions: dict[Motion, None] = {}
     for motion, frame in product(Motion, _frames(protocol)):
         judgement = judge(protocol, frame)
-        before = State(motion, top.get("speed", 0), top.get("steering", 0), top.get("led", 0))
+        before = protocol.state(motion=motion, **top)
         kind = "truncated" if judgement.truncated else "instruction"
         if acting.holds(Event(judgement, before, 0, 0, kind, 0), {}):
             ids.add(judgement.id)

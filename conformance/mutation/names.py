@@ -78,7 +78,7 @@ def names(protocol: Protocol) -> dict[str, Any]:
         ],
         "motions": motions,
         "measured_motion": min(motions, default=""),
-        "other_motions": [motion for motion in motions if motion is not min(motions)],
+        "other_motions": [motion for motion in motions if motion != min(motions)],
         "movers": named(movers(protocol)),
         "moving": named(s for s in protocol.instructions if s.effect.motion in motions),
         "setters": [name for _, name in settings],

@@ -281,7 +281,7 @@ class FaultDraw:
                 found.append(f"answers-as {'bad-data' if bad else 'unknown-id'}")
             return self._one(*found)
         found.append("answers-as {outcome}")
-        if spec.effect.motion is Motion.STOPPED:
+        if spec.effect.motion == Motion.STOPPED:
             found += 2 * ["drives-on", *["resumes-after 15"] * in_silence]
             found.append("turns-bits led {bit of led}")
         elif spec.effect.assignments:

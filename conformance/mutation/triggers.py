@@ -17,7 +17,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, History
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import OF_HEADERS
-from bilprov.spec.motion import Moment, Motion, moment_of, rotates
+from bilprov.spec.motion import Moment, Motion, moment_of, rotates, visible_motion
 from bilprov.spec.open_points import open_point, points_after
 
 Subject = Callable[[Event], Any]
@@ -108,7 +108,7 @@ FRAME: dict[str, Subject] = {
     "open": _open,
 }
 STATE: dict[str, Subject] = {
-    "moves": lambda e: e.before.visible_motion,
+    "moves": lambda e: visible_motion(e.before),
     "motion": lambda e: e.before.motion,
     "rotates": lambda e: rotates(e.before.motion),
     "speed": lambda e: e.before.speed,

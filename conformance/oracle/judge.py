@@ -12,9 +12,10 @@ from bilprov.conformance.oracle.state_model import ExpectedState, FrameEffect, M
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words, look_words, state_words
-from bilprov.spec.motion import WHEELS, State
+from bilprov.spec.motion import WHEELS, visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, STATE_POINTS
+from bilprov.spec.state import State
 
 
 def judge_answers(
@@ -178,30 +179,30 @@ def _direction(
     if look.motion is not None:
         # A probe may name the direction that is set although speed 0 keeps the wheels still.
         set_only = not look.moving and look.motion == expected.motion
-        shown = expected.visible_motion.value if set_only else look.motion
-        yield "motion", expected.visible_motion.value, shown
+        shown = visible_motion(expected).value if set_only else look.motion
+        yield "motion", visible_motion(expected).value, shown
     if look.left is not None and look.right is not None:
         yield "wheels", *_wheels(model, expected, look.left, look.right, expected_state.unknown)
 
 
 def _curve(expected: State, look: Look) -> str:
     """Words for a look at a rotation that steering must turn into a curve, not on the spot."""
-    spot = look.motion == expected.motion.value
+    spot = look.motion == expected.motion
     if look.left is not None and look.right is not None:
         spot = look.left * look.right < 0
-    return f"{expected.motion.value} on the spot" if spot else "a curve"
+    return f"{expected.motion} on the spot" if spot else "a curve"
 
 
 def _wheels(
     model: Model, expected: State, left: int, right: int, unknown: Container[str]
 ) -> tuple[str, str]:
     """Words for how the wheels must turn and how they do, equal if they fit."""
-    want_left, want_right = WHEELS[expected.visible_motion]
+    want_left, want_right = WHEELS[visible_motion(expected)]
     seen = f"left {left}, right {right}"
     if not expected.moving:
         return "both still", "both still" if left == right == 0 else seen
     if want_left != want_right:
-        wanted = f"{expected.visible_motion.value} on the spot"
+        wanted = f"{visible_motion(expected).value} on the spot"
         return wanted, wanted if left * want_left > 0 and right * want_right > 0 else seen
     # No mixing law is given: the outer wheel drives on, the inner one is not faster, and slower
     # where the steering and the speed are large enough to show.
@@ -209,7 +210,7 @@ def _wheels(
     if expected.steering < 0:
         outer, inner = inner, outer
     if "steering" in unknown:
-        wanted, fits = expected.motion.value, max(outer, inner) > 0
+        wanted, fits = expected.motion, max(outer, inner) > 0
     elif expected.steering == 0:
         wanted, fits = "both alike", outer == inner > 0
     else:

@@ -10,10 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from bilprov.conformance.oracle.choices import Choices
-from bilprov.spec.motion import MOTIONS, Effect, Moment, Motion, State, moment_of, rotates
+from bilprov.spec.motion import MOTIONS, Moment, Motion, moment_of, rotates
 from bilprov.spec.open_points import open_after
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import Behaviour, OpenPoint
+from bilprov.spec.state import Effect, State
 
 VARIABLES = ("speed", "steering", "led")
 
@@ -28,7 +29,7 @@ class FrameEffect:
     @property
     def stops(self) -> bool:
         """Whether it is an instruction that stops."""
-        return self.effect is not None and self.effect.motion is Motion.STOPPED
+        return self.effect is not None and self.effect.motion == Motion.STOPPED
 
 
 FAULT = FrameEffect(None)
@@ -53,7 +54,7 @@ class ExpectedState:
     @property
     def still(self) -> bool:
         """Whether the robot must stand still."""
-        return self.state.motion is Motion.STOPPED
+        return bool(self.state.motion == Motion.STOPPED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,7 @@ class Model:
         """Whether speed and steering are so large that a curve differs visibly from straight on."""
         _, fast = self.protocol.limits.get("speed", (0, 0))
         full = max(abs(end) for end in self.protocol.limits.get("steering", (0, 0)))
-        return 2 * state.speed > fast and 2 * abs(state.steering) > full
+        return bool(2 * state.speed > fast and 2 * abs(state.steering) > full)
 
     def after(self, before: ExpectedState, frame_effect: FrameEffect) -> ExpectedState:
         """The expected state after a frame."""
@@ -92,7 +93,7 @@ class Model:
         if moment is Moment.SETTING:
             return self._set(expected_state, before, effect)
         if moment in MOTIONS and before.pending_speed is not None:
-            speed = replace(expected_state.state, speed=before.pending_speed)
+            speed = expected_state.state.but(speed=before.pending_speed)
             known = expected_state.unknown - {"speed"}
             expected_state = replace(expected_state, state=speed, unknown=known, pending_speed=None)
         for point in open_after(effect, moment).values():
@@ -110,14 +111,14 @@ class Model:
         unknown = self.choices.unknown
         if effect.sets("speed"):
             expected_state = replace(expected_state, pending_speed=None)
-            directed = before.state.motion is not Motion.STOPPED
+            directed = before.state.motion != Motion.STOPPED
             if directed and unknown("R-speed-moving"):
                 open_now = expected_state.unknown | {"speed"}
                 speed = expected_state.state.speed
                 expected_state = replace(expected_state, unknown=open_now, pending_speed=speed)
             elif directed and self.choices.differs("R-speed-moving"):
                 pending_speed = expected_state.state.speed
-                state = replace(expected_state.state, speed=before.state.speed)
+                state = expected_state.state.but(speed=before.state.speed)
                 # Whether a direction without speed counts as moving is left open too.
                 unsure = before.unknown if before.state.speed else {"speed"}
                 open_now = expected_state.unknown | (unsure & {"speed"})
@@ -148,5 +149,5 @@ class Model:
         changed |= getattr(expected_state.state, name) != value
         pending_speed = None if name == "speed" else expected_state.pending_speed
         rests_on = expected_state.rests_on | ({point.id} if changed else set())
-        state = replace(expected_state.state, **{name: value})  # type: ignore[arg-type]  # never the motion
+        state = expected_state.state.but(**{name: value})
         return ExpectedState(state, unknown, pending_speed, rests_on)

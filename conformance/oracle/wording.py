@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from bilprov.captures.schemas import Look
-from bilprov.spec.motion import State
+from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 
 def code_words(protocol: Protocol, code: int) -> str:
@@ -24,7 +25,7 @@ def answer_words(protocol: Protocol, codes: tuple[int, ...]) -> str:
 def state_words(state: State) -> str:
     """A motion state in words."""
     return (
-        f"{'moving ' if state.moving else ''}{state.visible_motion.value}, speed {state.speed}, "
+        f"{'moving ' if state.moving else ''}{visible_motion(state).value}, speed {state.speed}, "
         f"steering {state.steering}, led {state.led}"
     )
 

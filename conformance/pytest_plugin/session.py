@@ -27,8 +27,8 @@ from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
 from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
+from bilprov.spec.by_effect import all_movement, movement_words
 from bilprov.spec.errors import one_line
-from bilprov.spec.movement import all_movement, movement_words
 from bilprov.spec.protocol import GrammarError, Protocol
 
 

@@ -19,9 +19,10 @@ from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import movers, moving_to
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Effect, State, moment_of
+from bilprov.spec.motion import moment_of
 from bilprov.spec.open_points import open_after
 from bilprov.spec.readings import Behaviour
+from bilprov.spec.state import Effect, State
 
 _CASE = "the first frames after power-on"
 

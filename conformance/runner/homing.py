@@ -31,7 +31,8 @@ from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Homed, Late, Trial
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.by_effect import frames_to, movers
-from bilprov.spec.motion import VARIABLES, Motion, State
+from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.state import State
 
 # A flood has this many times more answers than were due; after so many the run is given up.
 _FLOOD, _FLOODS = 4, 3
@@ -295,7 +296,7 @@ def see_motions(run: Run) -> Procedure[None]:
         motion = spec.effect.motion
         assert motion is not None
         for _ in range(_TRIES):
-            yield from set_up(run, State(motion=motion, speed=fast))
+            yield from set_up(run, run.protocol.state(motion=motion, speed=fast))
             seen = yield from watch(run, moving=True, patience=run.timers.deadline)
             yield from home(run)
             if seen.look.moving is not False:

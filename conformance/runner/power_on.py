@@ -26,8 +26,8 @@ from bilprov.conformance.oracle.wording import answer_words, look_words
 from bilprov.conformance.runner.noise import case_bytes, confirm
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.codec import spaced
-from bilprov.spec.motion import State
 from bilprov.spec.readings import FLUSH_POINTS
+from bilprov.spec.state import State
 
 _STOPPED = "stopped"
 _CALIBRATION = 20

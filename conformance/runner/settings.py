@@ -16,7 +16,7 @@ from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.homing import home, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import fitted, movers, reached, setting
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 IDENT = "motion/settings"
@@ -43,7 +43,7 @@ def settings(protocol: Protocol) -> Iterator[Setting]:
         return
     assert mover.effect.motion is not None
     _, fast = protocol.limits.get("speed", (0, 0))
-    state = reached(protocol, State(mover.effect.motion, fast))
+    state = reached(protocol, protocol.state(motion=mover.effect.motion, speed=fast))
     motion = fitted(protocol, mover, state)
 
     def at(variable: str, value: int) -> bytes:
@@ -91,7 +91,7 @@ def other_settings(run: Run) -> Procedure[Motion | None]:
             _tell(run, moves, stands)
         elif fresh:
             yield from _switch(run)
-        return next(iter(movers(run.protocol))).effect.motion
+        return Motion(next(iter(movers(run.protocol))).effect.motion)
     return None
 
 

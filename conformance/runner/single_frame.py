@@ -98,7 +98,7 @@ def _precondition(run: Run, case: Case, looks: bool) -> Procedure[tuple[SetUp, R
             return (yield from _precondition(run, case, looks))
         ready = ready._replace(look=seen.look)
         if not seen.look.moving:
-            missing = f"not seen moving ({case.setup.motion.value}) before the stimulus"
+            missing = f"not seen moving ({case.setup.motion}) before the stimulus"
             ready = ready._replace(missing=missing)
     stray = yield from listen(None, 0)
     return ready, stray

@@ -10,7 +10,6 @@ no verdict rests on a motor's dead zone.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 from bilprov.analyzer.client.operations import Procedure
 from bilprov.conformance.cases.case import Case
@@ -18,8 +17,8 @@ from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.runner.homing import SetUp, home, set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import setting
-from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 _PARTS = (16, 8, 4)  # of the greatest speed; twice the last is the slowest that a case names
 _MARGIN = 2
@@ -41,7 +40,7 @@ def find_speed(run: Run) -> Procedure[None]:
     motions = sorted(run.profile.moves or ())
     for speed in speeds(run.protocol) if motions else ():
         for motion in motions:
-            if not (yield from _seen(run, State(motion=motion, speed=speed))):
+            if not (yield from _seen(run, run.protocol.state(motion=motion, speed=speed))):
                 break
         else:
             run.profile.preamble_speed = _MARGIN * speed
@@ -74,7 +73,7 @@ def set_up_slowly(run: Run, state: State) -> Procedure[SetUp]:
     """Bring a homed robot to a state, at the preamble speed where it is seen moving at that."""
     slow = run.profile.preamble_speed
     if slow is not None and slow < state.speed:
-        ready = yield from set_up(run, replace(state, speed=slow))
+        ready = yield from set_up(run, state.but(speed=slow))
         seen = yield from watch(run, moving=True, patience=run.timers.deadline)
         if seen.look.moving is not False:
             return ready
@@ -94,4 +93,4 @@ def preamble_of(run: Run, case: Case) -> State:
     slows = case.faulty and case.stop and not case.thorough and case.kind is not FrameClass.VALID
     if slow is None or not slows or case.setup.motion not in (run.profile.moves or ()):
         return case.setup
-    return replace(case.setup, speed=min(slow, case.setup.speed))
+    return case.setup.but(speed=min(slow, case.setup.speed))

@@ -23,7 +23,6 @@ from bilprov.conformance.runner.homing import home, home_after, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.slow_preambles import set_up_slowly
 from bilprov.conformance.runner.trial import Trial
-from bilprov.spec.motion import State
 
 # Between two looks: half of the time since the header, within these limits.
 _FINEST, _COARSEST = MS, 10 * MS
@@ -124,7 +123,7 @@ def _drive(run: Run) -> Procedure[None]:
     """Set the robot moving."""
     assert run.profile.moves
     _, fast = run.protocol.limits.get("speed", (0, 0))
-    yield from set_up_slowly(run, State(motion=min(run.profile.moves), speed=fast))
+    yield from set_up_slowly(run, run.protocol.state(motion=min(run.profile.moves), speed=fast))
 
 
 def _stops_by_itself(run: Run, silent: int) -> Procedure[bool]:

@@ -13,9 +13,9 @@ from bilprov.spec.data import FieldSpec
 from bilprov.spec.emit.wireshark_program import PROGRAM
 from bilprov.spec.errors import UserError
 from bilprov.spec.fields import OF_HEADERS
-from bilprov.spec.motion import VARIABLES, Effect, Motion
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.python_names import each_once, snake_case
+from bilprov.spec.state import AllOf, Effect
 
 T = TypeVar("T")
 
@@ -55,7 +55,7 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
     """Return all that the program knows of the protocol; rows of fields are as it declares them."""
     timing = protocol.timing
     words = _by_word(((spec.name, spec) for spec in protocol.instructions), {"state", "expert"})
-    power_on = {name: getattr(protocol.power_on, name) for name in VARIABLES}
+    power_on = {name: getattr(protocol.power_on, name) for name in protocol.variables}
     return {
         "word": _word(protocol.name),
         "title": f"{protocol.name} {protocol.version}",
@@ -65,12 +65,12 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
         "codes": {spec.code: spec.name for spec in protocol.responses},
         "outcomes": {one.name: [one.value, protocol.answers[one].code] for one in OF_HEADERS},
         "state": [
-            _row("STRING" if isinstance(value, str) else "INT64", f"state.{name}", name)
-            for name, value in power_on.items()
+            _row("STRING" if spec.words else "INT64", f"state.{name}", name)
+            for name, spec in protocol.variables.items()
         ],
         "power_on": power_on,
         "on_fault": _sets(protocol.on_fault, ()),
-        "stopped": Motion.STOPPED,
+        **_at_rest(protocol),
         "truncation_timeout": round(timing.truncation_timeout * 1000),  # us; the others are in ms
         "truncation_longest": timing.truncation_longest,
         "answer_deadline": timing.answer_deadline,
@@ -142,12 +142,27 @@ def _coding(spec: InstructionSpec, part: FieldSpec) -> tuple[bool, bool]:
 
 
 def _sets(effect: Effect, fields: Iterable[FieldSpec]) -> dict[str, Any]:
-    """Return the new value of each state variable, or the place of its field and the factor."""
+    """Return the new value of each state variable, or how it is made.
+
+    That is the place of its field and the factor, or 0 and a change of its old value.
+    """
     places = {part.name: place for place, part in enumerate(fields, 1)}
     return {
-        variable: [places[value[0]], value[1]] if isinstance(value, tuple) else value
+        variable: [places[value[0]], value[1]]
+        if isinstance(value, tuple) and len(value) == 2
+        else [0, *value]
+        if isinstance(value, tuple)
+        else value
         for variable, value in effect.assignments
     }
+
+
+def _at_rest(protocol: Protocol) -> dict[str, Any]:
+    """When the device is at rest, where that is declared."""
+    condition = protocol.at_rest
+    if condition is None:
+        return {}
+    return {"at_rest": {"all": isinstance(condition, AllOf), "values": condition.values}}
 
 
 def _word(name: str) -> str:
@@ -163,6 +178,8 @@ def _lua(value: Any, indent: str = "\n") -> str:
     """Return a value as Lua source: dicts and lists are tables, on one line where it holds them."""
     if isinstance(value, str):
         return '"' + _UNSAFE.sub(lambda found: f"\\{ord(found[0]):03d}", value) + '"'
+    if value is None:  # which a table of Lua cannot hold
+        return "false"
     if not isinstance(value, dict | list):
         return json.dumps(value)
     deeper = indent + "    "

@@ -189,11 +189,17 @@ local function await(frame, begun)
     now.first, now.last = now.first or frame, frame
 end
 
+local function new_value(old, set, values) -- false: not known
+    if type(set) ~= "table" then return set end
+    if set[1] > 0 then return values[set[1]] * set[2] end
+    return old and math.min(math.max(old * set[2] + set[3], set[4]), set[5])
+end
+
 local function change_state(frame)
     frame.state = {}
     for variable, value in pairs(now.state) do frame.state[variable] = value end
     for variable, set in pairs(frame.reason and GRAMMAR.on_fault or frame.spec.sets) do
-        frame.state[variable] = type(set) == "table" and frame.values[set[1]] * set[2] or set
+        frame.state[variable] = new_value(now.state[variable], set, frame.values)
     end
     now.state = frame.state
 end
@@ -279,16 +285,27 @@ end
 
 -- Showing what was found.
 
+local function at_rest(state)
+    local all = GRAMMAR.at_rest.all
+    for name, value in pairs(GRAMMAR.at_rest.values) do
+        if (state[name] == value) ~= all then return not all end
+    end
+    return all
+end
+
 local function show_state(tree, state)
     local words, branch = {}, tree:add("State after it"):set_generated()
     for _, row in ipairs(GRAMMAR.state) do
         local value = state[row.name]
         local number = type(value) == "number"
-        table.insert(words, number and format("%s %.0f", row.name, value) or value)
-        branch:add(row.field, number and Int64.new(value) or value):set_generated()
+        local word = value or row.name .. " not known"
+        table.insert(words, number and format("%s %.0f", row.name, value) or word)
+        if value then
+            branch:add(row.field, number and Int64.new(value) or value):set_generated()
+        end
     end
-    local moving = state.speed > 0 and state.motion ~= GRAMMAR.stopped
-    branch:add(F["state.moving"].field, moving):set_generated()
+    local moving = GRAMMAR.at_rest and not at_rest(state)
+    if GRAMMAR.at_rest then branch:add(F["state.moving"].field, moving):set_generated() end
     branch:append_text(": " .. table.concat(words, ", ") .. (moving and ", moving" or ""))
 end
 

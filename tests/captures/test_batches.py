@@ -15,22 +15,22 @@ from mcap.writer import CompressionType, Writer
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture, open_indexed
-from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, State
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import message_starts
-from bilprov.captures.topics import TOPICS, Written, encoded
+from bilprov.captures.topics import TOPICS, Written, encoded, topic_of
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.motion import car_state
 
 START = 1_790_000_000_000_000_000
 VALUES: list[Written] = [
     Line(0, "gap", "", "10 bytes"),
     Line(0, "modem", "host", "cts"),
-    State("forward", 1, 0, 0, True),
+    car_state("forward", 1, 0, 0),
     Look(0, True),
     Checkpoint.of(0, "a" * 64, "{}"),
     Checkpoint.of(0, "a" * 64, "{}", resumes=True),
 ]
-CHANNELS = {topic.value: topic for topic in TOPICS}
 
 
 def written_by_us(path: Path, choose: random.Random, length: int, parts: int) -> None:
@@ -84,7 +84,7 @@ def written_by_others(path: Path, choose: random.Random, length: int) -> None:
                 channel, data = choose.choice(ids[:2]), choose.randbytes(choose.choice([1, 2, 9]))
             elif draw < 0.99:
                 value = choose.choice(VALUES)
-                channel, data = ids[CHANNELS[type(value)].channel - 1], encoded(value)
+                channel, data = ids[topic_of(value).channel - 1], encoded(value)
             else:
                 channel, data = ids[choose.choice([0, 6])], choose.choice([b"{", bytes(70_000)])
             writer.add_message(channel, log_time, data, log_time, sequence=sequence - 1)

@@ -17,12 +17,13 @@ from mcap.writer import CompressionType, Writer
 
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Message, open_capture
-from bilprov.captures.schemas import Chunk, Line, Log, State, Time
+from bilprov.captures.schemas import Chunk, Line, Log, Time
 from bilprov.captures.storage import records, recovery
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.text import printable
 from bilprov.captures.topics import TOPICS
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.motion import car_state
 
 START = 1_790_000_000_000_000_000
 FLUSH_EVERY = 4
@@ -37,7 +38,7 @@ def small(tmp_path: Path) -> Path:
             if t % 6 == 4:
                 capture.write(Line(t, "modem", "host", f"cts {t}"), t)
             elif t % 6 == 5:
-                capture.write(State("forward", t, 0, 0, True), t)
+                capture.write(car_state("forward", t, 0, 0), t)
             else:
                 data = b"%d " % t * (t % 3 + 1)
                 capture.chunk(Chunk(t, "device" if t % 2 else "host", data))

@@ -31,10 +31,10 @@ from bilprov.captures.schemas import (
     Log,
     Look,
     Response,
-    State,
     Time,
 )
 from bilprov.captures.writer import FLUSH_AFTER, CaptureWriter
+from bilprov.spec.motion import car_state
 from tests.support import ROOT
 
 START = 1_790_000_000_000_000_000
@@ -45,7 +45,7 @@ ONE_OF_EACH: list[topics.Written] = [
     Instruction(6, 7, "garbage", "ff", None, None, None, None, {}, None, "no header"),
     Response(8, "00", 0, "OK", 0, 3, True, ""),
     Response(9, "07", 7, None, None, None, None, "nothing asked"),
-    State("forward", 9, -3, 7, True),
+    car_state("forward", 9, -3, 7),
     Log(Time(1, 2), 3, "odd", "kind"),
     Line(10, "modem", "host", "cts on"),
     Line(11, "gap"),
@@ -194,7 +194,7 @@ def test_late_values_do_not_flush_one_by_one(tmp_path: Path) -> None:
     capture = writer(path)
     capture.chunk(Chunk(SECOND, "host", b"a"))
     for _ in range(5):
-        capture.write(State("stopped", 0, 0, 0, False), 0)
+        capture.write(car_state("stopped", 0, 0, 0), 0)
     assert list(open_capture(path).messages()) == []
     capture.close()
 

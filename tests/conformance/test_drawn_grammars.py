@@ -18,8 +18,9 @@ from bilprov.spec.codec import all_data, build, judge
 from bilprov.spec.emit.c import c_header
 from bilprov.spec.emit.python_stub import python_stub
 from bilprov.spec.emit.wireshark import lua_dissector
-from bilprov.spec.motion import Effect, Motion, State
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.state import Effect, State
 from tests.support.drawn_grammars import Drawn, drawn
 from tests.support.grammars import use
 

@@ -21,8 +21,9 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge
-from bilprov.spec.motion import State, wheels
+from bilprov.spec.motion import car_state, wheels
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 from tests.support.firmware import AVR, BUGS, built
 from tests.vectors import FRAMES
 
@@ -123,7 +124,7 @@ def test_its_pins_follow_the_motion_model(
     bench.home()
     bench.send(b"\x11\x00")
     bench.send(b"\x81\x00")
-    state = State(speed=0)
+    state = car_state(speed=0)
     _, full = protocol.limits["steering"]
     for frame in frames:
         judgement = judge(protocol, frame)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bilprov.spec.by_effect import frames_to, movers, reached, setting
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion, car_state
 from bilprov.spec.protocol import Protocol, load
 from tests.support.grammars import still_grammar
 
@@ -20,7 +20,7 @@ BOTH = """\
     / Instruction(
         "pace" / Ranged(Byte, 0, 255) * "speed",
         document="",
-        effect=Sets(motion=Motion.FORWARD, speed=From("pace")),
+        effect=Sets(motion="forward", speed=From("pace")),
     )
     * "Drives at a speed.",
 """
@@ -33,32 +33,32 @@ def joint(text: str) -> Protocol:
 
 
 def test_the_cars_preamble_is_speed_led_motion_steering(protocol: Protocol) -> None:
-    state = State(Motion.FORWARD, 80, -5, 3)
+    state = car_state(Motion.FORWARD, 80, -5, 3)
     frames = [frame.hex() for frame in frames_to(protocol, state)]
     assert frames == ["1150", "8103", "20", "5105"]
-    turning = State(Motion.ROTATE_LEFT, 80, 5, 3)
+    turning = car_state(Motion.ROTATE_LEFT, 80, 5, 3)
     assert [f.hex() for f in frames_to(protocol, turning)] == ["1150", "8103", "4105", "70"]
 
 
 def test_what_is_known_is_not_sent_again(protocol: Protocol) -> None:
-    known, state = State(speed=80, led=3), State(Motion.FORWARD, 80, 9, 3)
+    known, state = car_state(speed=80, led=3), car_state(Motion.FORWARD, 80, 9, 3)
     assert [frame.hex() for frame in frames_to(protocol, state, known)] == ["20", "4109"]
 
 
 def test_a_setting_keeps_what_its_instruction_sets_besides(grammar_text: str) -> None:
     protocol = joint(grammar_text)
-    beside = State(Motion.FORWARD, 80, 5)
+    beside = car_state(Motion.FORWARD, 80, 5)
     assert setting(protocol, "steering", 9, beside).hex() == "925009"
     assert setting(protocol, "speed", 7, beside).hex() == "920705"
 
 
 def test_a_motion_with_data_is_a_mover_where_there_is_no_other(grammar_text: str) -> None:
     protocol = joint(grammar_text)
-    state = State(Motion.FORWARD, 80, 5)
+    state = car_state(Motion.FORWARD, 80, 5)
     assert [spec.name for spec in movers(protocol)] == ["Drive"]
     assert reached(protocol, state) == state
 
 
 def test_a_state_that_nothing_leads_to_is_reached_as_far_as_it_can_be(grammar_text: str) -> None:
     protocol = load(still_grammar(grammar_text))
-    assert reached(protocol, State(Motion.FORWARD, 80, 5, 3)) == State(speed=80)
+    assert reached(protocol, car_state(Motion.FORWARD, 80, 5, 3)) == car_state(speed=80)

@@ -10,6 +10,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import judge
 from bilprov.spec.explain import explain
 from bilprov.spec.protocol import load
+from tests.support.grammars import undeclared
 
 PROTOCOL = load_protocol()
 
@@ -59,9 +60,11 @@ def test_the_bits_that_make_it_faulty_are_marked(frame: str, faulty: list[str]) 
 
 
 def test_a_field_of_two_bytes_is_one_group() -> None:
-    source = PROTOCOL.source.replace(
-        "from construct import ", "from construct import Int16ub, "
-    ).replace('"speed" / Ranged(Byte, 0, 255)', '"speed" / Ranged(Int16ub, 0, 1000)')
+    source = (
+        undeclared(PROTOCOL.source)
+        .replace("from construct import ", "from construct import Int16ub, ")
+        .replace('"speed" / Ranged(Byte, 0, 255)', '"speed" / Ranged(Int16ub, 0, 1000)')
+    )
     (frame,) = explain(load(source), bytes.fromhex("12 03 e9")).frames
     group = frame.groups[2]
     assert (group.byte, group.size, group.high, group.value, group.fault) == (1, 2, 15, 1001, True)

@@ -19,7 +19,7 @@ from tests.support.grammars import embedded, mutated
 SPEED = '"speed" / Ranged(Byte, 0, 255)'
 LED = "Ranged(Byte, 0, 7,"
 RIGHT = 'steering=From("strength")),'
-FAULTY = "FAULTY = Sets(motion=Motion.STOPPED, steering=0)"
+FAULTY = 'FAULTY = Sets(motion="stopped", steering=0)'
 ID, LENGTH = '"id" / BitsInteger(4)', '"length" / BitsInteger(4)'
 SIXTEEN = ", ".join(f'"f{n}" / Ranged(Byte, 0, 255)' for n in range(16))
 HUNDRED_TWENTY_SEVEN = ", ".join(f'"f{n}" / Ranged(Byte, 0, 255)' for n in range(127))
@@ -85,12 +85,12 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ({RIGHT: "steering=From(7)),"}, "the field of a From is 7"),
     ({RIGHT: 'motion=From("strength")),'}, "sets motion to a number"),
     ({RIGHT: "motion=[]),"}, "sets motion to []"),
-    ({RIGHT: "steer=0),"}, "has no variable steer; it has motion, speed, steering, led"),
+    ({RIGHT: "steer=0),"}, "an effect sets 'steer', allowed are motion, speed, steering, led"),
     ({"factor=-1": "factor=0.5"}, "the factor of a From is 0.5"),
-    ({"motion=Motion.STOPPED, steering=0),  #": "steering=0),  #"}, "the kit needs one to home"),
+    ({'motion="stopped", steering=0),  #': "steering=0),  #"}, "the kit needs one to home"),
     ({FAULTY: "FAULTY = Sets(steering=0)"}, "FAULTY does not set motion"),
     ({FAULTY: 'FAULTY = Sets(speed=From("x"))'}, "names the field x, which is not there"),
-    ({"POWER_ON = Sets(motion=Motion.STOPPED": "POWER_ON = Sets(motion=Motion.FORWARD"}, "still"),
+    ({'POWER_ON = Sets(motion="stopped"': 'POWER_ON = Sets(motion="forward"'}, "still"),
     # answers
     ({'"TOO_MANY_DATA"': '"TOO\\x9bMANY"'}, "U+009B"),
     ({'"TOO_MANY_DATA"': '"too_few_data"'}, "two responses are named"),
@@ -133,7 +133,7 @@ RUN: list[tuple[dict[str, str], str]] = [
         "must be a whole number",
     ),
     ({'"steering strength"': 'b"x"'}, "is b'x', allowed is a text"),
-    ({"spec.motion import": "spec.motor import"}, "No module named 'bilprov.spec.motor'"),
+    ({"spec.fields import": "spec.field import"}, "No module named 'bilprov.spec.field'"),
 ]
 
 

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bilprov.spec.motion import Effect, Motion, State, wheels
+from bilprov.spec.motion import Motion, car_state, visible_motion, wheels
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import Effect
 from tests.vectors import SEQUENCES, WHEELS, Sequence, WheelVector
 
 if TYPE_CHECKING:
@@ -26,11 +27,11 @@ def test_the_robot_does_what_the_document_says(
 @pytest.mark.parametrize("motion", Motion)
 @pytest.mark.parametrize("speed", [0, 1])
 def test_only_a_direction_with_a_speed_moves_and_is_seen(motion: Motion, speed: int) -> None:
-    state = State(motion, speed)
-    moves = speed > 0 and motion is not Motion.STOPPED
+    state = car_state(motion, speed)
+    moves = speed > 0 and motion != Motion.STOPPED
 
     assert state.moving == moves
-    assert state.visible_motion is (motion if moves else Motion.STOPPED)
+    assert visible_motion(state) is (motion if moves else Motion.STOPPED)
     assert (wheels(state, 255) != (0, 0)) == moves
 
 
@@ -43,7 +44,7 @@ def _sign(value: int) -> int:
 def test_the_wheels_turn_as_the_motion_and_the_steering_say(
     vector: WheelVector, speed: int
 ) -> None:
-    state = State(Motion(vector.motion), speed, vector.steering)
+    state = car_state(Motion(vector.motion), speed, vector.steering)
     left, right = wheels(state, 255)
 
     assert (_sign(left), _sign(right)) == (vector.left, vector.right)
@@ -56,14 +57,14 @@ def test_the_wheels_turn_as_the_motion_and_the_steering_say(
 def test_at_full_steering_the_inner_wheel_stands_still(
     motion: Motion, steering: int, inner: int
 ) -> None:
-    turned = wheels(State(motion, 200, steering), 255)
+    turned = wheels(car_state(motion, 200, steering), 255)
 
     assert turned[inner] == 0
     assert abs(turned[1 - inner]) == 200
 
 
 def test_a_robot_that_cannot_steer_drives_straight_on() -> None:
-    assert wheels(State(Motion.FORWARD, 9), 0) == (9, 9)
+    assert wheels(car_state(Motion.FORWARD, 9), 0) == (9, 9)
 
 
 @pytest.mark.parametrize(
@@ -75,6 +76,6 @@ def test_a_robot_that_cannot_steer_drives_straight_on() -> None:
     ],
 )
 def test_an_effect_changes_only_what_it_names(effect: Effect, after: tuple[int, int]) -> None:
-    before = State(Motion.FORWARD, 10, 20, 3)
+    before = car_state(Motion.FORWARD, 10, 20, 3)
 
-    assert effect.apply(before, {"strength": 30}) == State(Motion.FORWARD, *after, 3)
+    assert effect.apply(before, {"strength": 30}) == car_state(Motion.FORWARD, *after, 3)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from bilprov.spec.by_effect import Movement, all_movement, movement_of, movement_words
 from bilprov.spec.motion import Motion
-from bilprov.spec.movement import Movement, all_movement, movement_of, movement_words
 from bilprov.spec.protocol import Protocol, load
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from bilprov.spec.codec import all_data, bad_data, build, judge, nearest, raw_frame
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion, car_state
 from bilprov.spec.protocol import Protocol, load
-from tests.support.grammars import mutated
+from tests.support.grammars import mutated, undeclared
 from tests.vectors import FRAMES, UNUSED_IDS
 
 
@@ -75,7 +75,9 @@ def test_one_entry_more_is_one_instruction_more(horn: Protocol, protocol: Protoc
     assert list(bad_data(spec)) == [bytes([value]) for value in range(4, 256)]
     assert build(horn, "horn", {"sound": 3}) == b"\x91\x03"
     assert nearest(horn, b"\x91\x09") == b"\x91\x03"
-    assert spec.effect.apply(State(Motion.FORWARD, 9), {"sound": 1}) == State(Motion.FORWARD, 9)
+    assert spec.effect.apply(car_state(Motion.FORWARD, 9), {"sound": 1}) == car_state(
+        Motion.FORWARD, 9
+    )
 
 
 @pytest.mark.parametrize(
@@ -133,7 +135,7 @@ def wide_speed(text: str, low: int, high: int) -> Protocol:
         "BitStruct, Byte,": "BitStruct, Byte, Int16ub,",
         '"speed" / Ranged(Byte, 0, 255)': two,
     }
-    return load(mutated(text, changes))
+    return load(mutated(undeclared(text), changes))
 
 
 def test_a_field_may_have_two_bytes_and_another_may_follow(grammar_text: str) -> None:

@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from random import Random
 
 import pytest
 
 from bilprov.spec.codec import judge, raw_frame
-from bilprov.spec.motion import State
+from bilprov.spec.motion import car_state
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.steps import Step, Steps
+from bilprov.spec.state import State, after
+from bilprov.spec.steps import Steps
 
-BEFORE = State(speed=11, steering=-7, led=3)
-
-
-def after(step: Step, state: State = BEFORE) -> dict[str, object]:
-    """The values of a state's variables after a step."""
-    return {
-        name: getattr(state, name) if getattr(step, name) is None else getattr(step, name)
-        for name in ("motion", "speed", "steering", "led")
-    }
+BEFORE = car_state(speed=11, steering=-7, led=3)
 
 
-def judged(protocol: Protocol, frame: bytes, state: State = BEFORE) -> dict[str, object]:
-    """The same by the grammar's own effects."""
+def judged(protocol: Protocol, frame: bytes, state: State = BEFORE) -> State:
+    """The state after a frame by the grammar's own effects."""
     judgement = judge(protocol, frame)
     effect = judgement.instruction.effect if judgement.valid and judgement.instruction else None
-    then = (effect or protocol.on_fault).apply(state, dict(judgement.fields))
-    return asdict(then) | {"motion": then.motion.value}
+    return (effect or protocol.on_fault).apply(state, dict(judgement.fields))
 
 
 def test_every_header_at_every_truncation_is_judged_as_by_the_grammar(
@@ -42,7 +33,7 @@ def test_every_header_at_every_truncation_is_judged_as_by_the_grammar(
                 frame = bytes([header]) + random.randbytes(arrived)
                 step = steps[frame]
                 assert step.judgement == judge(each_protocol, frame)
-                assert after(step) == judged(each_protocol, frame)
+                assert after(BEFORE, step.sets) == judged(each_protocol, frame)
                 assert steps[frame] == step
 
 

@@ -12,17 +12,18 @@ from hypothesis import strategies as st
 
 from bilprov.spec.codec import build, judge, nearest
 from bilprov.spec.framing import Framer
-from bilprov.spec.motion import VARIABLES, State
+from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.state import State
 from bilprov.spec.tables import (
-    MOTIONS,
     OUTCOMES,
     FrameTables,
     field_values,
     frame_tables,
-    values_of,
 )
+from tests.support.grammars import undeclared
 
+MOTIONS = tuple(Motion)
 BLOCK = 1 << 16  # how many bytes are tokenized at once: lengths around it are tried
 
 
@@ -61,11 +62,11 @@ def test_every_header_and_first_byte_has_the_verdict_and_the_state_of_the_gramma
     frames = every_first_byte(each_protocol, Random(1))
     data = np.frombuffer(b"".join(frames), np.uint8)
     tables = frame_tables(each_protocol)
-    before = State(MOTIONS[2], 9, -8, 7)
+    before = each_protocol.state(motion=MOTIONS[2], speed=9, steering=-8, led=7)
 
     offsets, end = tables.offsets(data)
     columns = tables.frames(data, offsets)
-    states = [tables.state(name, data, columns, values_of(before)) for name in VARIABLES]
+    states = [tables.state(name, data, columns, before.codes) for name in VARIABLES]
 
     starts = np.cumsum([0, *(len(frame) for frame in frames)])
     assert (offsets.tolist(), end) == (starts[:-1].tolist(), starts[-1])
@@ -183,8 +184,9 @@ def test_streams_around_the_size_of_a_block_have_the_frames_of_the_framer(
 def test_a_grammar_whose_numbers_do_not_fit_into_64_bits_is_refused(
     grammar_text: str, edit: tuple[str, str]
 ) -> None:
-    assert grammar_text.count(edit[0]) == 1
-    text = grammar_text.replace(*edit).replace("Byte, Struct", "Byte, BytesInteger, Struct")
+    text = undeclared(grammar_text)
+    assert text.count(edit[0]) == 1
+    text = text.replace(*edit).replace("Byte, Struct", "Byte, BytesInteger, Struct")
 
     with pytest.raises(OverflowError):
         FrameTables(load(text))
@@ -192,12 +194,12 @@ def test_a_grammar_whose_numbers_do_not_fit_into_64_bits_is_refused(
 
 @pytest.mark.parametrize("led", [-1, 1 << 15, -(1 << 31), (1 << 62)])
 def test_a_state_that_only_power_on_sets_fits(grammar_text: str, led: int) -> None:
-    text = grammar_text.replace("speed=0, steering=0, led=0)", f"speed=0, steering=0, led={led})")
-    other = load(text)
+    text = undeclared(grammar_text)
+    other = load(text.replace("steering=0, led=0)", f"steering=0, led={led})"))
     tables = FrameTables(other)
     stop = np.array([other.pad_byte], np.uint8)
 
     frames = tables.frames(stop, tables.offsets(stop)[0])
-    state = tables.state("led", stop, frames, values_of(other.power_on))
+    state = tables.state("led", stop, frames, other.power_on.codes)
 
     assert state.tolist() == [led]

@@ -11,8 +11,8 @@ from bilprov.conformance.mutation.effects import does_effect, does_watching, the
 from bilprov.conformance.mutation.faults import Row, hooks
 from bilprov.conformance.mutation.triggers import OUTCOME_WORDS, trigger
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import State
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 Condition = Callable[[Event], bool]
 

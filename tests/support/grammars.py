@@ -14,6 +14,9 @@ from bilprov.spec.safe_grammar import NotDeclared, require_declarations
 
 # Each edit: a piece of the grammar's text that stands there once, and what takes its place.
 _WIDE = {
+    "speed=Whole(0, 255)": "speed=Whole(0, 70_000)",
+    "steering=Whole(-255, 255)": "steering=Whole(-300, 301)",
+    'led=Bits("RGB")': "led=Whole(-400, 7)",
     "BitStruct, Byte,": "BitStruct, Byte, BytesInteger, Int8sb, Int16sl, Int16ub,",
     '"id" / BitsInteger(4)': '"id" / BitsInteger(3)',
     '"length" / BitsInteger(4)': '"length" / BitsInteger(5)',
@@ -33,10 +36,15 @@ _CRUISE = """\
         "pace" / Ranged(BytesInteger(3), 256, 70_000) * "speed",
         "lamp" / Ranged(Byte, 1, 200) * "colours",
         document="Marschfart",
-        effect=Sets(motion=Motion.BACKWARD, speed=From("pace"), led=From("lamp", factor=-2)),
+        effect=Sets(motion="backward", speed=From("pace"), led=From("lamp", factor=-2)),
     )
     * "Drives backward at a speed, with the lamp on.",
 """
+
+
+def undeclared(text: str) -> str:
+    """The grammar's text as it was before it declared the state: any numbers may be set."""
+    return text[: text.index("DEVICE =")] + text[text.index("HEADER =") :]
 
 
 def short_grammar(text: str) -> str:

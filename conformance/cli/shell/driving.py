@@ -13,7 +13,6 @@ from bilprov.analyzer.client.probes import Probe
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
 from bilprov.analyzer.output.outputs import stream_output, write_out
-from bilprov.analyzer.output.text_lines import state_words
 from bilprov.analyzer.replay.answers import FLOOD, FLOOD_WORDS, AnswerCheck
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.port import Port
@@ -170,7 +169,7 @@ class Driving(Closing):
 
     def _tell_state(self) -> None:
         moving = "moving" if self.target.state.moving else "not moving"
-        write_out(f"predicted: {state_words(self.target.state)}, {moving}\n")
+        write_out(f"predicted: {self.target.state.described}, {moving}\n")
 
     def _tell_look(self) -> None:
         if self._probe is None:

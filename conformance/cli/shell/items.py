@@ -36,7 +36,7 @@ from bilprov.captures.schemas import Chunk
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.shell.looks import asked, look_text
 from bilprov.conformance.cli.shell.session import agreed
-from bilprov.spec.movement import movement_of, movement_words
+from bilprov.spec.by_effect import movement_of, movement_words
 from bilprov.spec.protocol import Protocol
 
 _NO_ANSWER = "none"

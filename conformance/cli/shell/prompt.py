@@ -19,7 +19,6 @@ from prompt_toolkit.patch_stdout import patch_stdout
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.settings import state_folder
-from bilprov.analyzer.output.text_lines import state_words
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.completion import candidates
 from bilprov.conformance.cli.shell.driving import Driving
@@ -117,7 +116,7 @@ class Prompt:
         state, seen = self._driving.target.state, self._driving.seen
         colour = "ansigreen" if state.motion == Motion.STOPPED else "ansiyellow bold"
         return [
-            (colour, state_words(state)),
+            (colour, state.described),
             ("ansicyan", f", {seen}" if seen else ""),
             ("", "> "),
         ]

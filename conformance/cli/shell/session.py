@@ -21,7 +21,7 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
-from bilprov.spec.movement import all_movement, movement_words
+from bilprov.spec.by_effect import all_movement, movement_words
 from bilprov.spec.protocol import Protocol
 
 

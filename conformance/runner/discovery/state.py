@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 
 from bilprov.analyzer.client.operations import Procedure, listen, observe, send
@@ -16,10 +15,11 @@ from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.slow_preambles import set_up_slowly
 from bilprov.spec.by_effect import fitted, movers, setting
-from bilprov.spec.motion import Effect, Moment, State, moment_of
+from bilprov.spec.motion import Moment, moment_of
 from bilprov.spec.open_points import open_after
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.readings import POINTS, Behaviour, OpenPoint
+from bilprov.spec.state import Effect, State
 
 _LOOK = 50 * MS  # between two looks while the line is silent
 _AGAIN = 500 * MS  # how long a robot that stopped by itself is observed
@@ -220,7 +220,7 @@ def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     word, fault = "at-once", lost
     if seen.look.moving:
-        yield from _send(run, fitted(run.protocol, first, replace(full, speed=0)))
+        yield from _send(run, fitted(run.protocol, first, full.but(speed=0)))
         seen = yield from watch(run, moving=False, patience=run.timers.deadline)
         word = "next-motion"
         if seen.look.moving:
@@ -231,7 +231,7 @@ def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
 
 def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]:
     full = full_state(run.protocol, turning)
-    lost = (yield from set_up(run, State(full.motion, full.speed, 0, full.led))).missing
+    lost = (yield from set_up(run, full.but(steering=0))).missing
     yield from _send(run, _steers(run.protocol, turning))
     yield from listen(None, run.timers.silence)
     look = (yield from observe()).look
@@ -240,7 +240,7 @@ def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]
     if look.moving is False:
         fault = fault or "steering during a rotation stops it"
     word = "remembered"
-    if opposite is False or (opposite is None and look.motion not in (None, full.motion.value)):
+    if opposite is False or (opposite is None and look.motion not in (None, full.motion)):
         word = "curve"
     if opposite is None and look.motion is None:
         word = ""

@@ -12,7 +12,6 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.runner.homing import home, set_up
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import moving_to
-from bilprov.spec.motion import State
 
 _ROUNDS = 2
 _FIRST, _FIRST_TIME = 60, 300 * MS  # looks at the beginning, and how long they may take
@@ -48,14 +47,16 @@ def _check(run: Run) -> Procedure[str]:
     """Why the probe cannot be believed, "" if nothing speaks against it."""
     protocol = run.protocol
     _, fast = protocol.limits.get("speed", (0, 0))
-    states = [State(motion=motion, speed=fast) for motion in sorted(run.profile.moves or ())]
+    states = [
+        protocol.state(motion=motion, speed=fast) for motion in sorted(run.profile.moves or ())
+    ]
     starts = [frame for frame in (moving_to(protocol, state) for state in states) if frame][:2]
     lags: list[int] = []
     fresh: list[bool] = []
     for start in starts * _ROUNDS:
         for wait in (0, _QUIET):
             yield from home(run)
-            yield from set_up(run, State(speed=fast))
+            yield from set_up(run, protocol.state(speed=fast))
             for frame, moving in ((start, True), (stops(run.protocol)[:1], False)):
                 yield from listen(None, _QUIET)
                 late = yield from _shown_after(run, run.wire(frame), wait, moving=moving)

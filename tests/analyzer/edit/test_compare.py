@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.edit.alignment import FAR, RUN, aligned
 from bilprov.analyzer.edit.exchanges import Exchange
-from bilprov.captures.schemas import MS, Chunk, State
+from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.motion import car_state
 from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.decoding import Event, conversation
@@ -114,7 +115,7 @@ def test_a_verdict_that_cannot_be_shown_is_2() -> None:
     assert b"the exit code is 2" in result.stderr
 
 
-REST = State("stopped", 0, 0, 0, False)
+REST = car_state("stopped", 0, 0, 0)
 
 
 def stream(keys: Sequence[int]) -> list[Exchange]:

@@ -30,6 +30,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.decoding import Event, conversation, decoded
+from tests.support.grammars import undeclared
 from tests.support.terminals import on_terminal
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 from tests.support.wires import PATIENCE, running
@@ -184,7 +185,8 @@ def test_numbers_that_64_bits_cannot_hold_are_decimals(tmp_path: Path, grammar_t
     short, field = "BitStruct, Byte,", '"speed" / Ranged(Byte, 0, 255)'
     long = '"speed" / Ranged(BytesInteger(15), 0, 2**120 - 1)'
     grammar = tmp_path / "long.py"
-    grammar.write_text(grammar_text.replace(short, f"{short} BytesInteger,").replace(field, long))
+    text = undeclared(grammar_text).replace(short, f"{short} BytesInteger,")
+    grammar.write_text(text.replace(field, long))
     said = b"\x1f" + b"\xff" * 15
     path = written(tmp_path / "a.mcap", conversation([(said, b"\0")]))
 

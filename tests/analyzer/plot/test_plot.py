@@ -23,7 +23,6 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.codec import build, judge
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.tables import MOTIONS
 from tests.support import ROOT
 from tests.support.chromium import INSTALL, Page, chromium
 from tests.support.commands import command
@@ -120,7 +119,7 @@ def test_the_values_in_the_page_are_those_of_the_records(
     for record in hosts(records):
         row = max(at for at, t in enumerate(states["t"]) if t <= record.known)
         state = record.state
-        motion = MOTIONS.index(Motion(state.motion))
+        motion = list(Motion).index(state.motion)
         assert states["motion"][row] == 2 * motion + state.moving
         assert states["speed"]["last"][row] == state.speed
         assert states["steering"]["last"][row] == state.steering

@@ -23,14 +23,15 @@ from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.replay.spool import PARTS, Spool
 from bilprov.analyzer.screen.bars import status_line
-from bilprov.analyzer.screen.car import car
+from bilprov.analyzer.screen.car import picture
 from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_feed
 from bilprov.analyzer.screen.figures import figures
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.row_export import export
 from bilprov.captures.reader import open_capture, open_quickly
-from bilprov.captures.schemas import Chunk, State
+from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.motion import car_state
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.decoding import MS
@@ -220,9 +221,9 @@ def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> N
 
 
 def test_the_car_turns_and_lights_as_its_state_says(protocol: Protocol) -> None:
-    state = State("forward", 255, 255, 0b100, moving=True)
+    state = car_state("forward", 255, 255, 0b100)
     front, body, _, words, wheels, speed, steering, led = (
-        line.plain for line in car(protocol, state)
+        line.plain for line in picture(protocol, state)
     )
     left, right = front.split("┌───────┐")
     assert (left.strip(), right.strip()) == ("▲", "▪")  # to the right: the left wheel turns

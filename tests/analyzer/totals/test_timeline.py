@@ -17,15 +17,13 @@ from bilprov.analyzer.decode.records import (
     Record,
     is_frame,
     serious_faults,
-    written_state,
 )
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.totals import timeline
 from bilprov.analyzer.totals.timeline import Timeline
-from bilprov.captures.schemas import State
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.tables import MOTIONS
+from bilprov.spec.state import State
 from tests.support.decoding import devices, hosts
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
 
@@ -42,13 +40,13 @@ class Held(NamedTuple):
 
 
 def held(t: int, state: State) -> Held:
-    motion = 2 * MOTIONS.index(Motion(state.motion)) + state.moving
+    motion = 2 * list(Motion).index(state.motion) + state.moving
     return Held(t, motion, state.speed, state.steering)
 
 
 def changes(protocol: Protocol, records: Sequence[Record], begin: int) -> list[Held]:
     """The states of the records one by one, those alone that differ from the one before."""
-    every = [held(begin, written_state(protocol.power_on))]
+    every = [held(begin, protocol.power_on)]
     every += [held(record.known, record.state) for record in hosts(records)]
     kept = [one for at, one in enumerate(every) if not at or every[at - 1]._replace(t=one.t) != one]
     return sorted(kept, key=lambda one: one.t)
@@ -59,7 +57,13 @@ def require_states(found: Timeline, expected: list[Held], most: int) -> None:
     assert len(states.t) <= most
     assert bool(states.step) is (len(expected) > most)
     if not states.step:
-        rows = zip(states.t, states.motion, states.speed.last, states.steering.last, strict=True)
+        rows = zip(
+            states.t,
+            states.motion,
+            states.ranges["speed"].last,
+            states.ranges["steering"].last,
+            strict=True,
+        )
         assert [Held(*row) for row in rows] == expected
         return
     times = [one.t for one in expected]
@@ -67,7 +71,7 @@ def require_states(found: Timeline, expected: list[Held], most: int) -> None:
         after = bisect_left(times, states.t[row + 1]) if row + 1 < len(states.t) else len(times)
         at = bisect_left(times, t)  # what begins with the row; if nothing does, what holds then
         inside = expected[at if times[at : at + 1] == [t] else bisect_right(times, t) - 1 : after]
-        for values, place in ((states.speed, 2), (states.steering, 3)):
+        for values, place in ((states.ranges["speed"], 2), (states.ranges["steering"], 3)):
             assert values.low[row] == min(one[place] for one in inside)
             assert values.high[row] == max(one[place] for one in inside)
             assert values.last[row] == inside[-1][place]

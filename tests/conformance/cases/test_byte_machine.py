@@ -61,7 +61,7 @@ def walked(protocol: Protocol, variables: tuple[str, ...] | None, draw: Random) 
     """The simulator gives the outputs of the machine for drawn bytes and silences."""
     known, robot = byte_machine(protocol, variables), Simulator(protocol)
     if variables is not None:
-        robot.state = type(robot.state)(speed=1)
+        robot.state = robot.state.but(speed=1)
     numbers = {byte: n for n, members in enumerate(known.classes) for byte in members}
     state, now = 0, 0
     for _ in range(600):

@@ -12,6 +12,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
+from tests.support.grammars import undeclared
 
 SPEED = '"speed" / Ranged(Byte, 0, 255)'
 
@@ -20,7 +21,7 @@ SPEED = '"speed" / Ranged(Byte, 0, 255)'
 def two_bytes(request: pytest.FixtureRequest, grammar_text: str) -> Protocol:
     """A protocol whose speed has two bytes."""
     assert SPEED in grammar_text
-    text = grammar_text.replace(SPEED, f'"speed" / Ranged(Int16ub, {request.param})')
+    text = undeclared(grammar_text).replace(SPEED, f'"speed" / Ranged(Int16ub, {request.param})')
     return load(text.replace("BitStruct, Byte,", "BitStruct, Byte, Int16ub,"))
 
 

@@ -8,8 +8,8 @@ from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.cases.run_movement import run_movement
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.spec.by_effect import Movement
 from bilprov.spec.motion import Motion
-from bilprov.spec.movement import Movement
 from bilprov.spec.protocol import Protocol
 
 
@@ -22,7 +22,7 @@ class Driven(Simulator):
 
     def _note(self, device: object, event: Event, reaction: Reaction) -> Reaction:
         after = reaction.state
-        if after.motion is not Motion.STOPPED:
+        if after.motion != Motion.STOPPED:
             self.done |= Movement(frozenset({after.motion}), after.speed)
         return reaction
 

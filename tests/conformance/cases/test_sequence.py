@@ -25,8 +25,10 @@ from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.cases.sweeps import soak
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.state import State
+from tests.support.grammars import undeclared
 from tests.vectors import BAD_DATA_FRAMES, HEADERS, READING_IDS, UNUSED_IDS
 
 SEEDS = (1, 2)
@@ -220,7 +222,7 @@ def test_each_level_delivers_in_each_way(protocol: Protocol, level: str) -> None
 @pytest.mark.parametrize("level", ["standard", "deep"])
 def test_every_kind_is_left_alone_in_each_kind_of_motion(protocol: Protocol, level: str) -> None:
     met = {
-        (kind_of(protocol, step), state.visible_motion)
+        (kind_of(protocol, step), visible_motion(state))
         for sequence in sequences_of(protocol, level)
         if sequence.id.startswith("sequence/left-alone/")
         for burst, step, state in states(protocol, sequence)
@@ -489,7 +491,7 @@ def test_a_grammar_without_ranges_or_unused_ids_has_walks_all_the_same(grammar_t
         f'    {i}: "Spare{i}" / Instruction(document="Spare{i}") * "Does nothing.",\n'
         for i in UNUSED_IDS
     )
-    text = grammar_text.replace("Ranged(Byte, 0, 7,", "Ranged(Byte, 0, 255,")
+    text = undeclared(grammar_text).replace("Ranged(Byte, 0, 7,", "Ranged(Byte, 0, 255,")
     full = load(text.replace("}\n\nFRAME =", entries + "}\n\nFRAME ="))
     assert full.unused_ids == ()
 

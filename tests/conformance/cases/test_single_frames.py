@@ -18,6 +18,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol, load
+from tests.support.grammars import undeclared
 from tests.support.robots import FEW_LOOKS, CountingLink, run_over
 from tests.vectors import FRAME_COUNTS, FRAMES, HEADERS, READING_IDS, UNUSED_IDS
 
@@ -207,7 +208,7 @@ def test_recovery_tries_each_fault_in_each_motion_and_restores_that_motion(
 
     assert set(tried.values()) == {1}
     assert len(tried) == 5 * 4
-    assert all(c.after_then and c.after_then.motion is c.setup.motion for c in recovery)
+    assert all(c.after_then and c.after_then.motion == c.setup.motion for c in recovery)
 
 
 @pytest.mark.parametrize("every_cut", [True, False])
@@ -298,7 +299,7 @@ def test_the_cut_that_real_time_takes_rotates(chosen: tuple[Case, ...]) -> None:
 
 
 def test_a_grammar_without_limited_fields_has_no_bad_data(grammar_text: str) -> None:
-    free = load(grammar_text.replace("Ranged(Byte, 0, 7,", "Ranged(Byte, 0, 255,"))
+    free = load(undeclared(grammar_text).replace("Ranged(Byte, 0, 7,", "Ranged(Byte, 0, 255,"))
 
     kinds = Counter(case.kind for case in all_cases(free, 1, every_cut=False))
     assert kinds[FrameClass.BAD_DATA] == 0

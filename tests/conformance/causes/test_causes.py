@@ -109,7 +109,7 @@ def test_causes_follow_the_grammar(horn: Protocol) -> None:
 def test_a_setting_kept_in_a_signed_byte_is_named_as_that(protocol: Protocol) -> None:
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         kept = (reaction.state.steering + 128) % 256 - 128
-        return replace(reaction, state=replace(reaction.state, steering=kept))
+        return replace(reaction, state=reaction.state.but(steering=kept))
 
     report = report_of(protocol, replace(fault_bank(protocol)["always-0"], react=react))
     [cause] = report.causes

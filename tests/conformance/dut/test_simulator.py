@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion, car_state
 from bilprov.spec.protocol import Protocol
 from tests.vectors import (
     FRAMES,
@@ -88,7 +88,7 @@ def test_the_probe_tells_what_the_wheels_do_now(protocol: Protocol, sequence: Se
 @pytest.mark.parametrize("vector", WHEELS, ids=lambda v: f"{v.motion} {v.steering}")
 def test_the_wheels_turn_as_the_motion_says(protocol: Protocol, vector: WheelVector) -> None:
     device = Simulator(protocol)
-    device.state = State(Motion(vector.motion), speed=200, steering=vector.steering)
+    device.state = car_state(Motion(vector.motion), speed=200, steering=vector.steering)
 
     look = device.look(0)
 

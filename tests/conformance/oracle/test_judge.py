@@ -31,8 +31,9 @@ from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEf
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from bilprov.conformance.report.run_report import Report
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion, car_state, visible_motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 from tests.support.faults import (
     answers_with,
     condition,
@@ -227,9 +228,9 @@ def test_an_instruction_that_was_lost_keeps_a_verdict_that_is_as_bad_already() -
 
 # -- the state axis -------------------------------------------------------------------------------
 
-DRIVING = State(Motion.FORWARD, speed=200, steering=40, led=5)
-RESTED = replace(DRIVING, motion=Motion.STOPPED, steering=0)
-TURNING = replace(DRIVING, motion=Motion.ROTATE_LEFT)
+DRIVING = car_state(Motion.FORWARD, speed=200, steering=40, led=5)
+RESTED = DRIVING.but(motion=Motion.STOPPED, steering=0)
+TURNING = DRIVING.but(motion=Motion.ROTATE_LEFT)
 
 
 def told(state: State, **other: Any) -> Look:
@@ -237,7 +238,7 @@ def told(state: State, **other: Any) -> Look:
     facets = {
         "t": 0,
         "moving": state.moving,
-        "motion": str(state.visible_motion),
+        "motion": str(visible_motion(state)),
         "speed": state.speed,
         "steering": state.steering,
         "led": state.led,
@@ -411,7 +412,7 @@ def test_a_device_that_has_shown_one_choice_fails_with_the_other_by_its_reading(
 def test_a_curve_is_told_from_a_rotation_by_the_wheels_where_they_are_seen(
     protocol: Protocol, motion: str, left: int | None, right: int | None, verdict: Verdict
 ) -> None:
-    turning = State(Motion.ROTATE_LEFT, speed=100)
+    turning = car_state(Motion.ROTATE_LEFT, speed=100)
     curving = ExpectedState(turning, unknown=frozenset({"motion", "steering"}))
     look = Look(0, True, motion, 100, None, 0, left, right)
 
@@ -442,7 +443,7 @@ def test_what_nobody_knows_is_not_held_against_the_device(protocol: Protocol, fa
     assert judge_state(model, ExpectedState(RESTED, frozenset({facet})), look).verdict is PASS
 
 
-STRAIGHT = replace(DRIVING, steering=0)
+STRAIGHT = DRIVING.but(steering=0)
 
 
 @pytest.mark.parametrize(
@@ -454,16 +455,16 @@ STRAIGHT = replace(DRIVING, steering=0)
         (STRAIGHT, 0, 0, FAIL),
         (DRIVING, 100, 60, PASS),
         (DRIVING, 100, 100, PASS),  # no mixing law is given
-        (replace(DRIVING, steering=200), 100, 100, FAIL),  # but so much of it must show
-        (replace(DRIVING, steering=200, speed=20), 10, 10, PASS),  # unless it is as slow as that
-        (replace(DRIVING, steering=200), 100, 99, PASS),
+        (DRIVING.but(steering=200), 100, 100, FAIL),  # but so much of it must show
+        (DRIVING.but(steering=200, speed=20), 10, 10, PASS),  # unless it is as slow as that
+        (DRIVING.but(steering=200), 100, 99, PASS),
         (DRIVING, 100, -20, PASS),
         (DRIVING, 60, 100, FAIL),
-        (replace(DRIVING, steering=-40), 60, 100, PASS),
-        (replace(DRIVING, steering=-40), 100, 60, FAIL),
-        (replace(DRIVING, motion=Motion.BACKWARD), -100, -60, PASS),
-        (replace(DRIVING, motion=Motion.BACKWARD), -60, -100, FAIL),
-        (replace(DRIVING, motion=Motion.BACKWARD), 100, 60, FAIL),
+        (DRIVING.but(steering=-40), 60, 100, PASS),
+        (DRIVING.but(steering=-40), 100, 60, FAIL),
+        (DRIVING.but(motion=Motion.BACKWARD), -100, -60, PASS),
+        (DRIVING.but(motion=Motion.BACKWARD), -60, -100, FAIL),
+        (DRIVING.but(motion=Motion.BACKWARD), 100, 60, FAIL),
         (TURNING, -100, 100, PASS),
         (TURNING, -100, 20, PASS),
         (TURNING, 100, -100, FAIL),
@@ -644,9 +645,9 @@ CHOICES = [
     choice("steering ends a rotation", "valid/Right/1?", FAIL, "state",
            react=when(STEERS_ROTATING, sets(motion=Motion.STOPPED)), every=False),
     choice("another speed at power-on", "valid/Stop", INFORMATIONAL, "state", "R-power-on",
-           power_on=State(speed=77), every=False),
+           power_on=car_state(speed=77), every=False),
     choice("moves at power-on", "valid/Stop", FAIL, "state", "R-power-on",
-           power_on=State(Motion.BACKWARD, speed=77), every=False),
+           power_on=car_state(Motion.BACKWARD, speed=77), every=False),
     choice("knows version 1.0 only: no LED", "valid/LED/*", FAIL, "answer",
            react=when(lambda e: e.judgement.id == 8, as_unknown), every=False),
 ]  # fmt: skip

@@ -25,7 +25,7 @@ from bilprov.conformance.report.junit import as_junit
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.report.summary import show
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion, car_state
 from bilprov.spec.protocol import Protocol
 
 PASS, NON_STRICT, FAIL = Verdict.PASS, Verdict.NON_STRICT, Verdict.FAIL
@@ -306,8 +306,8 @@ def test_what_the_wheels_show_needs_no_other_facet(protocol: Protocol) -> None:
 
 
 def test_what_rests_on_a_choice_that_was_not_seen_is_not_known(protocol: Protocol) -> None:
-    driving = ExpectedState(State(Motion.FORWARD, 200, 40, 5))
-    turning = ExpectedState(State(Motion.ROTATE_LEFT, 200, 0, 5))
+    driving = ExpectedState(car_state(Motion.FORWARD, 200, 40, 5))
+    turning = ExpectedState(car_state(Motion.ROTATE_LEFT, 200, 0, 5))
     hidden = {"R-led-state fault", "R-speed-moving", "R-steer-rotating"}
     model = Model(protocol, Choices(hidden=hidden))
     shown = Model(protocol, Choices(shown=dict.fromkeys(hidden, ("", "x")), hidden=hidden))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import pytest
 
@@ -16,15 +15,16 @@ from bilprov.conformance.oracle.state_model import (
     FrameEffect,
     Model,
 )
-from bilprov.spec.motion import Motion, State
+from bilprov.spec.motion import Motion, car_state
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, READINGS, STATE_POINTS
+from bilprov.spec.state import State
 from tests.vectors import SEQUENCES, RobotState, Sequence
 
-DRIVING = State(Motion.FORWARD, speed=200, steering=40, led=5)
-TURNING = replace(DRIVING, motion=Motion.ROTATE_LEFT)
-RESTED = State(Motion.STOPPED, speed=200, steering=40, led=5)
-STANDING = State(Motion.BACKWARD, speed=0, steering=40, led=5)
+DRIVING = car_state(Motion.FORWARD, speed=200, steering=40, led=5)
+TURNING = DRIVING.but(motion=Motion.ROTATE_LEFT)
+RESTED = car_state(Motion.STOPPED, speed=200, steering=40, led=5)
+STANDING = car_state(Motion.BACKWARD, speed=0, steering=40, led=5)
 
 
 def done(protocol: Protocol, name: str, *values: int) -> FrameEffect:
@@ -127,7 +127,7 @@ def test_another_choice_changes_what_it_says_and_nothing_else(
         if name not in shows:
             assert expected_state == default, name
             continue
-        changed = replace(default.state, **difference)  # type: ignore[arg-type]  # no motion
+        changed = default.state.but(**difference)
         assert expected_state.state == changed, name
         rests_on = {point} if changed != default.state else set()
         assert (expected_state.rests_on, expected_state.unknown, expected_state.pending_speed) == (
@@ -144,9 +144,9 @@ def test_a_speed_that_waits_counts_from_the_next_motion_on(
     model = model_of(protocol, ("R-speed-moving", "next-motion"))
     set_ = model.after(ExpectedState(before), done(protocol, "Speed", 90))
 
-    if before.motion is Motion.STOPPED:
+    if before.motion == Motion.STOPPED:
         # Nothing moves: it takes effect at once, and no choice is shown.
-        assert set_ == ExpectedState(replace(before, speed=90))
+        assert set_ == ExpectedState(before.but(speed=90))
         return
     assert set_.pending_speed == 90
     assert set_.rests_on == {"R-speed-moving"}

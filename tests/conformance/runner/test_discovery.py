@@ -321,7 +321,7 @@ def test_a_state_that_is_no_choice_of_the_point_fails(
     protocol: Protocol, facets: dict[str, int], word: str
 ) -> None:
     fault = Fault("x", "test", "", react=lambda d, e, r: (
-        replace(r, state=replace(r.state, **facets)) if stops(e) else r
+        replace(r, state=r.state.but(**facets)) if stops(e) else r
     ))  # fmt: skip
 
     found = readings(probed(protocol, fault))

@@ -21,7 +21,7 @@ ONLY = Options(only=("valid/Speed/*", "valid/LED/*"))
 
 def _in_eight_bits(_: object, event: Event, reaction: Reaction) -> Reaction:
     steering = (reaction.state.steering + 128) % 256 - 128
-    return replace(reaction, state=replace(reaction.state, steering=steering))
+    return replace(reaction, state=reaction.state.but(steering=steering))
 
 
 EIGHT_BITS = Fault("eight-bits", "test", "keeps its steering in eight bits", react=_in_eight_bits)
@@ -52,7 +52,7 @@ def test_what_the_preamble_did_wrong_is_not_booked_on_the_frame_under_test(
 def test_what_the_frame_under_test_did_wrong_is_its_own(protocol: Protocol) -> None:
     def react(_: object, event: Event, reaction: Reaction) -> Reaction:
         led = event.judgement.valid and event.judgement.name == "LED"
-        return replace(reaction, state=replace(reaction.state, led=0)) if led else reaction
+        return replace(reaction, state=reaction.state.but(led=0)) if led else reaction
 
     dark = Fault("dark", "test", "its LED never lights", react=react)
 

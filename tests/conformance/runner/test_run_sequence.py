@@ -479,7 +479,7 @@ def test_a_device_that_stops_late_is_judged_in_parts(protocol: Protocol) -> None
     assert found.mismatch is None
     assert found.result.axes["stop"].verdict is NON_STRICT
     assert found.result.axes["stop"].reading == "R-stop-latency"
-    assert found.trial.expected.state.motion is Motion.ROTATE_RIGHT
+    assert found.trial.expected.state.motion == Motion.ROTATE_RIGHT
 
 
 class Lagging(Simulator):
@@ -554,7 +554,7 @@ def test_what_changes_by_itself_is_seen_while_it_is_left_alone(
     words: str,
 ) -> None:
     by_itself = at_frame(
-        frame, lambda d, e, r: replace(r, later=((25 * MS, replace(r.state, **change)),))
+        frame, lambda d, e, r: replace(r, later=((25 * MS, r.state.but(**change)),))
     )
     left = hand_made(protocol, "20", burst(protocol, frame, idle_ms=40), setup=DRIVES)
     hurried = hand_made(protocol, "20", burst(protocol, frame, idle_ms=15), "20", setup=DRIVES)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from bilprov.conformance.api import Options, conform
@@ -80,7 +78,7 @@ def test_a_motion_that_is_not_obeyed_at_high_speed_fails(protocol: Protocol, pow
 def test_without_motor_power_nothing_moves_and_nothing_fails(
     protocol: Protocol, power: bool
 ) -> None:
-    off = becomes(lambda event, state: replace(state, motion=Motion.STOPPED))
+    off = becomes(lambda event, state: state.but(motion=Motion.STOPPED))
 
     report = run_of(protocol, off, power=power)
 
@@ -93,7 +91,7 @@ def test_motor_power_that_is_switched_on_meanwhile_is_no_failure(protocol: Proto
     def off(event: Event) -> bool:
         return event.frames < 120
 
-    react = when(off, becomes(lambda event, state: replace(state, motion=Motion.STOPPED)))
+    react = when(off, becomes(lambda event, state: state.but(motion=Motion.STOPPED)))
 
     assert told(run_of(protocol, react, power=False)) == []
 

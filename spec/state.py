@@ -1,0 +1,446 @@
+"""The state that a grammar declares: its variables, when a device is at rest, what effects change.
+
+A state is one value: an immutable record with a field for each variable, of a class that is made
+once for each declaration. Where the grammar says when a device is at rest, the record also tells
+whether it is `moving`. A value that is not known is None.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeAlias
+
+import msgspec
+
+from bilprov.spec.value_checks import (
+    WrongValue,
+    require_kind,
+    require_name,
+    require_whole,
+    shown,
+)
+
+Kind = Literal["word", "whole", "bits"]
+_MOST = 30  # variables, and words or bits of one
+NOT_KNOWN = -(1 << 62)
+"""The number of a value that is not known."""
+
+_Made: TypeAlias = tuple[str, tuple[str, ...], bool, bool]
+"""A variable, its words, whether it has a sign, whether it may be not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class VariableSpec:
+    """One variable: its name and kind, and its smallest and largest value.
+
+    A word counts as its place in `words`; `bits` names bits, most significant first. `unknown`
+    tells whether an instruction can leave it not known.
+    """
+
+    name: str
+    kind: Kind
+    low: int
+    high: int
+    words: tuple[str, ...] = ()
+    bits: str = ""
+    unknown: bool = False
+
+    @property
+    def default(self) -> int | str:
+        """The first word, or the number nearest to 0."""
+        return self.words[0] if self.words else min(max(0, self.low), self.high)
+
+    @property
+    def allowed(self) -> str:
+        """The values that it can have, in words."""
+        return ", ".join(self.words) if self.words else f"{self.low} to {self.high}"
+
+    def holds(self, value: object) -> bool:
+        """Whether it can have this value."""
+        if value is None:
+            return self.unknown
+        if self.words:
+            return value in self.words
+        return type(value) is int and self.low <= value <= self.high
+
+    def require(self, value: object) -> None:
+        """Raise WrongValue unless an effect can set it to this value."""
+        if not self.words:
+            require_whole(f"what an effect sets {self.name} to", value, self.low, self.high)
+        elif value not in self.words:
+            raise WrongValue(
+                f"an effect sets {self.name} to {shown(value)}, allowed is {self.allowed}"
+            )
+
+
+class Word:
+    """A variable that is one of some words; at first it is the first one."""
+
+    def __init__(self, *words: str) -> None:
+        for word in words:
+            require_name("a word of a variable", word)
+        if not 1 <= len(set(words)) == len(words) <= _MOST:
+            raise WrongValue(
+                f"the words of a variable are {shown(words)}, allowed are 1 to {_MOST} words, each "
+                "once"
+            )
+        self.words = tuple(map(str, words))
+
+    def spec(self, name: str) -> VariableSpec:
+        """The variable of this name."""
+        return VariableSpec(name, "word", 0, len(self.words) - 1, words=self.words)
+
+
+class Whole:
+    """A variable that is a whole number in `low`..`high`."""
+
+    def __init__(self, low: int, high: int) -> None:
+        require_whole("the lowest value of a variable", low)
+        require_whole("the highest value of a variable", high, low)
+        self.low, self.high = low, high
+
+    def spec(self, name: str) -> VariableSpec:
+        """The variable of this name."""
+        return VariableSpec(name, "whole", self.low, self.high)
+
+
+class Bits:
+    """A variable that is some bits, named by a letter each, most significant first."""
+
+    def __init__(self, names: str) -> None:
+        require_name("the bits of a variable", names)
+        if not len(set(names)) == len(names) <= _MOST:
+            raise WrongValue(
+                f"the bits of a variable are {shown(names)}, allowed are at most {_MOST} letters, "
+                "each once"
+            )
+        self.names = names
+
+    def spec(self, name: str) -> VariableSpec:
+        """The variable of this name."""
+        return VariableSpec(name, "bits", 0, (1 << len(self.names)) - 1, bits=self.names)
+
+
+class Variables:
+    """The state: a Word, Whole or Bits for each variable."""
+
+    def __init__(self, **kinds: Word | Whole | Bits) -> None:
+        if len(kinds) > _MOST:
+            raise WrongValue(f"STATE has {len(kinds)} variables, allowed are {_MOST}")
+        for name, kind in kinds.items():
+            if name == "moving" or name.startswith("_") or name in State.__dict__:
+                raise WrongValue(f"a variable is named {name}, allowed is another name")
+            if not isinstance(kind, Word | Whole | Bits):
+                raise WrongValue(
+                    f"the variable {name} is {shown(kind)}, allowed is a Word, a Whole or Bits"
+                )
+        self.kinds = kinds
+
+
+class Condition:
+    """What the state must be: some variables with the values that they must have."""
+
+    _enough: ClassVar[Callable[[Any], bool]]
+
+    def __init__(self, **values: str | int) -> None:
+        if not values:
+            raise WrongValue(f"{type(self).__name__} names no variable")
+        self.values = {name: plain(value) for name, value in values.items()}
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    def __hash__(self) -> int:
+        return hash((type(self), *self.values.items()))
+
+    def holds(self, state: State) -> bool:
+        """Whether it holds in a state."""
+        return type(self)._enough(
+            [getattr(state, name) == value for name, value in self.values.items()]
+        )
+
+    def follows(self, values: Mapping[str, Any]) -> bool:
+        """Whether it holds wherever some variables have these values, whatever the others are."""
+        missing = object()
+        return type(self)._enough(
+            [values.get(name, missing) == value for name, value in self.values.items()]
+        )
+
+
+class AnyOf(Condition):
+    """The state has one of these values at least."""
+
+    _enough = any
+
+
+class AllOf(Condition):
+    """The state has all of these values."""
+
+    _enough = all
+
+
+class Wheels:
+    """The declaration of a car with two wheels, which is steered by their speeds.
+
+    `by` is the variable whose words say how the wheels (left, right) turn: `turns` has 1 for
+    forward and -1 for backward for each word in which they do. `speed` and `steering` (right
+    positive) are the variables of how fast.
+    """
+
+    def __init__(
+        self, *, by: str, speed: str, steering: str, turns: Mapping[str, tuple[int, int]]
+    ) -> None:
+        for name in (by, speed, steering):
+            require_name("a variable of Wheels", name)
+        require_kind("the turns of Wheels", turns, dict)
+        for word, both in turns.items():
+            if not (isinstance(both, tuple) and len(both) == 2 and {*both} <= {-1, 1}):
+                raise WrongValue(f"Wheels turns {shown(word)} by {shown(both)}, allowed is (1, -1)")
+        self.by, self.speed, self.steering = by, speed, steering
+        self.turns = {str(word): both for word, both in turns.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """The new value of a variable: its old one times `factor`, and `plus` added.
+
+    It is held within the bounds of the variable.
+    """
+
+    factor: int = 1
+    plus: int = 0
+
+    def __post_init__(self) -> None:
+        require_whole("the factor of a Changed", self.factor)
+        require_whole("what a Changed adds", self.plus)
+
+
+class Unknown:
+    """The new value of a variable that is not told by the instruction."""
+
+
+Source: TypeAlias = int | str | tuple[str, int] | tuple[int, int, int, int] | None
+"""What a variable is set to: a value, (field, factor), (factor, plus, low, high) applied to its old
+value, or None where it is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """Assignments to state variables: pairs of a variable and its Source."""
+
+    assignments: tuple[tuple[str, Any], ...] = ()
+
+    def apply(self, state: State, fields: Mapping[str, int] | None = None) -> State:
+        """Return the state after this effect; `fields` are the instruction's values by name."""
+        return after(state, assigned(self, fields or {}))
+
+    def sets(self, variable: str) -> bool:
+        """Return whether this effect assigns to the variable."""
+        return any(name == variable for name, _ in self.assignments)
+
+    @property
+    def constants(self) -> dict[str, str | int]:
+        """The variables that it always sets to the same value, with that value."""
+        return {
+            name: value
+            for name, value in self.assignments
+            if value is not None and not isinstance(value, tuple)
+        }
+
+    @property
+    def motion(self) -> Any:
+        """The kind of motion that a car's instruction sets, None if it leaves it."""
+        return self.constants.get("motion")
+
+
+Assigned: TypeAlias = tuple[tuple[str, Any], ...]
+"""Variables with their new values; a tuple is applied to the old value (see `changed`)."""
+
+
+def assigned(effect: Effect, fields: Mapping[str, int]) -> Assigned:
+    """The new value of each variable that the effect sets with these values of the fields."""
+    return tuple(
+        (name, fields[value[0]] * value[1])
+        if isinstance(value, tuple) and len(value) == 2
+        else (name, value)
+        for name, value in effect.assignments
+    )
+
+
+def value_words(value: Any) -> str:
+    """A new value in words."""
+    if value is None:
+        return "not known"
+    if not isinstance(value, tuple):
+        return str(value)
+    factor, plus, low, high = value
+    times = {1: "", -1: "-"}.get(factor, f"{factor} x ")
+    added = f" {'-' if plus < 0 else '+'} {abs(plus)}" if plus else ""
+    return f"{times}old value{added} ({low} to {high})"
+
+
+def changed(old: Any, change: tuple[int, int, int, int]) -> int | None:
+    """The value after a change (factor, plus, low, high) of an old one; None: not known."""
+    factor, plus, low, high = change
+    return None if old is None else min(max(old * factor + plus, low), high)
+
+
+def after(state: State, values: Assigned) -> State:
+    """The state with these new values; the same object where they change nothing."""
+    for name, value in values:
+        if getattr(state, name) != value:
+            return _replaced(state, values)
+    return state
+
+
+def _replaced(state: State, values: Assigned) -> State:
+    new = {
+        name: changed(getattr(state, name), value) if type(value) is tuple else value
+        for name, value in values
+    }
+    found = msgspec.structs.replace(state, **new)
+    at_rest = state.at_rest
+    if at_rest is not None and at_rest.holds(found) is found.moving:
+        found = msgspec.structs.replace(found, moving=not found.moving)
+    return state if found == state else found
+
+
+class State(msgspec.Struct, frozen=True, gc=False):
+    """The values of the variables of a grammar; `state_class` makes the class that has them."""
+
+    made_of: ClassVar[tuple[_Made, ...]] = ()
+    variables: ClassVar[tuple[str, ...]] = ()
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    signed: ClassVar[frozenset[str]] = frozenset()
+    at_rest: ClassVar[Condition | None] = None
+    moving: ClassVar[bool] = False  # a field, where the grammar says when the device is at rest
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """The state with these values, of all variables."""
+        if cls.at_rest is None:
+            return cls(**values)
+        still = cls(**values, moving=False)
+        return still if cls.at_rest.holds(still) else msgspec.structs.replace(still, moving=True)
+
+    def but(self, **values: Any) -> Self:
+        """The same state with other values of some variables."""
+        new = tuple((name, plain(value)) for name, value in values.items())
+        return after(self, new)  # type: ignore[return-value]
+
+    @classmethod
+    def code(cls, variable: str, value: str | int | None) -> int:
+        """A variable's value as a number, as columns have it: a word is its place."""
+        if value is None:
+            return NOT_KNOWN
+        return cls.words[variable].index(value) if isinstance(value, str) else value
+
+    @classmethod
+    def value(cls, variable: str, code: int) -> str | int | None:
+        """The value of a variable with this number."""
+        if code == NOT_KNOWN:
+            return None
+        return cls.words[variable][code] if variable in cls.words else code
+
+    @property
+    def described(self) -> str:
+        """The values in words, like `forward speed 255 steering +64 led 5`.
+
+        A value with a sign is left out where it is 0.
+        """
+        words = []
+        for name in self.variables:
+            value = getattr(self, name)
+            if isinstance(value, str):
+                words.append(value)
+            elif value is None:
+                words.append(f"{name} not known")
+            elif name not in self.signed:
+                words.append(f"{name} {value}")
+            elif value:
+                words.append(f"{name} {value:+d}")
+        return " ".join(words)
+
+    @property
+    def codes(self) -> tuple[int, ...]:
+        """The values of all variables as numbers."""
+        return tuple(self.code(name, getattr(self, name)) for name in self.variables)
+
+    @classmethod
+    def of_codes(cls, codes: Iterable[int]) -> Self:
+        """The state with these values of all variables."""
+        return cls.of({n: cls.value(n, c) for n, c in zip(cls.variables, codes, strict=True)})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self.made_of, self.at_rest, msgspec.structs.astuple(self))
+
+
+def _restored(
+    made_of: tuple[_Made, ...], at_rest: Condition | None, values: tuple[Any, ...]
+) -> State:
+    return _class(made_of, at_rest)(*values)
+
+
+def state_class(variables: tuple[VariableSpec, ...], at_rest: Condition | None) -> type[State]:
+    """The class of the states with these variables; with `at_rest` they also have `moving`."""
+    return _class(tuple((v.name, v.words, v.low < 0, v.unknown) for v in variables), at_rest)
+
+
+@lru_cache(maxsize=64)
+def _class(made_of: tuple[_Made, ...], at_rest: Condition | None) -> type[State]:
+    what = "The state" if at_rest is None else "The motion state"
+    kinds: list[tuple[str, Any]] = []
+    for name, words, _, unknown in made_of:
+        kind = str if words else int
+        kinds.append((name, kind | None if unknown else kind))
+    if at_rest is not None:
+        kinds.append(("moving", bool))
+    made: Any = msgspec.defstruct(
+        "State",
+        kinds,
+        bases=(State,),
+        namespace={
+            "__doc__": f"{what} that the instructions so far predict (topic `/state`).",
+            "made_of": made_of,
+            "variables": tuple(name for name, *_ in made_of),
+            "words": {name: words for name, words, *_ in made_of if words},
+            "signed": frozenset(name for name, _, signed, _ in made_of if signed),
+            "at_rest": at_rest,
+        },
+        frozen=True,
+        gc=False,
+    )
+    found: type[State] = made
+    return found
+
+
+def plain(value: Any) -> Any:
+    """A word as a plain text: a grammar may use an enumeration's."""
+    return str(value) if isinstance(value, str) else value
+
+
+# The car's, for the texts that do not say it.
+CAR = Variables(
+    motion=Word("stopped", "forward", "backward", "rotate_right", "rotate_left"),
+    speed=Whole(0, 255),
+    steering=Whole(-255, 255),
+    led=Bits("RGB"),
+)
+CAR_AT_REST = AnyOf(motion="stopped", speed=0)
+CAR_WHEELS = Wheels(
+    by="motion",
+    speed="speed",
+    steering="steering",
+    turns={
+        "forward": (1, 1),
+        "backward": (-1, -1),
+        "rotate_right": (1, -1),
+        "rotate_left": (-1, 1),
+    },
+)
