@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Collection, Iterable, Mapping
 from typing import TypeVar
 
-from bilprov.spec.data import FieldSpec
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 T = TypeVar("T")
@@ -24,8 +24,19 @@ def method_names(protocol: Protocol) -> Mapping[str, InstructionSpec]:
 
 def parameter_names(spec: InstructionSpec) -> Mapping[str, FieldSpec]:
     """Return each field by the name of its parameter, in the order in which they are sent."""
-    words = ((snake_case(part.name, "field_"), part) for part in spec.fields)
+    words = (
+        (snake_case(part.name, "field_"), part) for part in spec.fields if part.constant is None
+    )
     return each_once(words, {"self", *keyword.kwlist})
+
+
+def answer_names(data: DataSpec) -> Mapping[str, FieldSpec]:
+    """Return each field of an answer by its name in a named tuple, whose own methods have others.
+
+    Fields without a value of their own are left out.
+    """
+    words = ((snake_case(part.name, "field_"), part) for part in data.fields if not part.constant)
+    return each_once(words, {"count", "index", *keyword.kwlist})
 
 
 def snake_case(name: str, prefix: str) -> str:

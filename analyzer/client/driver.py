@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bilprov.analyzer.client.homing import home, stops
+from bilprov.analyzer.client.homing import home, noun, rest_of
 from bilprov.analyzer.client.link import Link, done
 from bilprov.analyzer.client.operations import Heard, Procedure, listen, send
 from bilprov.analyzer.client.turns import Turns
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge, spaced
-from bilprov.spec.fields import Outcome
+from bilprov.spec.fields import Outcome, Timing
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.python_names import method_names, parameter_names
 
@@ -67,7 +67,114 @@ class Answer:
     latency: float
 
 
-class Driver:
+class InstructionMethods:
+    """What drives a device on a link: each instruction of `protocol` is a method.
+
+    A subclass tells what a method does, and what it returns. `timeout` (ms) is how long an answer
+    may take, None for the longest time that the protocol allows. Several threads may use one: each
+    instruction and its answer are by themselves.
+    """
+
+    def __init__(self, protocol: Protocol, link: Link, timeout: float | None = None) -> None:
+        self.protocol = protocol
+        self._link = link
+        self._patience = self._longest(protocol.timing) if timeout is None else timeout
+        self._methods = method_names(protocol)
+        self._in_step = True
+        self._turns = Turns()
+        self._rest = rest_of(protocol)
+
+    def _longest(self, timing: Timing) -> float:
+        """How long (ms) an answer may take at most."""
+        return timing.answer_longest
+
+    def home(self) -> None:
+        """Bring the device to rest, and the line to the boundary of a frame."""
+        raise NotImplementedError
+
+    def wait(self, milliseconds: float) -> None:
+        """Wait for the given time. Raises RobotError if the robot sends an unsolicited byte."""
+        with self._alone():
+            self._require_silence(round(milliseconds * MS))
+
+    def __dir__(self) -> Iterable[str]:
+        return sorted({*super().__dir__(), *self._methods})
+
+    if not TYPE_CHECKING:
+        # A type checker takes the methods from a stub, so it can report unknown names.
+        def __getattr__(self, name: str) -> Any:
+            return self._method(name)
+
+    def _method(self, name: str) -> Any:
+        if name.startswith("_"):  # copy and pickle ask for such names before `_methods` is set
+            raise AttributeError(f"{type(self).__name__} has no {name!r}")
+        spec = self._methods.get(name)
+        if spec is None:
+            raise AttributeError(
+                f"{self.protocol.name} has no instruction {name!r}; there are "
+                f"{', '.join(self._methods)}",
+                name=name,
+                obj=self,
+            )
+        return self._made(name, spec)
+
+    def _made(self, name: str, spec: InstructionSpec) -> Any:
+        """The method of that name."""
+        signature = self._signature(spec)
+
+        def method(*given: Any, **named: Any) -> Any:
+            try:
+                values = signature.bind(*given, **named).arguments
+            except TypeError as error:
+                raise TypeError(f"{name}{signature}: {error}") from None
+            return self._call(spec, values)
+
+        method.__name__ = method.__qualname__ = name
+        method.__doc__ = spec.prose
+        method.__signature__ = signature  # type: ignore[attr-defined]  # functions take any
+        return method
+
+    def _signature(self, spec: InstructionSpec) -> inspect.Signature:
+        """The signature of an instruction's method."""
+        raise NotImplementedError
+
+    def _call(self, spec: InstructionSpec, values: Mapping[str, Any]) -> Any:
+        """Do what a method does that is called with these values of its parameters."""
+        raise NotImplementedError
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep other threads from the wire inside the block."""
+        with self._turns.taken():
+            yield
+
+    def _do(self, procedure: Procedure[T]) -> T:
+        """Run a procedure over the link. Raises LinkError."""
+        return done(procedure, self._link)
+
+    def _require_silence(self, patience: int) -> None:
+        heard = self._do(listen(None, patience)).answers
+        if heard:
+            self._in_step = False
+            raise RobotError(f"{self._names(heard)} came without an instruction")
+
+    def _nobody(self) -> NoAnswer:
+        return NoAnswer(
+            f"nobody answers; is the {noun(self.protocol)} on, and is it the right port?",
+            self._rest.frames(),
+        )
+
+    def _names(self, heard: Heard) -> str:
+        """The bytes that were heard in words, of which a sentence lists the first."""
+        more = f" and {len(heard) - _SHOWN} more" if len(heard) > _SHOWN else ""
+        return " ".join(self._name(code) for _, code in heard[:_SHOWN]) + more
+
+    def _name(self, code: int) -> str:
+        """A byte that was heard, in words."""
+        return f"0x{code:02x}"
+
+
+class Driver(InstructionMethods):
     """One robot on a link.
 
     Each instruction of `protocol` is a method: `RotateLeft` is `rotate_left()`, and its fields are
@@ -83,15 +190,8 @@ class Driver:
     Several threads may use one driver: each instruction and its answer are by themselves.
     """
 
-    def __init__(self, protocol: Protocol, link: Link, timeout: float | None = None) -> None:
-        timing = protocol.timing
-        longest = timing.answer_longest + timing.truncation_longest
-        self.protocol = protocol
-        self._link = link
-        self._patience = longest if timeout is None else timeout
-        self._methods = method_names(protocol)
-        self._in_step = True
-        self._turns = Turns()
+    def _longest(self, timing: Timing) -> float:
+        return timing.answer_longest + timing.truncation_longest
 
     def send(self, name: str, /, **values: int) -> Answer:
         """Send an instruction by its name, with its fields' values, and wait for its answer.
@@ -123,11 +223,6 @@ class Driver:
             self._in_step = True
         return tuple(Answer(code, self._name(code), round((t - sent) / MS, 3)) for t, code in heard)
 
-    def wait(self, milliseconds: float) -> None:
-        """Wait for the given time. Raises RobotError if the robot sends an unsolicited byte."""
-        with self._alone():
-            self._require_silence(round(milliseconds * MS))
-
     def home(self) -> None:
         """Home the robot from any state: the line at a frame boundary, the robot stopped.
 
@@ -139,51 +234,21 @@ class Driver:
                 raise self._nobody()
             self._in_step = True
 
-    def __dir__(self) -> Iterable[str]:
-        return sorted({*super().__dir__(), *self._methods})
-
-    if not TYPE_CHECKING:
-        # A type checker takes the methods from robot.pyi, so it can report unknown names.
-        def __getattr__(self, name: str) -> Any:
-            return self._method(name)
-
-    def _method(self, name: str) -> Any:
-        if name.startswith("_"):  # copy and pickle ask for such names before `_methods` is set
-            raise AttributeError(f"{type(self).__name__} has no {name!r}")
-        spec = self._methods.get(name)
-        if spec is None:
-            raise AttributeError(
-                f"{self.protocol.name} has no instruction {name!r}; there are "
-                f"{', '.join(self._methods)}",
-                name=name,
-                obj=self,
-            )
-        return self._made(name, spec)
-
-    def _made(self, name: str, spec: InstructionSpec) -> Any:
-        parameters = parameter_names(spec)
+    def _signature(self, spec: InstructionSpec) -> inspect.Signature:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-        signature = inspect.Signature(
-            [inspect.Parameter(word, kind, annotation=int) for word in parameters],
+        return inspect.Signature(
+            [inspect.Parameter(word, kind, annotation=int) for word in parameter_names(spec)],
             return_annotation=Answer,
         )
 
-        def method(*given: int, **named: int) -> Answer:
-            try:
-                values = signature.bind(*given, **named).arguments
-            except TypeError as error:
-                raise TypeError(f"{name}{signature}: {error}") from None
-            fields = {parameters[word].name: value for word, value in values.items()}
-            frame = build(self.protocol, spec.name, fields)
-            answer = self._exchange(frame)
-            if answer.code != self.protocol.answers[Outcome.VALID].code:
-                raise self._refused(spec, frame, answer)
-            return answer
-
-        method.__name__ = method.__qualname__ = name
-        method.__doc__ = spec.prose
-        method.__signature__ = signature  # type: ignore[attr-defined]  # functions take any
-        return method
+    def _call(self, spec: InstructionSpec, values: Mapping[str, Any]) -> Answer:
+        parameters = parameter_names(spec)
+        fields = {parameters[word].name: value for word, value in values.items()}
+        frame = build(self.protocol, spec.name, fields)
+        answer = self._exchange(frame)
+        if answer.code != self.protocol.answers[Outcome.VALID].code:
+            raise self._refused(spec, frame, answer)
+        return answer
 
     def _exchange(self, frame: bytes) -> Answer:
         with self._alone():
@@ -191,22 +256,6 @@ class Driver:
                 self.home()
             (answer,) = self.send_bytes(frame)
         return answer
-
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """Keep other threads from the wire inside the block."""
-        with self._turns.taken():
-            yield
-
-    def _do(self, procedure: Procedure[T]) -> T:
-        """Run a procedure over the link. Raises LinkError."""
-        return done(procedure, self._link)
-
-    def _require_silence(self, patience: int) -> None:
-        heard = self._do(listen(None, patience)).answers
-        if heard:
-            self._in_step = False
-            raise RobotError(f"{self._names(heard)} came without an instruction")
 
     def _refused(self, spec: InstructionSpec, frame: bytes, answer: Answer) -> Refused:
         known = self.protocol.codes.get(answer.code)
@@ -225,11 +274,6 @@ class Driver:
         sentence = f"{self._described(data)}: {due} due in {self._patience:g} ms, but {came} came"
         return RobotError(sentence) if heard else NoAnswer(sentence, data)
 
-    def _nobody(self) -> NoAnswer:
-        return NoAnswer(
-            "nobody answers; is the robot on, and is it the right port?", stops(self.protocol)
-        )
-
     def _described(self, data: bytes) -> str:
         """The bytes in words, like `Speed speed=80 (11 50)`; in hex only if no valid frame."""
         if data and len(data) == 1 + self.protocol.lengths[data[0]]:
@@ -237,10 +281,6 @@ class Driver:
             if judgement.valid:
                 return f"{judgement.describe()} ({spaced(data)})"
         return spaced(data)
-
-    def _names(self, heard: Heard) -> str:
-        more = f" and {len(heard) - _SHOWN} more" if len(heard) > _SHOWN else ""
-        return " ".join(self._name(code) for _, code in heard[:_SHOWN]) + more
 
     def _name(self, code: int) -> str:
         known = self.protocol.codes.get(code)

@@ -17,8 +17,8 @@ from os import PathLike
 from types import FrameType
 from typing import Self
 
-from bilprov.analyzer.client.driver import Driver, NoAnswer, RobotError
-from bilprov.analyzer.client.homing import halt, home_once
+from bilprov.analyzer.client.driver import Driver, InstructionMethods, NoAnswer, RobotError
+from bilprov.analyzer.client.homing import Rest, noun
 from bilprov.analyzer.client.link import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.turns import Turns
@@ -44,14 +44,15 @@ _PATIENCE = 1.0  # s for another thread's exchange to end before the robot is st
 class _OpenRobot:
     """Stops the robot of a driver without the driver: at a signal, and when that was dropped."""
 
-    def __init__(self, protocol: Protocol, port: Port, turns: Turns) -> None:
+    def __init__(self, rest: Rest, noun: str, port: Port, turns: Turns) -> None:
         self.in_block = False
         """Whether the main thread is in its `with`, and so gets an exception from a signal."""
         self.halted = False
         """Whether a signal stopped it, and it was not used since."""
         self.why = ""
         """Why it was stopped, where no exception has said so."""
-        self._protocol = protocol
+        self._rest = rest
+        self._noun = noun
         self._port = port
         self._turns = turns
         self._process = os.getpid()
@@ -63,9 +64,9 @@ class _OpenRobot:
         with self._turns.taken(_PATIENCE) as alone, suppress(LinkError):
             self.halted, self.why = True, "" if self.in_block else why
             if self.in_block or not alone:  # the end of the block homes it
-                halt(self._protocol, self._port)
+                self._port.write(self._rest.frames())
             else:
-                done(home_once(self._protocol), PortLink(self._port))
+                done(self._rest.once(), PortLink(self._port))
 
     def drop(self) -> None:
         """Home the robot and close its port, and warn that nobody did."""
@@ -75,7 +76,7 @@ class _OpenRobot:
         self.in_block = False  # or it was left without its end, as a generator is
         self.halt("")
         self._port.close()
-        what = f"the robot at {self._port.name} was never closed, and was stopped only now"
+        what = f"the {self._noun} at {self._port.name} was never closed, and was stopped only now"
         warnings.warn(f"{what}: use it in a with block", ResourceWarning, stacklevel=2)
 
 
@@ -142,7 +143,7 @@ if in_main_thread():  # a robot that is opened in another thread later needs it
     _handle_signals()
 
 
-class PortDriver(Driver):
+class OnPort(InstructionMethods):
     """One robot on a port; a context manager that homes it on every way out.
 
     `url` is a path or any pyserial URL. `grammar` is a grammar file or a Protocol, the kit's own
@@ -187,7 +188,7 @@ class PortDriver(Driver):
         self._signals = ExitStack()
         try:
             super().__init__(grammar, PortLink(self._port), timeout)
-            self._held = _OpenRobot(self.protocol, self._port, self._turns)
+            self._held = _OpenRobot(self._rest, noun(grammar), self._port, self._turns)
             self.home()
         except BaseException:
             self._port.close()
@@ -214,7 +215,7 @@ class PortDriver(Driver):
 
     def _home_and_close(self) -> None:
         try:
-            if not self._do(home_once(self.protocol)):
+            if not self._do(self._rest.once()):
                 raise self._nobody()
         finally:
             self._dropped.detach()
@@ -243,7 +244,9 @@ class PortDriver(Driver):
             except (RobotError, LinkError) as left:
                 if error is None:
                     raise
-                error.add_note(f"the robot was not brought to a stop at the end: {left}")
+                error.add_note(
+                    f"the {noun(self.protocol)} was not brought to a stop at the end: {left}"
+                )
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self._port.name} {self.protocol.name}>"
@@ -261,6 +264,11 @@ class PortDriver(Driver):
 
     def _nobody(self) -> NoAnswer:
         return NoAnswer(
-            f"nobody answers at {self._port.name}; is the robot on, and is it the right port?",
-            super()._nobody().frame,
+            f"nobody answers at {self._port.name}; is the {noun(self.protocol)} on, and is it the "
+            "right port?",
+            self._rest.frames(),
         )
+
+
+class PortDriver(OnPort, Driver):
+    """One robot on a port; `OnPort` describes how it is opened, and how it is left."""

@@ -1,0 +1,264 @@
+"""Drives a device of any grammar from Python: methods return the fields of the answers."""
+
+from __future__ import annotations
+
+import inspect
+from collections import namedtuple
+from collections.abc import Mapping
+from functools import lru_cache
+from os import PathLike
+from typing import Any
+
+from bilprov.analyzer.client.driver import (
+    InstructionMethods,
+    NoAnswer,
+    Refused,
+    RobotError,
+)
+from bilprov.analyzer.client.operations import Procedure, listen, send
+from bilprov.analyzer.client.port_driver import OnPort
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.captures.schemas import MS
+from bilprov.spec.codec import Judgement, build, judge, spaced
+from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.fields import Outcome
+from bilprov.spec.layout import Part
+from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.python_names import answer_names, parameter_names
+from bilprov.spec.replies import Reply, read_reply, reply_size
+
+_TRIES = 20  # time-outs that a line is waited for to fall silent
+
+
+class DeviceDriver(InstructionMethods):
+    """The devices on a link, of which `address` is the one that is meant unless another is named.
+
+    Each instruction of `protocol` is a method: `ReadCoils` is `read_coils()`, and its fields are
+    the parameters, in order or by keyword; where frames have an address, `address=` names another
+    device. A method sends the instruction and returns what the answer holds: its one value, a named
+    tuple of several, or None; None also where no answer is due, as after what is sent to all.
+
+    A method raises ValueError, before anything is sent, for a value out of its range; Refused for
+    an answer that is an error; NoAnswer if none comes in `timeout` ms (None: the longest time that
+    the protocol allows); RobotError for a damaged answer, and for bytes that answer nothing; and
+    LinkError when the line is lost. After any of the last three the line has to fall silent before
+    the next instruction is sent.
+    """
+
+    _address: int | None = None
+
+    def send(self, name: str, /, **values: Any) -> Reply | None:
+        """Send an instruction by its name, with its fields' values, and return its answer.
+
+        Any answer is returned, also an error; None where none is due. Raises as the methods do,
+        except Refused.
+        """
+        return self._exchange(build(self.protocol, name, self._addressed(values)))
+
+    def home(self) -> None:
+        """Bring the device to rest where the grammar tells when it is, and the line to silence.
+
+        Raises NoAnswer if the device does not answer what brings it to rest.
+        """
+        with self._alone():
+            self._calm()
+            if not self._do(self._rest.once()):
+                raise self._nobody()
+            self._in_step = True
+
+    def _signature(self, spec: InstructionSpec) -> inspect.Signature:
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        parameters = [
+            inspect.Parameter(word, kind, annotation=taken_type(part))
+            for word, part in parameter_names(spec).items()
+        ]
+        part = _address_part(self.protocol)
+        if part is not None:
+            only = inspect.Parameter.KEYWORD_ONLY
+            parameters.append(inspect.Parameter(part.name, only, default=None, annotation=int))
+        return inspect.Signature(parameters)
+
+    def _call(self, spec: InstructionSpec, values: Mapping[str, Any]) -> Any:
+        names = {word: part.name for word, part in parameter_names(spec).items()}
+        fields = {names.get(word, word): value for word, value in values.items()}
+        frame = build(self.protocol, spec.name, self._addressed(fields))
+        reply = self._exchange(frame)
+        if reply is None:
+            return None
+        if Outcome.VALID not in reply.outcomes:
+            raise self._refused(spec, frame, reply)
+        return _told(spec.answer, dict(reply.fields))
+
+    def _addressed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """The values with the address that is meant."""
+        part = _address_part(self.protocol)
+        given = {name: value for name, value in values.items() if value is not None}
+        if part is None:
+            return given
+        if part.name in given:
+            require_address(self.protocol, given[part.name])
+        elif self._address is not None:
+            given[part.name] = self._address
+        return given
+
+    def _exchange(self, frame: bytes) -> Reply | None:
+        asked = judge(self.protocol, frame)
+        with self._alone():
+            if not self._in_step:
+                self.home()
+            self._in_step = False
+            self._require_silence(self._pause)
+            pause = round(self.protocol.timing.truncation_timeout * MS)
+            patience = round(self._patience * MS)
+            heard = self._do(_exchanged(self.protocol, asked, patience, pause))
+            if not asked.answer_due:
+                self._in_step = True
+                return None
+            reply = self._read(asked, heard)
+            self._in_step = True
+            return reply
+
+    @property
+    def _pause(self) -> int:
+        """The silence (ns) before a frame, where nothing else tells that it begins."""
+        layout = self.protocol.layout
+        if self.protocol.plain or layout.part("length") or layout.constants:
+            return 0
+        return round(self.protocol.timing.truncation_shortest * MS)
+
+    def _read(self, asked: Judgement, heard: bytes) -> Reply:
+        """The answer in what was heard. Raises NoAnswer and RobotError if it is none."""
+        what = f"{asked.describe()} ({spaced(asked.frame)})"
+        if not heard:
+            raise NoAnswer(f"{what} was not answered in {self._patience:g} ms", asked.frame)
+        size = reply_size(self.protocol, heard, asked)
+        if size is None or size > len(heard):
+            due = f" of {size}" if size else ""
+            raise RobotError(f"{what}: the answer broke off after {len(heard)}{due} bytes")
+        reply = read_reply(self.protocol, heard[:size] if size > 0 else heard, asked)
+        if reply.reason:
+            raise RobotError(f"{what} was answered {spaced(heard)}: {reply.reason}")
+        if 0 < size < len(heard):
+            raise RobotError(f"{what}: {spaced(heard[size:])} came after its answer")
+        return reply
+
+    def _refused(self, spec: InstructionSpec, frame: bytes, reply: Reply) -> Refused:
+        known = reply.response
+        name = " ".join(reply.names) or spaced(reply.frame)
+        meaning = known.prose if known else f"{self.protocol.name} has no such response"
+        code = known.code if known else reply.frame[-1]
+        what = judge(self.protocol, frame).describe()
+        return Refused(
+            f"{what} ({spaced(frame)}) was answered {name}: {meaning}",
+            code,
+            name,
+            frame,
+            spec.name,
+        )
+
+    def _calm(self) -> None:
+        """Wait until nothing is heard for as long as a frame may pause. Raises RobotError."""
+        if self._in_step and not self._do(listen(None, 0)).answers:
+            return
+        pause = round(self.protocol.timing.truncation_timeout * MS)
+        for _ in range(_TRIES):
+            if not self._do(listen(None, pause)).answers:
+                return
+        raise RobotError("the line does not fall silent: something else sends on it")
+
+
+class Device(DeviceDriver, OnPort):
+    """A device on a port, driven from Python; each instruction of the grammar is a method.
+
+        with Device("/dev/ttyUSB0", grammar="modbus-rtu", address=17) as meter:
+            first, second = meter.read_holding_registers(start=0, quantity=2)
+
+    `grammar` is the name of a shipped grammar, a file or a Protocol. `address` is the device that
+    is meant unless a method is called with another one. `OnPort` describes the other arguments and
+    how it is left, `DeviceDriver` the methods and the exceptions. Nothing is sent at first and at
+    the end, unless the grammar tells when the device is at rest.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        grammar: str | PathLike[str] | Protocol | None = None,
+        address: int | None = None,
+        timeout: float | None = None,
+        baud: int | None = None,
+        parity: str | None = None,
+        stopbits: float | None = None,
+    ) -> None:
+        if not isinstance(grammar, Protocol):
+            grammar = load_protocol(None if grammar is None else str(grammar))
+        if address is not None:
+            require_address(grammar, address)
+        self._address = address
+        super().__init__(
+            url, grammar=grammar, timeout=timeout, baud=baud, parity=parity, stopbits=stopbits
+        )
+
+
+def require_address(protocol: Protocol, address: object) -> None:
+    """Raise ValueError unless a frame can be sent to that address."""
+    part = _address_part(protocol)
+    if part is None:
+        raise ValueError(f"{protocol.name} has no addresses; address is {address!r}")
+    if isinstance(address, int) and (part.low <= address <= part.high or address == part.broadcast):
+        return
+    everybody = "" if part.broadcast is None else f", and {part.broadcast} for all"
+    raise ValueError(
+        f"{part.name} is {address!r}, allowed are {part.low} to {part.high}{everybody}"
+    )
+
+
+def taken_type(part: FieldSpec) -> str:
+    """The type of the values that a parameter takes, as it is written in Python."""
+    if part.many is None:
+        return "int | str" if part.names else "int"
+    return "bytes | str" if part.many.element is None else "Sequence[int]"
+
+
+def told_type(part: FieldSpec) -> str:
+    """The type of the value of an answer's field, as it is written in Python."""
+    if part.many is None:
+        return "int"
+    return "bytes" if part.many.element is None else "tuple[int, ...]"
+
+
+def _address_part(protocol: Protocol) -> Part | None:
+    return protocol.layout.part("address")
+
+
+def _exchanged(protocol: Protocol, asked: Judgement, patience: int, pause: int) -> Procedure[bytes]:
+    """Send a request and return what is heard until its answer is whole; b"" if none is due.
+
+    The first byte may take `patience` ns, each of the others `pause` ns.
+    """
+    yield from send(asked.frame)
+    held = bytearray()
+    while asked.answer_due:
+        size = reply_size(protocol, bytes(held), asked) if held else None
+        if size is not None and size <= len(held):
+            break
+        missing = size - len(held) if size else 1
+        heard = yield from listen(missing, pause if held else patience)
+        if not heard.answers:
+            break
+        held += bytes(heard.codes)
+    return bytes(held)
+
+
+@lru_cache(maxsize=1024)
+def _answer_class(names: tuple[str, ...]) -> Any:
+    return namedtuple("Answer", names)
+
+
+def _told(data: DataSpec | None, fields: Mapping[str, Any]) -> Any:
+    """What an answer holds: nothing, its one value, or a named tuple of several."""
+    if not fields or data is None:
+        return None
+    if len(fields) == 1:
+        return next(iter(fields.values()))
+    return _answer_class(tuple(answer_names(data)))(*fields.values())
