@@ -4,14 +4,19 @@ from construct import Byte, Checksum, Const, Enum, RawCopy, Struct, Switch, this
 
 from bilprov.spec.fields import (
     Address,
+    Changed,
     Clauses,
     Data,
     Instruction,
     LineDefaults,
     Outcome,
     Same,
+    Sets,
     Sum,
     Timing,
+    Unknown,
+    Variables,
+    Whole,
 )
 
 NAME = "relay-board"
@@ -19,20 +24,22 @@ VERSION = "1"
 DOCUMENT = "4-channel relay board, 9600 8N1, frames 55 56"
 DEVICE = "relay board"
 
+STATE = Variables(on=Whole(0, 1))  # of each relay, since each has an address
+
 STATUS = Struct("state" / Enum(Byte, on=1, off=2) * "what the relay is now")
 INSTRUCTIONS = {
     0: "Read" / Instruction(document="read", answer=STATUS) * "Tells whether the relay is on.",
     1: "On"
-    / Instruction(document="open", answer=STATUS, changes="a relay")
+    / Instruction(document="open", effect=Sets(on=1), answer=STATUS)
     * "Switches the relay on.",
     2: "Off"
-    / Instruction(document="close", answer=STATUS, changes="a relay")
+    / Instruction(document="close", effect=Sets(on=0), answer=STATUS)
     * "Switches the relay off.",
     3: "Toggle"
-    / Instruction(document="toggle", answer=STATUS, changes="a relay")
+    / Instruction(document="toggle", effect=Sets(on=Changed(-1, 1)), answer=STATUS)
     * "Switches the relay over.",
     4: "Pulse"
-    / Instruction(document="momentary", answer=STATUS, changes="a relay")
+    / Instruction(document="momentary", effect=Sets(on=Unknown()), answer=STATUS)
     * "Switches the relay on for a moment.",
 }
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import msgspec
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from bilprov.captures.schemas import MS, Direction
@@ -52,7 +53,8 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     (time, byte) that wait for an instruction. `out_of_step` is when the open frame is given up,
     `lost_at` when bytes were last lost. `unsynced_since` is since when frame boundaries are unknown
     and the host is silent, and `spoken` tells whether the device has sent a byte since. `away` are
-    the sides whose port is unplugged; then nothing is paired.
+    the sides whose port is unplugged; then nothing is paired. `by_address` are the states of the
+    devices on a bus, where frames have an address.
     """
 
     time: int
@@ -71,6 +73,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     unsynced_since: int | None = None
     spoken: bool = False
     away: tuple[Direction, ...] = ()
+    by_address: tuple[tuple[int, State], ...] | UnsetType = UNSET
 
     @property
     def may_be_out_of_step(self) -> bool:
@@ -86,10 +89,9 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         past = [self.frame_start, self.frame_end, *(group.end for group in self.waiting)]
         past += [t for t, _ in self.held]
         past += [t for t in (self.lost_at, self.unsynced_since) if t is not None]
+        states = [state, *(one for _, one in self.by_address or ())]
         sane = (
-            type(state) is protocol.state_type
-            and all(spec.holds(getattr(state, name)) for name, spec in protocol.variables.items())
-            and state == state.of({name: getattr(state, name) for name in state.variables})
+            all(_can_be(protocol, one) for one in states)
             and self.time <= 2 * _LATEST
             and all(0 <= t <= self.time for t in past)
             and self.frame_start <= self.frame_end
@@ -105,6 +107,15 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         )
         if not sane:
             raise ValueError("no session is ever in this state")
+
+
+def _can_be(protocol: Protocol, state: State) -> bool:
+    """Whether a device of this protocol can be in a state."""
+    return (
+        type(state) is protocol.state_type
+        and all(spec.holds(getattr(state, name)) for name, spec in protocol.variables.items())
+        and state == state.of({name: getattr(state, name) for name in state.variables})
+    )
 
 
 def _is_open(protocol: Protocol, frame: bytes) -> bool:
@@ -147,6 +158,9 @@ def decoded(text: str, protocol: Protocol) -> DecoderState | None:
         of_device = msgspec.convert(told.get("state"), protocol.state_type)
         state = msgspec.convert(told, DecoderState)  # which keeps no variable of a State
         state = replace(state, state=of_device)
+        if "by_address" in told:
+            pairs = tuple[tuple[int, protocol.state_type], ...]  # type: ignore[name-defined]
+            state = replace(state, by_address=msgspec.convert(told["by_address"], pairs))
         state.require_sense(protocol)
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return None

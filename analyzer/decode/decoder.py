@@ -11,8 +11,10 @@ from collections.abc import Callable
 from typing import Final
 
 import msgspec
+from msgspec import UNSET
 
 from bilprov.analyzer.decode import anomalies
+from bilprov.analyzer.decode.bus_state import BusState
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
 from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import (
@@ -60,6 +62,7 @@ class Decoder:
         self._pairing = Pairing(protocol, skew)
         self._steps = Steps(protocol)
         self._state = protocol.power_on
+        self._bus = BusState(protocol)
         self._sequence = 0
         self._out_of_step: int | None = None  # when the open frame is given up
         self._lost_at: int | None = None  # when bytes were last known to be missing
@@ -242,6 +245,7 @@ class Decoder:
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,
             away=tuple(sorted(self._away)),
+            by_address=self._bus.saved if self._protocol.layout.part("address") else UNSET,
         )
 
     def resume(self, state: DecoderState) -> None:
@@ -249,6 +253,7 @@ class Decoder:
         self._framer.resume(state.frame, state.frame_start, state.frame_end)
         self._sequence = state.sequence
         self._state = state.state
+        self._bus.resume(state.by_address or ())
         frames = [
             (group, frame) for group in state.waiting for frame in group.split(self._protocol)
         ]
@@ -367,7 +372,10 @@ class Decoder:
         judgement = step.judgement
         sequence = self._sequence
         self._sequence = sequence + 1
-        state = self._state = after(self._state, step.sets)
+        if judgement.address is None:
+            state = self._state = after(self._state, step.sets)
+        else:
+            state = self._state = self._bus.after(step)
         out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state))
         if self._paired and judgement.answer_due:
             pairing = self._pairing
