@@ -19,6 +19,8 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Checkpoint, Chunk
 from bilprov.captures.text import printable
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.motion import CAR_STATE
+from bilprov.spec.state import State
 
 QUEUE_BYTES: Final = 16 * 1024 * 1024  # of payload that may wait
 WAKE_BYTES: Final = 256 * 1024  # of waiting payload that is written at once
@@ -59,12 +61,18 @@ class BackgroundWriter(Closing):
     """
 
     def __init__(
-        self, path: str | Path, *, start_wall: int, metadata: Mapping[str, str], version: str
+        self,
+        path: str | Path,
+        *,
+        start_wall: int,
+        metadata: Mapping[str, str],
+        version: str,
+        state: type[State] = CAR_STATE,
     ) -> None:
         self.waited_ns = 0
         self.failure = ""
         self._writer = CaptureWriter(
-            path, start_wall=start_wall, metadata=metadata, version=version
+            path, start_wall=start_wall, metadata=metadata, version=version, state=state
         )
         self.oldest = 0
         self._made = [_Made(self._writer.path, 0)]

@@ -24,6 +24,8 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk, Log, Time
 from bilprov.captures.storage.records import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
 from bilprov.captures.text import printable
+from bilprov.spec.motion import CAR_STATE
+from bilprov.spec.state import State
 
 FLUSH_AFTER = 100_000_000  # ns
 CHUNK_MESSAGES = 2_000  # the cost of a seek is proportional to this
@@ -38,14 +40,21 @@ class CaptureWriter(Closing):
 
     `start_wall` is the wall clock in ns at the capture's start, from which every `t` counts.
     `metadata` becomes the record `bilprov`, to which `start` (= `start_wall`) is added; it is in
-    the file before the constructor returns. `version` is the kit's.
+    the file before the constructor returns. `version` is the kit's, `state` the class of the states
+    that are written.
 
     Raises CaptureError if the file exists or cannot be created, and later if it cannot be written.
     Raises ValueError for a time that is not in 0 to 2^64 - 1 ns and for metadata over 64 KiB.
     """
 
     def __init__(
-        self, path: str | Path, *, start_wall: int, metadata: Mapping[str, str], version: str
+        self,
+        path: str | Path,
+        *,
+        start_wall: int,
+        metadata: Mapping[str, str],
+        version: str,
+        state: type[State] = CAR_STATE,
     ) -> None:
         self.path = Path(path)
         self._start = start_wall
@@ -58,6 +67,7 @@ class CaptureWriter(Closing):
         self._kept_bytes = 0
         self._kept_until = 0
         self._version = version
+        self._state_type = state
         self._before = ""  # what else holds a part of the recording
         self._failure = ""
         self._closed = False
@@ -162,7 +172,11 @@ class CaptureWriter(Closing):
         self.close()
         try:
             writer = CaptureWriter(
-                path, start_wall=self._start, metadata=metadata, version=self._version
+                path,
+                start_wall=self._start,
+                metadata=metadata,
+                version=self._version,
+                state=self._state_type,
             )
         except CaptureError as error:
             raise CaptureError(f"{error}; {self._kept()} in {printable(self.path)}") from error
@@ -198,7 +212,8 @@ class CaptureWriter(Closing):
             schema = 0
             if topic.schema:
                 schema = len(schemas) + 1
-                form = topics.json_schema(topic.value)
+                value = self._state_type if topic.value is State else topic.value
+                form = topics.json_schema(value)
                 schemas.append(
                     Schema(id=schema, data=form, encoding="jsonschema", name=topic.schema)
                 )

@@ -40,10 +40,10 @@ class FrameExplanation:
     """One frame of the host: its bits, its judgement, and what a conforming device does.
 
     `offset` is the index of its first byte in the explained bytes, `missing` the number of data
-    bytes that did not come. `answer` and `action` are sentences; `changes` pairs each state
-    variable that is set with its new value in words, `keeps` names the others. `nearest` is the
-    judgement of the nearest valid frame (None if this one is valid), `differences` how that
-    differs from this frame.
+    bytes that did not come. `answer` and `action` are sentences, the latter about the `device`;
+    `changes` pairs each state variable that is set with its new value in words, `keeps` names the
+    others. `nearest` is the judgement of the nearest valid frame (None if this one is valid),
+    `differences` how that differs from this frame.
     """
 
     offset: int
@@ -51,6 +51,7 @@ class FrameExplanation:
     groups: tuple[BitGroup, ...]
     missing: int
     answer: str
+    device: str
     action: str
     stops: bool
     changes: tuple[tuple[str, str], ...]
@@ -121,7 +122,10 @@ def _frame(
     judgement = judge(protocol, frame)
     rest = data[offset:]
     effect, instruction = protocol.on_fault, judgement.instruction
-    action = f"stops at once, as after any faulty instruction ({protocol.clauses.safety})"
+    does = "stops at once" if protocol.stops(effect) else "changes nothing"
+    if effect.assignments and not protocol.stops(effect):
+        does = "changes its state"
+    action = f"{does}, as after any faulty instruction ({protocol.clauses.safety})"
     if judgement.valid and instruction:
         effect, action = instruction.effect, instruction.prose
     answer = f"{judgement.response.name}, code {judgement.response.code:02x}"
@@ -141,6 +145,7 @@ def _frame(
         groups=bit_groups(protocol, judgement),
         missing=1 + judgement.length - len(frame),
         answer=answer,
+        device=protocol.device,
         action=action,
         stops=protocol.stops(effect),
         changes=tuple(_changes(effect, dict(judgement.fields))),

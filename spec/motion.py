@@ -79,7 +79,7 @@ def car_state(
 ) -> State:
     """The state of a car with these values."""
     values = {"motion": str(motion), "speed": speed, "steering": steering, "led": led}
-    return _CAR_STATE.of(values)
+    return CAR_STATE.of(values)
 
 
-_CAR_STATE = state_class(tuple(kind.spec(name) for name, kind in CAR.kinds.items()), CAR_AT_REST)
+CAR_STATE = state_class(tuple(kind.spec(name) for name, kind in CAR.kinds.items()), CAR_AT_REST)

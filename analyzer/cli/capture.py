@@ -140,7 +140,7 @@ def cut(options: CutOptions) -> None:
     metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
     with (
         reading([capture], times=1 if test is None else 2) as progress,
-        new_capture(new, capture.start, metadata, force=options.force) as out,
+        new_capture(new, capture.start, metadata, protocol, force=options.force) as out,
     ):
         for file in capture.attachments():
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
@@ -187,7 +187,7 @@ def repair(options: RepairOptions) -> None:
     metadata = edited_metadata(capture, protocol, f"repair {printable(path.name)}")
     with (
         reading([capture]) as progress,
-        new_capture(new, capture.start, metadata, force=options.force) as out,
+        new_capture(new, capture.start, metadata, protocol, force=options.force) as out,
     ):
         for file in capture.attachments():
             out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
@@ -247,7 +247,7 @@ def join(options: JoinOptions) -> None:
     note_each(joined.notes())
     with (
         reading(captures) as progress,
-        new_capture(new, joined.start, joined.metadata(), force=options.force) as out,
+        new_capture(new, joined.start, joined.metadata(), protocol, force=options.force) as out,
     ):
         size = write_joined(joined, protocol, out, progress)
     note(f"{new} holds {quantity(size, 'byte')} of {len(captures)} captures")

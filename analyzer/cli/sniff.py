@@ -197,9 +197,13 @@ def sniff(options: SniffOptions) -> int:
         recorder: Recorder | Spool | None = None
         kept: str | None = None
         if path:
-            recorder = stack.enter_context(Recorder(path, source.start_wall, metadata, rotation))
+            recorder = stack.enter_context(
+                Recorder(path, source.start_wall, metadata, rotation, protocol.state_type)
+            )
         elif style == "live" and not quiet:
-            recorder = stack.enter_context(Spool(source.start_wall, metadata))
+            recorder = stack.enter_context(
+                Spool(source.start_wall, metadata, state=protocol.state_type)
+            )
         statistics = Statistics()
         judge = None
         if options.judged:

@@ -23,7 +23,7 @@ from bilprov.spec.protocol import Protocol
 
 @contextmanager
 def new_capture(
-    out: Path, start_wall: int, metadata: Mapping[str, str], *, force: bool
+    out: Path, start_wall: int, metadata: Mapping[str, str], protocol: Protocol, *, force: bool
 ) -> Iterator[RecordWriter]:
     """Give the writer of a new capture, which is finished and gets its name when the block ends.
 
@@ -32,7 +32,7 @@ def new_capture(
     writer: RecordWriter | None = None
     try:
         with replaced_whole(out, force=force) as part:
-            writer = RecordWriter(part, start_wall, metadata)
+            writer = RecordWriter(part, start_wall, metadata, protocol.state_type)
             try:
                 yield writer
             finally:

@@ -45,7 +45,7 @@ def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
     yield "answer", Text(frame.answer, style=style)
     yield "why", judgement.reason
     yield "clause", judgement.clause
-    yield "robot", frame.action
+    yield frame.device, frame.action
     sets = ", ".join(f"{name} becomes {value}" for name, value in frame.changes)
     kept = f"{', '.join(frame.keeps)} stay as they were" if frame.keeps else ""
     yield "state", "; ".join(part for part in (sets, kept) if part)

@@ -47,7 +47,7 @@ def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordW
     # The new file's records are those of this grammar, whatever the old one's were.
     metadata |= grammar_metadata(protocol)
     try:
-        return RecordWriter(path, capture.start, metadata)
+        return RecordWriter(path, capture.start, metadata, protocol.state_type)
     except ValueError as error:
         raise CaptureError(
             f"{printable(capture.path)} cannot be decoded into a new file: {error}"

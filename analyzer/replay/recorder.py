@@ -19,6 +19,7 @@ from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Log
 from bilprov.captures.storage.records import STRING_BYTES
 from bilprov.captures.topics import Written
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.motion import CAR_STATE
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
@@ -78,8 +79,16 @@ class RecordWriter(CaptureWriter):
     Raises CaptureError where the file cannot be written.
     """
 
-    def __init__(self, path: str | Path, start_wall: int, metadata: Mapping[str, str]) -> None:
-        super().__init__(path, start_wall=start_wall, metadata=metadata, version=kit_version())
+    def __init__(
+        self,
+        path: str | Path,
+        start_wall: int,
+        metadata: Mapping[str, str],
+        state: type[State] = CAR_STATE,
+    ) -> None:
+        super().__init__(
+            path, start_wall=start_wall, metadata=metadata, version=kit_version(), state=state
+        )
         self._state: State | None = None
 
     def event(self, event: Chunk | Line) -> None:
@@ -140,7 +149,8 @@ class Recorder(Closing):
     The decoded topics stop while traffic is over 2,000 frames/s, and `/faults` says when
     (`Throttle`); the raw events are always written. A checkpoint is due every 64 KiB of raw bytes
     and every second with traffic. `bytes` is how many raw bytes were handed over. Times are ns
-    since the session's start; the grammar's hash is the one in `metadata`.
+    since the session's start; the grammar's hash is the one in `metadata`, `state` the class of its
+    states.
 
     With a `rotation` the session is kept in parts (`captures.parts` has their names), of which each
     is a capture by itself. `paths` are those that are there, and `oldest` is the time from which on
@@ -157,6 +167,7 @@ class Recorder(Closing):
         start_wall: int,
         metadata: Mapping[str, str],
         rotation: Rotation | None = None,
+        state: type[State] = CAR_STATE,
     ) -> None:
         self.bytes = 0
         self._start = start_wall
@@ -169,7 +180,7 @@ class Recorder(Closing):
         if rotation:
             path, metadata = part_path(self._name, 1), {**metadata, topics.PART: "1"}
         self._writer = BackgroundWriter(
-            path, start_wall=start_wall, metadata=metadata, version=kit_version()
+            path, start_wall=start_wall, metadata=metadata, version=kit_version(), state=state
         )
         self._throttle = Throttle()
         self._state: State | None = None

@@ -19,6 +19,8 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
 from bilprov.captures.text import printable
+from bilprov.spec.motion import CAR_STATE
+from bilprov.spec.state import State
 
 MOST_BYTES: Final = 1 << 30
 PARTS: Final = 16  # so many are there when the oldest goes
@@ -33,11 +35,16 @@ class Spool(Closing):
     """
 
     def __init__(
-        self, start_wall: int, metadata: Mapping[str, str], most: int = MOST_BYTES
+        self,
+        start_wall: int,
+        metadata: Mapping[str, str],
+        most: int = MOST_BYTES,
+        state: type[State] = CAR_STATE,
     ) -> None:
         self.failure = ""
         self._start_wall = start_wall
         self._metadata = dict(metadata)
+        self._state = state
         self._recorder: Recorder | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         try:
@@ -46,7 +53,7 @@ class Spool(Closing):
             )
             self._name = Path(self._folder.name) / _NAME
             rotation = Rotation(size=most // PARTS, keep=PARTS)
-            self._recorder = Recorder(self._name, start_wall, metadata, rotation)
+            self._recorder = Recorder(self._name, start_wall, metadata, rotation, state)
         except (CaptureError, OSError) as error:
             self._note(error.strerror if isinstance(error, OSError) else error)
 
@@ -139,7 +146,7 @@ class Spool(Closing):
 
     def _join(self, path: Path, oldest: int) -> None:
         """Write all parts into one capture; what was decoded from the bytes is left out."""
-        with RecordWriter(path, self._start_wall, self._metadata) as writer:
+        with RecordWriter(path, self._start_wall, self._metadata, self._state) as writer:
             if oldest:
                 gone = f"what came before {oldest / 1e9:.3f} s was dropped: no room"
                 writer.event(Line(oldest, "gap", "", gone))

@@ -129,7 +129,7 @@ def mended(path: Path) -> Hashable:
     capture = open_capture(path)
     metadata = edited_metadata(capture, protocol, "repair")
     try:
-        with new_capture(new, capture.start, metadata, force=True) as out:
+        with new_capture(new, capture.start, metadata, protocol, force=True) as out:
             for file in capture.attachments():
                 at = file.log_time - capture.start
                 out.attach(file.name, file.media_type, file.data, at)

@@ -81,7 +81,7 @@ def _written(
 ) -> tuple[int, Capture]:
     """What `write` says that it wrote into a new capture, and that capture, which is whole."""
     new = folder() / "edited.mcap"
-    with new_capture(new, start, metadata, force=True) as out:
+    with new_capture(new, start, metadata, load_protocol(), force=True) as out:
         said = write(out)
     made = open_capture(new)
     require(not made.damage and not made.unfinished, "what was written is damaged")

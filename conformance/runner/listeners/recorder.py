@@ -36,7 +36,9 @@ from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
+from bilprov.spec.motion import CAR_STATE
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 RUN, PROFILE, VERDICT = "run.json", "profile.json", "verdict.json"
 """The names of the attachments."""
@@ -60,7 +62,7 @@ def open_recorder(
         heard=("host", "device"),
     )
     session = Session(protocol, timeout=timeout, skew=0)
-    return RunRecorder(path, session, wall_clock(), metadata)
+    return RunRecorder(path, session, wall_clock(), metadata, protocol.state_type)
 
 
 class RunRecorder(Closing, RunListener):
@@ -73,10 +75,15 @@ class RunRecorder(Closing, RunListener):
     broken: CaptureError | None = None
 
     def __init__(
-        self, path: str, session: Session, start_wall: int, metadata: Mapping[str, str]
+        self,
+        path: str,
+        session: Session,
+        start_wall: int,
+        metadata: Mapping[str, str],
+        state: type[State] = CAR_STATE,
     ) -> None:
         self._session = session
-        self._file = RecordWriter(path, start_wall, metadata)
+        self._file = RecordWriter(path, start_wall, metadata, state)
         self._now = 0
         self._event(Line(0, "open"))
 

@@ -82,7 +82,7 @@ def cut(
     capture = open_capture(path)
     metadata = edited_metadata(capture, protocol, "cut")
     test = compiled(expression, protocol)
-    with new_capture(out, capture.start, metadata, force=True) as writer:
+    with new_capture(out, capture.start, metadata, protocol, force=True) as writer:
         if test is None:
             opened = opened_at(open_quickly(path), protocol, window.first or 0)
             write_window(opened, protocol, writer, window, lambda size: True)
@@ -451,7 +451,7 @@ def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:
 
     with (
         pytest.raises(KeyboardInterrupt),
-        new_capture(out, capture.start, metadata, force=False) as writer,
+        new_capture(out, capture.start, metadata, protocol, force=False) as writer,
     ):
         write_window(opened, protocol, writer, Window(0, 1 << 40), stop)
     assert list(tmp_path.iterdir()) == []
