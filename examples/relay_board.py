@@ -24,22 +24,20 @@ VERSION = "1"
 DOCUMENT = "4-channel relay board, 9600 8N1, frames 55 56"
 DEVICE = "relay board"
 
-STATE = Variables(on=Whole(0, 1))  # of each relay, since each has an address
-
 STATUS = Struct("state" / Enum(Byte, on=1, off=2) * "what the relay is now")
 INSTRUCTIONS = {
-    0: "Read" / Instruction(document="read", answer=STATUS) * "Tells whether the relay is on.",
+    0: "Read" / Instruction(document="read", answer=STATUS) * "Reports whether the relay is on.",
     1: "On"
-    / Instruction(document="open", effect=Sets(on=1), answer=STATUS)
+    / Instruction(document="open", answer=STATUS, effect=Sets(on=1))
     * "Switches the relay on.",
     2: "Off"
-    / Instruction(document="close", effect=Sets(on=0), answer=STATUS)
+    / Instruction(document="close", answer=STATUS, effect=Sets(on=0))
     * "Switches the relay off.",
     3: "Toggle"
-    / Instruction(document="toggle", effect=Sets(on=Changed(-1, 1)), answer=STATUS)
+    / Instruction(document="toggle", answer=STATUS, effect=Sets(on=Changed(-1, 1)))
     * "Switches the relay over.",
     4: "Pulse"
-    / Instruction(document="momentary", effect=Sets(on=Unknown()), answer=STATUS)
+    / Instruction(document="momentary", answer=STATUS, effect=Sets(on=Unknown()))
     * "Switches the relay on for a moment.",
 }
 
@@ -67,6 +65,9 @@ REPLY = Struct(
     "sum" / Checksum(Byte, Sum(8), this.covered.data),
 )
 SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)
+
+STATE = Variables(on=Whole(0, 1))  # of each relay
+POWER_ON = Sets(on=0)
 
 TIMING = Timing(
     truncation_timeout=50,

@@ -4,16 +4,21 @@ from construct import Byte, Checksum, Int16ub, RawCopy, Struct, Switch, this
 
 from bilprov.spec.fields import (
     Address,
+    AllOf,
     Answer,
     Answers,
     Clauses,
     Crc,
     Data,
+    From,
     Instruction,
     LineDefaults,
     Outcome,
     Ranged,
+    Sets,
     Timing,
+    Variables,
+    Whole,
     asked,
 )
 
@@ -25,16 +30,20 @@ DEVICE = "motor controller"
 SPEED = "speed" / Ranged(Byte, 0, 127) * "0 stops, 127 is full speed"
 INSTRUCTIONS = {
     0: "ForwardM1"
-    / Instruction(SPEED, document="0 - Drive Forward M1", changes="the speed of motor 1")
+    / Instruction(SPEED, document="0 - Drive Forward M1", effect=Sets(m1=From("speed")))
     * "Drives motor 1 forward.",
     1: "BackwardM1"
-    / Instruction(SPEED, document="1 - Drive Backwards M1", changes="the speed of motor 1")
+    / Instruction(
+        SPEED, document="1 - Drive Backwards M1", effect=Sets(m1=From("speed", factor=-1))
+    )
     * "Drives motor 1 backward.",
     4: "ForwardM2"
-    / Instruction(SPEED, document="4 - Drive Forward M2", changes="the speed of motor 2")
+    / Instruction(SPEED, document="4 - Drive Forward M2", effect=Sets(m2=From("speed")))
     * "Drives motor 2 forward.",
     5: "BackwardM2"
-    / Instruction(SPEED, document="5 - Drive Backwards M2", changes="the speed of motor 2")
+    / Instruction(
+        SPEED, document="5 - Drive Backwards M2", effect=Sets(m2=From("speed", factor=-1))
+    )
     * "Drives motor 2 backward.",
     24: "MainBattery"
     / Instruction(
@@ -72,6 +81,11 @@ REPLY = Struct(
 RESPONSE = Answers(Byte, {0xFF: Answer("ACK", Outcome.VALID, "0xFF", "done")})
 ACK = Struct("code" / RESPONSE)
 SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_DATA, Outcome.BAD_CHECKSUM)
+
+STATE = Variables(m1=Whole(-127, 127), m2=Whole(-127, 127))
+POWER_ON = Sets(m1=0, m2=0)
+FAULTY = Sets()  # a bad packet changes nothing: both motors run on
+AT_REST = AllOf(m1=0, m2=0)
 
 TIMING = Timing(
     truncation_timeout=10,

@@ -127,6 +127,9 @@ def typed(page: str, folder: Path) -> None:
             record(folder / f"{name}.mcap", *([name] if name in ("host", "device") else SIDES))
     if "drive.mcap" in written:
         (folder / "drive.mcap").unlink()
+    for example in (ROOT / "examples").glob("*.py"):
+        if example.name in text:
+            shutil.copy(example, folder)
     with Reader(folder).at_the_desk(text) as reader:
         for kind, block in blocks(text):
             if kind == "toml":
@@ -157,6 +160,12 @@ def test_the_readme_shows_what_happens(folder: Path) -> None:
 @pytest.mark.parametrize("page", [page for page in RUNS if page != "README.md"])
 def test_a_page_shows_what_happens(page: str, folder: Path) -> None:
     typed(page, folder)
+
+
+def test_the_grammar_on_the_page_is_the_example() -> None:
+    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+
+    assert f"```python\n{text}```\n" in TEXTS["docs/your-own-protocol.md"]
 
 
 def _values(instruction: InstructionSpec) -> str:
