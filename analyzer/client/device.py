@@ -15,7 +15,8 @@ from bilprov.analyzer.client.driver import (
     Refused,
     RobotError,
 )
-from bilprov.analyzer.client.operations import Procedure, listen, send
+from bilprov.analyzer.client.exchange import exchange
+from bilprov.analyzer.client.operations import listen
 from bilprov.analyzer.client.port_driver import OnPort
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS
@@ -61,6 +62,7 @@ class DeviceDriver(InstructionMethods):
         Raises NoAnswer if the device does not answer what brings it to rest.
         """
         with self._alone():
+            self._rest.note(self._address)
             self._calm()
             if not self._do(self._rest.once()):
                 raise self._nobody()
@@ -108,9 +110,10 @@ class DeviceDriver(InstructionMethods):
                 self.home()
             self._in_step = False
             self._require_silence(self._pause)
+            self._rest.note(asked.address)
             pause = round(self.protocol.timing.truncation_timeout * MS)
             patience = round(self._patience * MS)
-            heard = self._do(_exchanged(self.protocol, asked, patience, pause))
+            heard = self._do(exchange(self.protocol, asked, patience, pause))
             if not asked.answer_due:
                 self._in_step = True
                 return None
@@ -229,25 +232,6 @@ def told_type(part: FieldSpec) -> str:
 
 def _address_part(protocol: Protocol) -> Part | None:
     return protocol.layout.part("address")
-
-
-def _exchanged(protocol: Protocol, asked: Judgement, patience: int, pause: int) -> Procedure[bytes]:
-    """Send a request and return what is heard until its answer is whole; b"" if none is due.
-
-    The first byte may take `patience` ns, each of the others `pause` ns.
-    """
-    yield from send(asked.frame)
-    held = bytearray()
-    while asked.answer_due:
-        size = reply_size(protocol, bytes(held), asked) if held else None
-        if size is not None and size <= len(held):
-            break
-        missing = size - len(held) if size else 1
-        heard = yield from listen(missing, pause if held else patience)
-        if not heard.answers:
-            break
-        held += bytes(heard.codes)
-    return bytes(held)
 
 
 @lru_cache(maxsize=1024)

@@ -8,9 +8,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bilprov.analyzer.client.homing import home, noun, rest_of
+from bilprov.analyzer.client.homing import home
 from bilprov.analyzer.client.link import Link, done
 from bilprov.analyzer.client.operations import Heard, Procedure, listen, send
+from bilprov.analyzer.client.rest import rest_of
 from bilprov.analyzer.client.turns import Turns
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge, spaced
@@ -160,8 +161,8 @@ class InstructionMethods:
 
     def _nobody(self) -> NoAnswer:
         return NoAnswer(
-            f"nobody answers; is the {noun(self.protocol)} on, and is it the right port?",
-            self._rest.frames(),
+            f"nobody answers; is the {self.protocol.device} on, and is it the right port?",
+            b"".join(self._rest.frames()),
         )
 
     def _names(self, heard: Heard) -> str:

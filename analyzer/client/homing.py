@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import typing
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -15,54 +14,6 @@ from bilprov.spec.protocol import Protocol
 _TRIES = 5  # an opened Arduino resets, and boots for some seconds
 _SLOWER = 4  # how much later than the first answer one of the others may come
 _SETTLE = 2 * MS  # ns after the last answer in which a surplus answer comes
-
-
-class Rest(typing.Protocol):
-    """How a device is brought to rest."""
-
-    def frames(self) -> bytes:
-        """What is sent, b"" for nothing."""
-
-    def once(self) -> Procedure[bool]:
-        """Bring it to rest once; returns whether it answered, if anything was sent."""
-
-
-class Stops:
-    """Brings a robot of the car's family to rest: by stops, also in the middle of a frame."""
-
-    def __init__(self, protocol: Protocol) -> None:
-        self._protocol = protocol
-
-    def frames(self) -> bytes:
-        """As in Rest."""
-        return stops(self._protocol)
-
-    def once(self) -> Procedure[bool]:
-        """As in Rest."""
-        return home_once(self._protocol)
-
-
-class NoRest:
-    """Does nothing to a device of which the grammar does not say when it is at rest."""
-
-    def frames(self) -> bytes:
-        """As in Rest."""
-        return b""
-
-    def once(self) -> Procedure[bool]:
-        """As in Rest."""
-        yield from listen(None, 0)
-        return True
-
-
-def rest_of(protocol: Protocol) -> Rest:
-    """How a device of this protocol is brought to rest."""
-    return Stops(protocol) if protocol.plain else NoRest()
-
-
-def noun(protocol: Protocol) -> str:
-    """What a device of this protocol is called."""
-    return "robot" if protocol.plain else "device"
 
 
 def stops(protocol: Protocol) -> bytes:

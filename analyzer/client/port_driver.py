@@ -18,9 +18,9 @@ from types import FrameType
 from typing import Self
 
 from bilprov.analyzer.client.driver import Driver, InstructionMethods, NoAnswer, RobotError
-from bilprov.analyzer.client.homing import Rest, noun
 from bilprov.analyzer.client.link import done
 from bilprov.analyzer.client.port_link import PortLink
+from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.client.turns import Turns
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
@@ -64,7 +64,7 @@ class _OpenRobot:
         with self._turns.taken(_PATIENCE) as alone, suppress(LinkError):
             self.halted, self.why = True, "" if self.in_block else why
             if self.in_block or not alone:  # the end of the block homes it
-                self._port.write(self._rest.frames())
+                self._port.write(b"".join(self._rest.frames()))
             else:
                 done(self._rest.once(), PortLink(self._port))
 
@@ -188,7 +188,7 @@ class OnPort(InstructionMethods):
         self._signals = ExitStack()
         try:
             super().__init__(grammar, PortLink(self._port), timeout)
-            self._held = _OpenRobot(self._rest, noun(grammar), self._port, self._turns)
+            self._held = _OpenRobot(self._rest, grammar.device, self._port, self._turns)
             self.home()
         except BaseException:
             self._port.close()
@@ -245,7 +245,7 @@ class OnPort(InstructionMethods):
                 if error is None:
                     raise
                 error.add_note(
-                    f"the {noun(self.protocol)} was not brought to a stop at the end: {left}"
+                    f"the {self.protocol.device} was not brought to a stop at the end: {left}"
                 )
 
     def __repr__(self) -> str:
@@ -264,9 +264,9 @@ class OnPort(InstructionMethods):
 
     def _nobody(self) -> NoAnswer:
         return NoAnswer(
-            f"nobody answers at {self._port.name}; is the {noun(self.protocol)} on, and is it the "
+            f"nobody answers at {self._port.name}; is the {self.protocol.device} on, and is it the "
             "right port?",
-            self._rest.frames(),
+            b"".join(self._rest.frames()),
         )
 
 

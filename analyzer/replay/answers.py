@@ -31,12 +31,13 @@ UNANSWERED_STOPS = "the device did not answer the stops at the end: it may still
 class AnswerCheck:
     """Counts what is wrong with the answers of a run, in memory that does not grow.
 
-    `sent` counts instructions, `answered` those that were answered. `wrong` counts the answers that
+    `sent` counts instructions, `due` those that are to be answered, `answered` those that were. `wrong` counts the answers that
     are not allowed, of which `first_wrong` tells the first; `unasked` counts the bytes that answer
     no instruction, except where that is uncertain (a banner before the first instruction).
     """
 
     sent: int = 0
+    due: int = 0
     answered: int = 0
     wrong: int = 0
     first_wrong: str = ""
@@ -47,6 +48,7 @@ class AnswerCheck:
         """Add a record of the run."""
         if isinstance(record, HostRecord):
             self.sent += record.sequence is not None
+            self.due += record.judgement is not None and record.judgement.answer_due
         elif isinstance(record, DeviceRecord) and record.instruction is not None:
             self.answered += 1
             if severity_of(record) is Severity.ERROR:
@@ -77,10 +79,10 @@ class AnswerCheck:
     @property
     def missing_words(self) -> str:
         """Tells of unanswered instructions in a sentence, once the last answer was waited for."""
-        missing = self.sent - self.answered
+        missing = self.due - self.answered
         if missing <= 0:
             return ""
-        return f"no answer came to {missing} of {quantity(self.sent, 'instruction')}"
+        return f"no answer came to {missing} of {quantity(self.due, 'instruction')}"
 
 
 def first_difference(protocol: Protocol, run: ReplayRun, expected: Sequence[int | None]) -> str:

@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
-from bilprov.analyzer.client.homing import halt, home, home_once
+from bilprov.analyzer.client.homing import home
 from bilprov.analyzer.client.link import LinkListener, done
 from bilprov.analyzer.client.operations import send
 from bilprov.analyzer.client.port_link import PortLink
-from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.client.rest import rest_of
+from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
@@ -50,6 +51,7 @@ class Target(Closing, LinkListener):
         self._instructed = 0.0  # when the last instruction was sent (s)
         self._heard = heard
         self._protocol = protocol
+        self._rest = rest_of(protocol)
         self._port = port
         self._link = PortLink(port, tap=self)
         self._stopper = stopper
@@ -130,7 +132,7 @@ class Target(Closing, LinkListener):
         """
         self._show(self._session.finish())
         self._home(patient=patient)
-        self.state = self._protocol.stop.effect.apply(self.state)
+        self.state = self._rest.after(self.state)
         saved = self._session.saved()
         if saved is not None:  # frame boundaries are known: all that was sent came from here
             self._session.resume(
@@ -166,9 +168,7 @@ class Target(Closing, LinkListener):
 
     def stopped_words(self, why: str) -> str:
         """Why the device was homed, in words, and whether it answered that."""
-        return (
-            f"{'stopped' if self.answered_stops else 'the robot does not answer the stops'}: {why}"
-        )
+        return f"{'stopped' if self.answered_stops else f'the {self._protocol.device} does not answer the stops'}: {why}"
 
     def close(self) -> None:
         """Home the device and close its port; further calls do nothing."""
@@ -180,11 +180,10 @@ class Target(Closing, LinkListener):
     def _home(self, *, patient: bool) -> None:
         """Home the device, and note whether it answered, without a record of that."""
         self.answered_stops, self._homing = False, True
+        patient = patient and self._protocol.plain
         stopped = home(self._protocol, lambda: self._stopper.stopped)
         try:
-            self.answered_stops = done(
-                stopped if patient else home_once(self._protocol), self._link
-            )
+            self.answered_stops = done(stopped if patient else self._rest.once(), self._link)
         finally:
             self._homing = self._halted = False
 
@@ -192,16 +191,20 @@ class Target(Closing, LinkListener):
         """Raise LinkError if the device did not answer the last homing, unless that was stopped."""
         if not self.answered_stops and not self._stopper.stopped:
             raise LinkError(
-                f"nobody answers at {self._port.name}; is the robot on, and is it the right port?"
+                f"nobody answers at {self._port.name}; is the {self._protocol.device} on, and is "
+                "it the right port?"
             )
 
     def _halt(self) -> None:
         self._halted = True
-        halt(self._protocol, self._port)
+        with contextlib.suppress(LinkError):
+            self._port.write(b"".join(self._rest.frames()))
 
     def _show(self, records: Iterable[Record]) -> None:
         for record in records:
             self.state = record.state
+            if isinstance(record, HostRecord) and record.judgement is not None:
+                self._rest.note(record.judgement.address)
             self._heard(record)
 
 

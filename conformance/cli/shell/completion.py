@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR
-from bilprov.spec.codec import bit_names
+from bilprov.spec.codec import bit_names, free_parts
 from bilprov.spec.data import FieldSpec
+from bilprov.spec.layout import Part
 from bilprov.spec.protocol import Protocol
 
 _LISTED = 16  # values that are listed one by one; of a wider range its two ends
@@ -47,17 +48,29 @@ def _of_fields(protocol: Protocol, name: str, rest: str) -> Iterator[Candidate]:
     *given, typed = rest.split(" ")
     field, equals, value = typed.partition("=")
     taken = {word.partition("=")[0].lower() for word in given}
-    for part in spec.fields:
+    fields = [part for part in spec.fields if part.constant is None]
+    for part in (*fields, *free_parts(protocol)):
         if equals and part.name.lower() == field.lower():
             yield from (one for one in _of_values(part, len(value)) if one.text.startswith(value))
             return
         begins = part.name.lower().startswith(typed.lower())
         if begins and not equals and part.name.lower() not in taken:
-            meaning = f"{part.low}..{part.high}, {part.prose}"
+            allowed = (
+                f"{part.low}..{part.high}" if isinstance(part, Part) else part.allowed_in_short
+            )
+            meaning = f"{allowed}, {part.prose}"
             yield Candidate(f"{part.name}=", len(typed), meaning)
 
 
-def _of_values(part: FieldSpec, replaced: int) -> Iterator[Candidate]:
+def _of_values(part: FieldSpec | Part, replaced: int) -> Iterator[Candidate]:
+    if isinstance(part, Part):
+        yield from (Candidate(str(end), replaced, part.prose) for end in (part.low, part.high))
+        return
+    if part.many:
+        return
+    if part.names:
+        yield from (Candidate(name, replaced, str(value)) for name, value in part.names)
+        return
     listed = part.high - part.low < _LISTED
     for value in range(part.low, part.high + 1) if listed else (part.low, part.high):
         bits = " ".join(bit_names(part, value)) or ("off" if part.bits else "")

@@ -20,6 +20,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cli.shell.looks import STEP, asked, look_text, look_words, seen_words
+from bilprov.spec.codec import free_parts
 from bilprov.spec.protocol import Protocol
 
 COMMENT = "#"
@@ -54,8 +55,7 @@ class Driving(Closing):
             "help": (self._help, "shows this"),
             "state": (self._tell_state, "shows what the instructions so far predict"),
             "look": (self._tell_look, "shows what the probe sees"),
-            "stop": (partial(self._send, bytes([protocol.pad_byte])), "stops the robot"),
-            "home": (self._home, "stops it, and begins a new frame if one was cut short"),
+            **self._stopping_words(protocol),
             "quit": (self._quit, "stops it and leaves, as Ctrl-D does"),
         }
         self._protocol = protocol
@@ -65,6 +65,16 @@ class Driving(Closing):
         self._probe = probe
         self._unasked = 0  # bytes that answer no instruction, since the line began
         self._abandoned = False  # the rest of the line
+
+    def _stopping_words(self, protocol: Protocol) -> dict[str, tuple[Callable[[], object], str]]:
+        """The words that stop the device, of a grammar that tells when it is at rest."""
+        if protocol.plain:
+            stop = bytes([protocol.pad_byte])
+            return {
+                "stop": (partial(self._send, stop), f"stops the {protocol.device}"),
+                "home": (self._home, "stops it, and begins a new frame if one was cut short"),
+            }
+        return {"home": (self._home, "brings it to rest")} if protocol.at_rest else {}
 
     def begin(self) -> None:
         """Home the robot and look at it. Raises LinkError and ProbeError."""
@@ -168,8 +178,11 @@ class Driving(Closing):
         self.over = True
 
     def _tell_state(self) -> None:
-        moving = "moving" if self.target.state.moving else "not moving"
-        write_out(f"predicted: {self.target.state.described}, {moving}\n")
+        state, protocol = self.target.state, self._protocol
+        words = [state.described] if protocol.variables else ["nothing, the grammar has no STATE"]
+        if protocol.at_rest:
+            words.append("moving" if state.moving else "not moving")
+        write_out(f"predicted: {', '.join(words)}\n")
 
     def _tell_look(self) -> None:
         if self._probe is None:
@@ -191,15 +204,19 @@ class Driving(Closing):
         self.look = asked(probe, self.attend, self._stopper, self.target.now)
 
     def _help(self) -> None:
-        specs = self._protocol.instructions
+        specs, device = self._protocol.instructions, self._protocol.device
         show(
             heading("Instructions, in any case"),
             facts((f"{spec.name} {fields_in_words(spec)}".strip(), spec.prose) for spec in specs),
             heading("Also"),
             facts(
                 [
+                    *(
+                        (f"{part.name}={part.low}..{part.high}", f"in each frame: {part.prose}")
+                        for part in free_parts(self._protocol)
+                    ),
                     ("81 05", "bytes in hex, right or wrong"),
-                    (f"{PAUSE}500", "waits, in milliseconds; Ctrl-C stops the robot"),
+                    (f"{PAUSE}500", f"waits, in milliseconds; Ctrl-C stops the {device}"),
                     (SEPARATOR, "stands between several on a line"),
                     (COMMENT, "begins a comment"),
                     *((word, what) for word, (_, what) in self.words.items()),

@@ -22,7 +22,6 @@ from bilprov.analyzer.cli.settings import state_folder
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.completion import candidates
 from bilprov.conformance.cli.shell.driving import Driving
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 _TURN = 0.05  # s between two looks at the port
@@ -38,6 +37,7 @@ class Prompt:
     """Asks for lines on a terminal, and has them done, until the user or a signal ends it."""
 
     def __init__(self, protocol: Protocol, driving: Driving, stopper: Stopper) -> None:
+        self._protocol = protocol
         self._driving = driving
         self._stopper = stopper
         self._session: PromptSession[str] = PromptSession(
@@ -84,7 +84,7 @@ class Prompt:
 
     def _interrupted(self) -> str | None:
         """Ctrl-C at the prompt stops the robot; where nothing drives or is typed, it leaves."""
-        if self._driving.target.state.motion != Motion.STOPPED:
+        if self._protocol.directed(self._driving.target.state):
             self._driving.halt("Ctrl-C")
             return ""
         return "" if self._session.default_buffer.text else None
@@ -114,7 +114,7 @@ class Prompt:
 
     def _message(self) -> StyleAndTextTuples:
         state, seen = self._driving.target.state, self._driving.seen
-        colour = "ansigreen" if state.motion == Motion.STOPPED else "ansiyellow bold"
+        colour = "ansiyellow bold" if self._protocol.directed(state) else "ansigreen"
         return [
             (colour, state.described),
             ("ansicyan", f", {seen}" if seen else ""),
