@@ -66,6 +66,11 @@ class Part:
     broadcast: int | None = None
 
     @property
+    def allowed_in_short(self) -> str:
+        """The range as one word, like `1..247`."""
+        return f"{self.low}..{self.high}"
+
+    @property
     def size(self) -> int:
         """Its bytes, or those of the byte of bits that it is in."""
         return self.number.size

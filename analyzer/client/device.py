@@ -48,6 +48,9 @@ class DeviceDriver(InstructionMethods):
 
     _address: int | None = None
 
+    def __getattr__(self, name: str) -> Any:  # of any grammar, so a type checker knows no names
+        return self._method(name)
+
     def send(self, name: str, /, **values: Any) -> Reply | None:
         """Send an instruction by its name, with its fields' values, and return its answer.
 

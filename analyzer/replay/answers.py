@@ -31,9 +31,10 @@ UNANSWERED_STOPS = "the device did not answer the stops at the end: it may still
 class AnswerCheck:
     """Counts what is wrong with the answers of a run, in memory that does not grow.
 
-    `sent` counts instructions, `due` those that are to be answered, `answered` those that were. `wrong` counts the answers that
-    are not allowed, of which `first_wrong` tells the first; `unasked` counts the bytes that answer
-    no instruction, except where that is uncertain (a banner before the first instruction).
+    `sent` counts instructions, `due` those that are to be answered, `answered` those that were.
+    `wrong` counts the answers that are not allowed, of which `first_wrong` tells the first;
+    `unasked` counts the bytes that answer no instruction, except where that is uncertain (a banner
+    before the first instruction).
     """
 
     sent: int = 0

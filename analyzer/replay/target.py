@@ -168,7 +168,8 @@ class Target(Closing, LinkListener):
 
     def stopped_words(self, why: str) -> str:
         """Why the device was homed, in words, and whether it answered that."""
-        return f"{'stopped' if self.answered_stops else f'the {self._protocol.device} does not answer the stops'}: {why}"
+        silent = f"the {self._protocol.device} does not answer the stops"
+        return f"{'stopped' if self.answered_stops else silent}: {why}"
 
     def close(self) -> None:
         """Home the device and close its port; further calls do nothing."""

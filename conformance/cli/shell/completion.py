@@ -48,8 +48,8 @@ def _of_fields(protocol: Protocol, name: str, rest: str) -> Iterator[Candidate]:
     *given, typed = rest.split(" ")
     field, equals, value = typed.partition("=")
     taken = {word.partition("=")[0].lower() for word in given}
-    fields = [part for part in spec.fields if part.constant is None]
-    for part in (*fields, *free_parts(protocol)):
+    parts: list[FieldSpec | Part] = [part for part in spec.fields if part.constant is None]
+    for part in (*parts, *free_parts(protocol)):
         if equals and part.name.lower() == field.lower():
             yield from (one for one in _of_values(part, len(value)) if one.text.startswith(value))
             return

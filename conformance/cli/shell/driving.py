@@ -212,7 +212,7 @@ class Driving(Closing):
             facts(
                 [
                     *(
-                        (f"{part.name}={part.low}..{part.high}", f"in each frame: {part.prose}")
+                        (f"{part.name}={part.allowed_in_short}", f"in each frame: {part.prose}")
                         for part in free_parts(self._protocol)
                     ),
                     ("81 05", "bytes in hex, right or wrong"),

@@ -1,0 +1,266 @@
+"""`from bilprov import Device`: what it sends, returns and raises; it agrees with the decoder."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
+from random import Random
+from typing import Any
+
+import pytest
+
+from bilprov import Device
+from bilprov.analyzer.client.device import DeviceDriver
+from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
+from bilprov.analyzer.client.link import LinkListener
+from bilprov.analyzer.client.rest import rest_requests
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.simulated.device import SimulatedDevice
+from bilprov.analyzer.simulated.requests import drawn_request
+from bilprov.captures.schemas import Chunk
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.spec.codec import build, judge
+from bilprov.spec.protocol import Protocol, load
+from tests.support import ROOT
+from tests.support.robots import served_here
+
+BYTE_TIME = 572_917  # ns at 19,200 8E1
+NAMES = ["modbus-rtu", "stk500v1", "dynamixel1"]
+
+
+class Scripted(SimulatedDevice):
+    """A simulated device whose answers a test changes."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__(protocol)
+        self.heard = b""
+        self.saying: list[bytes] = []  # what is sent instead of the next answers
+
+    def receive(self, data: bytes, now: int) -> None:
+        self.heard += data
+        super().receive(data, now)
+
+    def advance(self, now: int) -> bytes:
+        answer = super().advance(now)
+        return self.saying.pop(0) if answer and self.saying else answer
+
+
+class Tap(LinkListener):
+    """Decodes what passes over a link."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._session = Session(protocol, timeout=10**12, skew=0)
+        self.records: list[Record] = []
+
+    def sent(self, data: bytes, t: int) -> None:
+        self.records += self._session.feed(Chunk(t, "host", data))
+
+    def received(self, data: bytes, t: int) -> None:
+        self.records += self._session.feed(Chunk(t, "device", data))
+
+
+def driver(name: str, address: int | None = None) -> tuple[DeviceDriver, Scripted, Tap]:
+    """A client of a simulated device in virtual time, and what the decoder makes of it."""
+    protocol = load_protocol(name)
+    device, tap = Scripted(protocol), Tap(protocol)
+    client = DeviceDriver(protocol, VirtualLink(device, BYTE_TIME, tap))
+    client._address = address
+    return client, device, tap
+
+
+# -- on a port ------------------------------------------------------------------------------------
+
+
+@contextmanager
+def opened(name: str, **options: Any) -> Iterator[tuple[Device, Scripted]]:
+    device = Scripted(load_protocol(name))
+    with (
+        served_here(device) as (port, _),
+        Device(port, grammar=name, **options) as client,
+    ):
+        yield client, device
+
+
+@pytest.mark.waits
+def test_registers_are_written_and_read_on_a_port() -> None:
+    with opened("modbus-rtu", address=17) as (meter, device):
+        assert device.heard == b""
+        assert meter.write_multiple_registers(0, 2, [4, 5]) == (0, 2)
+        assert meter.read_holding_registers(start=0, quantity=3) == (4, 5, 0)
+        assert meter.read_holding_registers(start=0, quantity=1, address=18) == (0,)
+        assert repr(meter).endswith(" modbus-rtu>")
+
+
+@pytest.mark.waits
+def test_a_device_that_the_grammar_brings_to_rest_is_left_at_rest() -> None:
+    protocol = load(MOTORS, "motors.py")
+    device = Scripted(protocol)
+    with served_here(device) as (port, _), Device(port, grammar=protocol, address=0x80) as motors:
+        begun = len(device.heard)
+        motors.forward_m1(50)
+        motors.forward_m2(60, address=0x81)
+        assert device.state(0x81).moving
+    assert begun == 2 * 5
+    assert not device.state(0x80).moving
+    assert not device.state(0x81).moving
+
+
+def _motors() -> str:
+    """The example of motor controllers with a state, and with what it is at rest."""
+    text = (ROOT / "examples" / "roboclaw.py").read_text(encoding="utf-8")
+    for motor in (1, 2):
+        for kind, factor in (("Forward", ""), ("Backward", ", factor=-1")):
+            head, name, rest = text.partition(f'"{kind}M{motor}"')
+            old = f'changes="the speed of motor {motor}"'
+            text = (
+                head + name + rest.replace(old, f'effect=Sets(m{motor}=From("speed"{factor}))', 1)
+            )
+    text = text.replace("    Ranged,\n", "    AllOf, From, Ranged, Sets, Variables, Whole,\n")
+    return text + (
+        "\nSTATE = Variables(m1=Whole(-127, 127), m2=Whole(-127, 127))\n"
+        "POWER_ON = Sets(m1=0, m2=0)\nFAULTY = Sets()\nAT_REST = AllOf(m1=0, m2=0)\n"
+    )
+
+
+MOTORS = _motors()
+
+
+def test_what_brings_a_device_to_rest_is_found_in_the_effects() -> None:
+    stop_both = (("ForwardM1", {"speed": 0}), ("ForwardM2", {"speed": 0}))
+    assert rest_requests(load(MOTORS, "motors.py")) == stop_both
+    no_second = MOTORS.replace('effect=Sets(m2=From("speed"))', "")
+    no_second = no_second.replace('effect=Sets(m2=From("speed", factor=-1))', "")
+    assert rest_requests(load(no_second, "motors.py")) == ()
+    assert rest_requests(load_protocol("modbus-rtu")) == ()
+    assert rest_requests(load_protocol()) == (("Stop", {}),)
+
+
+# -- what a method returns ------------------------------------------------------------------------
+
+
+def test_a_method_returns_one_value_a_named_tuple_or_nothing() -> None:
+    bootloader, _, _ = driver("stk500v1")
+    assert bootloader.get_sync() is None
+    assert bootloader.read_sign() == bytes(3)
+    fuses = bootloader.read_fuse_ext()
+    assert (fuses.low, fuses.high, fuses.extended) == (0, 0, 0)
+    bootloader.load_address(16)
+    bootloader.prog_page(4, "flash", "01 02 03 04")
+    bootloader.load_address(16)
+    assert bootloader.read_page(size=4, memory="flash") == bytes([1, 2, 3, 4])
+
+
+def test_what_is_sent_to_all_returns_nothing_at_once() -> None:
+    servos, device, _ = driver("dynamixel1", 254)
+    assert servos.write(30, b"\x05") is None
+    assert servos.sync_write(30, 1, "0105") is None
+    assert servos.read(30, 1, address=7) == b"\x05"
+    assert device.heard.startswith(bytes.fromhex("ff ff fe 04 03 1e 05"))
+
+
+def test_the_signature_names_the_fields_and_the_address() -> None:
+    meter, _, _ = driver("modbus-rtu")
+    wanted = "(coil: 'int', value: 'int | str', *, address: int = None)"
+    assert str(inspect.signature(meter.write_single_coil)) == wanted
+    assert meter.write_single_coil.__doc__ == "Switches one coil on or off."
+    bootloader, _, _ = driver("stk500v1")
+    assert "address" not in inspect.signature(bootloader.get_sync).parameters
+
+
+# -- what it raises -------------------------------------------------------------------------------
+
+
+def test_an_error_answer_is_raised_with_its_name() -> None:
+    meter, device, _ = driver("modbus-rtu", 1)
+    device.saying = [bytes.fromhex("01 83 02 c0 f1")]
+    with pytest.raises(Refused) as raised:
+        meter.read_holding_registers(0, 1)
+    assert raised.value.answer == "ILLEGAL_DATA_ADDRESS"
+    assert raised.value.code == 2
+    assert raised.value.instruction == "ReadHoldingRegisters"
+    assert raised.value.frame == bytes.fromhex("01 03 00 00 00 01 84 0a")
+    assert meter.read_holding_registers(0, 1) == (0,)
+
+
+def test_several_flags_are_named_together() -> None:
+    servo, device, _ = driver("dynamixel1", 1)
+    device.saying = [bytes.fromhex("ff ff 01 02 24 d8")]
+    with pytest.raises(Refused, match="was answered OVERHEATING OVERLOAD") as raised:
+        servo.ping()
+    assert raised.value.answer == "OVERHEATING OVERLOAD"
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind", "words"),
+    [
+        ("", NoAnswer, "was not answered in 5000 ms"),
+        ("01 03 02 00", RobotError, "the answer broke off after 4 of 7 bytes"),
+        ("01 03 02 00 00 b8 45", RobotError, "crc is b8 45, right is b8 44"),
+        ("02 03 02 00 00 fc 44", RobotError, "are not an answer"),
+        ("01 03 02 00 00 b8 44 00", RobotError, "00 came after its answer"),
+    ],
+)
+def test_the_line_is_silent_before_the_next_after_a_bad_answer(
+    answer: str, kind: type[Exception], words: str
+) -> None:
+    meter, device, _ = driver("modbus-rtu", 1)
+    device.saying = [bytes.fromhex(answer)]
+    with pytest.raises(kind, match=words):
+        meter.read_holding_registers(0, 1)
+    assert meter.read_holding_registers(0, 1) == (0,)
+
+
+def test_a_wrong_use_sends_nothing() -> None:
+    meter, device, _ = driver("modbus-rtu")
+    with pytest.raises(ValueError, match=r"needs address=1\.\.247"):
+        meter.read_coils(0, 1)
+    with pytest.raises(ValueError, match="address is 250, allowed are 1 to 247, and 0 for all"):
+        meter.read_coils(0, 1, address=250)
+    with pytest.raises(ValueError, match="quantity is 0, allowed are 1 to 2000"):
+        meter.read_coils(0, 0, address=1)
+    with pytest.raises(TypeError, match="missing a required argument: 'quantity'"):
+        meter.read_coils(0)
+    with pytest.raises(AttributeError, match="modbus-rtu has no instruction 'read_coil'"):
+        meter.read_coil(0)
+    with pytest.raises(ValueError, match="stk500v1 has no addresses; address is 1"):
+        Device("loop://", grammar="stk500v1", address=1)
+    assert device.heard == b""
+
+
+# -- all agree ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_client_simulator_and_decoder_agree(name: str) -> None:
+    """Each drawn request is what `build` makes of its fields, and is paired with its answer."""
+    client, device, tap = driver(name)
+    chance, sent = Random(name), 0
+    for _ in range(200):
+        frame = drawn_request(client.protocol, chance)
+        asked = judge(client.protocol, frame)
+        assert asked.instruction is not None
+        part = client.protocol.layout.part("address")
+        values = dict(asked.fields) | ({part.name: asked.address} if part else {})
+        assert build(client.protocol, asked.instruction.name, values) == frame
+        device.heard, tap.records = b"", []
+        reply = client.send(asked.instruction.name, **values)
+        assert device.heard == frame
+        host, *answers = tap.records
+        assert isinstance(host, HostRecord)
+        assert host.data == frame
+        assert host.sequence == sent
+        sent += 1
+        if reply is None:
+            assert answers == []
+            assert not asked.answer_due
+            continue
+        (answer,) = answers
+        assert isinstance(answer, DeviceRecord)
+        assert answer.instruction == host.sequence
+        assert answer.agrees
+        assert answer.data == reply.frame
+        assert answer.reply is not None
+        assert answer.reply.fields == reply.fields
