@@ -59,6 +59,8 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     @property
     def name(self) -> str:
         """The instruction's name, or `unused` and the ID."""
+        if self.id < 0:
+            return "incomplete frame"
         return self.instruction.name if self.instruction else f"unused {self.id}"
 
     def describe(self) -> str:
@@ -71,6 +73,8 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
             shown = [_value(specs[name], value) for name, value in self.fields]
             return f"{to}{self.name} {' '.join(shown)}"
         if self.instruction and self.valid:
+            return f"{to}{self.name}"
+        if self.id < 0:
             return f"{to}{self.name}"
         if self.truncated:
             return f"{to}{self.name}, {self._arrived} of {_bytes(self.length)}"

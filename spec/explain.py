@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bilprov.spec.codec import Judgement, judge, nearest, spaced
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.errata import Finding, check
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import Framer
+from bilprov.spec.framing import Framer, framer
+from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import READINGS, Erratum, Reading
 from bilprov.spec.state import Effect, assigned, value_words
@@ -86,19 +87,30 @@ class Explanation:
 def explain(protocol: Protocol, data: bytes) -> Explanation:
     """Explain bytes that the host sends, cut into frames as the device cuts them.
 
-    An incomplete last frame counts as truncated by the time-out.
+    An incomplete last frame counts as truncated by the time-out. Raises ValueError for bytes that
+    begin no frame.
     """
-    framer = Framer(protocol.lengths, timeout=None)
+    if not protocol.plain:
+        return Explanation(data, frames=tuple(_framed(protocol, data)))
+    cutter = Framer(protocol.lengths, timeout=None)
     findings = check(protocol)
     frames, offset = [], 0
-    for framed in (*framer.feed(data, 0), *framer.drop(0, "truncated")):
+    for framed in (*cutter.feed(data, 0), *cutter.drop(0, "truncated")):
         frames.append(_frame(protocol, data, offset, framed.data, findings))
         offset += len(framed.data)
     return Explanation(data, frames=tuple(frames))
 
 
 def explain_responses(protocol: Protocol, data: bytes) -> Explanation:
-    """Explain bytes that the device sends: one response each."""
+    """Explain bytes that the device sends: one response each.
+
+    Raises ValueError where answers are more than one byte: what they hold follows from the request.
+    """
+    if not protocol.plain:
+        raise ValueError(
+            f"what an answer of {protocol.name} holds follows from its request; decode a capture "
+            "or JSON lines of both, with decode or spec check"
+        )
     responses = tuple(_response(protocol, offset, byte) for offset, byte in enumerate(data))
     return Explanation(data, responses=responses)
 
@@ -268,3 +280,157 @@ def _field_groups(spec: FieldSpec, value: int, frame: bytes) -> Iterator[BitGrou
         yield BitGroup(
             byte, spec.size, at, at, str(value), name, value, meaning, fault and not upper
         )
+
+
+def _framed(protocol: Protocol, data: bytes) -> Iterator[FrameExplanation]:
+    """Explain frames that have a layout of their own. Raises ValueError for bytes of no frame."""
+    cutter, offset = framer(protocol, None), 0
+    for framed in (*cutter.feed(data, 0), *cutter.drop(0, "truncated")):
+        if framed.kind == "garbage":
+            sync = protocol.layout.sync
+            begin = f"; a frame begins with {spaced(sync)}" if sync else ""
+            raise ValueError(f"the bytes {spaced(framed.data)} belong to no frame{begin}")
+        yield _layout_frame(protocol, judge(protocol, framed.data), offset)
+        offset += len(framed.data)
+
+
+def _layout_frame(protocol: Protocol, judgement: Judgement, offset: int) -> FrameExplanation:
+    instruction = judgement.instruction
+    valid = judgement.valid and instruction is not None
+    effect = instruction.effect if valid and instruction else protocol.on_fault
+    action = instruction.prose if valid and instruction else "takes it as a fault"
+    due = judgement.head + judgement.length + protocol.layout.tail
+    return FrameExplanation(
+        offset=offset,
+        judgement=judgement,
+        groups=tuple(_layout_groups(protocol, judgement)),
+        missing=max(0, due - len(judgement.frame)) if judgement.truncated else 0,
+        answer=_answer(instruction, judgement.response),
+        device=protocol.device,
+        action=action,
+        stops=protocol.stops(effect),
+        changes=tuple(_changes(effect, dict(judgement.fields))),
+        keeps=tuple(name for name in protocol.variables if not effect.sets(name)),
+        readings=(),
+        errata=(),
+        nearest=None,
+        differences=(),
+    )
+
+
+def _answer(instruction: InstructionSpec | None, response: ResponseSpec) -> str:
+    """The answer that is due, in words."""
+    data = instruction.answer if instruction else None
+    names = [part.name for part in data.fields if part.name] if data else []
+    holds = f" with {', '.join(names)}" if names and Outcome.VALID in response.outcomes else ""
+    if response.code >= 0:
+        return f"{response.name}, code {response.code:02x}{holds}"
+    return f"an answer{holds or ' without data'}" if response.outcomes else "none"
+
+
+def _layout_groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
+    """Groups that hold every bit of the frame once, in order: its parts, and its data."""
+    frame, layout = judgement.frame, protocol.layout
+    whole = not judgement.truncated
+    for part in layout.parts:
+        if part.offset >= 0 and part.offset + part.size <= len(frame):
+            yield from _part_groups(layout, judgement, part, part.offset)
+    begun = [p.offset + p.size for p in layout.parts if p.offset + p.size <= len(frame)]
+    at = max((end for end in begun if end <= layout.head), default=0)
+    end = len(frame) - (layout.tail if whole else 0)
+    if judgement.instruction and judgement.fields:
+        yield from _framed_fields(judgement, layout.head)
+    else:
+        for place in range(at, end):
+            yield _byte_group(frame, place, "data", "not complete" if not whole else "")
+    if whole:
+        for part in layout.parts:
+            if part.offset < 0:
+                yield from _part_groups(layout, judgement, part, len(frame) + part.offset)
+
+
+def _byte_group(frame: bytes, at: int, name: str, meaning: str) -> BitGroup:
+    return BitGroup(at, 1, 7, 0, f"{frame[at]:08b}", name, frame[at], meaning or "means nothing")
+
+
+def _part_groups(layout: Layout, judgement: Judgement, part: Part, at: int) -> Iterator[BitGroup]:
+    """The group of a part; of constant bytes each is one."""
+    frame, size = judgement.frame, part.size
+    if part.role == "constant":
+        for place, right in enumerate(part.constant, at):
+            wrong = frame[place] != right
+            meaning = f"must be {right:02x}" if wrong else part.prose or "fixed"
+            yield replace(_byte_group(frame, place, part.name, meaning), fault=wrong)
+        return
+    raw = frame[at : at + size]
+    high = part.shift + part.width - 1 if part.width else 8 * size - 1
+    bits = f"{int.from_bytes(raw, 'big'):0{8 * size}b}"[8 * size - 1 - high : 8 * size - part.shift]
+    meaning, fault = _part_meaning(layout, judgement, part, raw)
+    value = int(bits, 2) if part.width else part.number.parse(raw)
+    yield BitGroup(at, size, high, part.shift, bits, part.name, value, meaning, fault)
+
+
+def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) -> tuple[str, bool]:
+    """What a part means in a frame, and whether it is wrong."""
+    if part.role == "id":
+        spec = judgement.instruction
+        return (_instruction(spec) if spec else "unused: no instruction has it"), spec is None
+    if part.role == "length":
+        announced = max(0, part.read(judgement.frame))
+        wrong = judgement.outcome in (Outcome.TOO_MANY, Outcome.TOO_FEW)
+        return f"{_bytes(announced)} announced", wrong and not judgement.truncated
+    if part.role == "check" and layout.check:
+        right = part.number.build(layout.check.due(judgement.frame))
+        return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
+    if part.role == "address":
+        everybody = part.broadcast is not None and judgement.address == part.broadcast
+        return f"{part.prose or 'who is meant'}{', all of them' if everybody else ''}", False
+    return part.prose or "a number", False
+
+
+def _framed_fields(judgement: Judgement, head: int) -> Iterator[BitGroup]:
+    """The groups of the data: a field each, or an element of one that has several."""
+    assert judgement.instruction is not None
+    frame = judgement.frame
+    values = dict(judgement.fields)
+    wrong = judgement.instruction.data.wrong(frame[head:])
+    for spec in judgement.instruction.fields:
+        at = head + spec.offset
+        if spec.many is None:
+            yield _whole_group(frame, at, spec, values.get(spec.name, 0), spec is wrong)
+            continue
+        if spec.many.prefix:
+            count = spec.many.prefix
+            value = count.parse(frame[at : at + count.size])
+            bits = f"{int.from_bytes(frame[at : at + count.size], 'big'):0{8 * count.size}b}"
+            yield BitGroup(
+                at,
+                count.size,
+                8 * count.size - 1,
+                0,
+                bits,
+                f"{spec.name} count",
+                value,
+                spec.many.how,
+            )
+            at += count.size
+        width, value = spec.many.width, values[spec.name]
+        for number, one in enumerate(value):
+            raw = frame[at : at + width]
+            bits = f"{int.from_bytes(raw, 'big'):0{8 * width}b}"
+            name = f"{spec.name}[{number}]"
+            yield BitGroup(at, width, 8 * width - 1, 0, bits, name, one, spec.prose or spec.name)
+            at += width
+
+
+def _whole_group(frame: bytes, at: int, spec: FieldSpec, value: int, wrong: bool) -> BitGroup:
+    """The group of a field that is one number, or constant bytes."""
+    raw = frame[at : at + spec.size]
+    bits = f"{int.from_bytes(raw, 'big'):0{8 * spec.size}b}"
+    named = next((name for name, number in spec.names if number == value), "")
+    meaning = named or spec.prose or spec.name
+    if spec.constant is not None:
+        value = int.from_bytes(raw, "big")
+    if wrong:
+        meaning += f"; allowed are {spec.allowed}"
+    return BitGroup(at, spec.size, 8 * spec.size - 1, 0, bits, spec.name, value, meaning, wrong)

@@ -38,7 +38,7 @@ def explain(options: ExplainOptions) -> None:
     data = _or_sentence(bytes_from_hex, " ".join(options.words))
     protocol = protocol_in_use()
     make = explaining.explain if options.sender == "host" else explaining.explain_responses
-    explanation = make(protocol, data)
+    explanation = _or_sentence(make, protocol, data)
     show_as(options.style, lambda: as_json(explanation), lambda: drawn(explanation))
 
 

@@ -8,8 +8,10 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import judge
-from bilprov.spec.explain import explain
+from bilprov.spec.explain import explain, explain_responses
 from bilprov.spec.protocol import load
+from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
+from tests.frame_vectors import RequestVector
 from tests.support.grammars import undeclared
 
 PROTOCOL = load_protocol()
@@ -70,3 +72,38 @@ def test_a_field_of_two_bytes_is_one_group() -> None:
     assert (group.byte, group.size, group.high, group.value, group.fault) == (1, 2, 15, 1001, True)
     assert group.bits == "0000001111101001"
     assert frame.judgement.valid is judge(load(source), bytes.fromhex("12 03 e9")).valid is False
+
+
+FOREIGN = [
+    (name, one)
+    for name, module in (
+        ("modbus-rtu", vectors_modbus_rtu),
+        ("stk500v1", vectors_stk500v1),
+        ("dynamixel1", vectors_dynamixel1),
+    )
+    for one in module.REQUESTS
+    if one.outcome not in ("bad-sync", "truncated") or name == "stk500v1"
+]
+
+
+@pytest.mark.parametrize(("name", "vector"), FOREIGN, ids=lambda value: str(value)[:40])
+def test_every_bit_of_a_frame_of_any_layout_stands_in_one_group(
+    name: str, vector: RequestVector
+) -> None:
+    protocol = load_protocol(name)
+    (frame,) = explain(protocol, vector.frame).frames
+    bits = "".join(group.bits for group in frame.groups)
+
+    assert bits == "".join(f"{byte:08b}" for byte in vector.frame)
+    assert frame.judgement.valid is (vector.outcome == "valid")
+    assert all(group.meaning for group in frame.groups)
+    faulty = [group for group in frame.groups if group.fault]
+    assert bool(faulty) is (vector.outcome not in ("valid", "truncated"))
+    assert frame.device == protocol.device
+
+
+def test_what_belongs_to_no_frame_is_refused_with_the_right_beginning() -> None:
+    with pytest.raises(ValueError, match="ff fe belong to no frame; a frame begins with ff ff"):
+        explain(load_protocol("dynamixel1"), bytes.fromhex("FFFE FFFF 01 02 01 FB"))
+    with pytest.raises(ValueError, match="follows from its request"):
+        explain_responses(load_protocol("dynamixel1"), bytes.fromhex("FFFF 01 02 00 FC"))
