@@ -50,6 +50,7 @@ from bilprov.conformance.runner.listeners.meter import Meter
 from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol as Grammar
+from bilprov.spec.protocol import require_family
 
 __all__ = [
     "Options",
@@ -183,9 +184,11 @@ def run_suite(
     case keeps its wire log. `experiments` are the ids of those that a recording holds (None: every
     one is made); `short_homing` and `slow_preambles` are those of `RunConfig`. `explainer` finds
     the causes of what failed, none if it is None; without `retries_causes` they are not tried
-    again, which recordings of older kits did not do. Raises ValueError when no case is left to run.
+    again, which recordings of older kits did not do. Raises ValueError when no case is left to run,
+    GrammarError for a protocol outside the robot car's family.
     """
     grammar = target.protocol
+    require_family(grammar, "the suite")
     log, meter = WireLog(), Meter(target.byte_time)
     trace = Trace()
     everyone = (*listeners, meter, log) if logged else (*listeners, meter)

@@ -372,6 +372,18 @@ class Protocol:
         return self.header_bytes[self.stop.id, 0]
 
 
+def require_family(protocol: Protocol, what: str) -> None:
+    """Raise GrammarError, in one sentence, unless a protocol is of the robot car's family.
+
+    `what` is what needs that.
+    """
+    if not protocol.plain:
+        raise GrammarError(
+            f"{what} is for the robot car and its family, which have one header byte and answers "
+            f"of one byte; {protocol.name} is laid out otherwise"
+        )
+
+
 # A grammar imports its names from `bilprov.spec`, an older one from `spec`. Both are the same
 # grammar: the hash is taken over the older spelling, so that older recordings still match.
 _BARE = re.compile(r"^from spec\.", re.MULTILINE)

@@ -381,3 +381,24 @@ def test_a_name_that_no_grammar_has_is_told_with_the_names() -> None:
 
     assert result.returncode == 2
     assert b"there is no grammar modbus: name a FILE.py or one of robot-car, mod" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("conform", "sim"),
+        ("conform", "/nowhere/tty", "--yes"),
+        ("lab", "score"),
+        ("lab", "learn", "sim"),
+        ("spec", "emit", "c"),
+    ],
+)
+@pytest.mark.parametrize("grammar", ["modbus-rtu", "stk500v1", "dynamixel1"])
+def test_what_is_for_the_family_of_the_car_refuses_others(
+    grammar: str, words: tuple[str, ...]
+) -> None:
+    result = command(*words, "--grammar", grammar)
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert b"is for the robot car and its family" in result.stderr
+    assert result.stderr.count(b"\n") == 1

@@ -134,3 +134,15 @@ def typed_protocol() -> Protocol | None:
     """
     typed = click.get_current_context().meta.get(TYPED_GRAMMAR)
     return protocol_in_use() if typed else None
+
+
+def family_protocol(what: str) -> Protocol:
+    """The protocol in use, which must be of the robot car's family; `what` is what needs that.
+
+    Raises GrammarError, in one sentence, for one whose frames or answers are laid out otherwise.
+    """
+    from bilprov.spec.protocol import require_family
+
+    protocol = protocol_in_use()
+    require_family(protocol, what)
+    return protocol

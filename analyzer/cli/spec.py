@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import (
+    argument,
+    command,
+    family_protocol,
+    group,
+    option,
+    protocol_in_use,
+)
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
 from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
@@ -141,7 +148,7 @@ def c(options: EmitOption) -> None:
     """
     from bilprov.spec.emit.c import c_header
 
-    options.write(c_header(protocol_in_use()))
+    options.write(c_header(family_protocol("the C header")))
 
 
 @command(EmitOption)

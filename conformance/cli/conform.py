@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import command, flag, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import command, family_protocol, flag, group, option
 from bilprov.analyzer.cli.options import (
     Finite,
     milliseconds,
@@ -211,7 +211,7 @@ def conform(options: ConformOptions) -> int:
     something could not be judged. If a file or the output on the screen cannot be written, the run
     still goes on to its end, and the exit code is 2. With --watch it is that of the last run.
     """
-    protocol, robot = protocol_in_use(), options.robot
+    protocol, robot = family_protocol("conform"), options.robot
     name, settings = robot.named(protocol)
     try:
         parse_allowed(protocol, options.known.allow)

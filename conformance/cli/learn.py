@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bilprov.analyzer.cli.command import command, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import command, family_protocol, group, option
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
 from bilprov.analyzer.cli.streams import promise_verdict
@@ -85,7 +85,7 @@ def learn(options: LearnOptions) -> int:
     from bilprov.conformance.learning.learned import Unusable, learn_target
     from bilprov.conformance.learning.learner import require_aalpy
 
-    protocol, robot, svg = protocol_in_use(), options.robot, options.svg
+    protocol, robot, svg = family_protocol("lab learn"), options.robot, options.svg
     require_aalpy()
     name, settings = robot.named(protocol)
     robot = robot.fitting(name)

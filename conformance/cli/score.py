@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import command, flag, option, protocol_in_use
+from bilprov.analyzer.cli.command import command, family_protocol, flag, option
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options
@@ -92,7 +92,7 @@ def score(options: ScoreOptions) -> int:
 
     from bilprov.conformance.cli.progress import bar
 
-    protocol, at, only = protocol_in_use(), options.at, options.only
+    protocol, at, only = family_protocol("lab score"), options.at, options.only
     unknown = [level for level in at if level not in LEVELS]
     if unknown:
         raise click.UsageError(f"there is no level {unknown[0]!r}; there are {', '.join(LEVELS)}")

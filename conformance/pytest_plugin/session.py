@@ -29,7 +29,7 @@ from bilprov.conformance.pytest_plugin.bench import SuiteThread
 from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
 from bilprov.spec.by_effect import all_movement, movement_words
 from bilprov.spec.errors import one_line
-from bilprov.spec.protocol import GrammarError, Protocol
+from bilprov.spec.protocol import GrammarError, Protocol, require_family
 
 
 class RobotSession:
@@ -46,6 +46,7 @@ class RobotSession:
             raise pytest.UsageError("a robot has no set-up to show: leave --robot-port out")
         try:
             protocol = load_protocol(option("robot_grammar"))
+            require_family(protocol, "the suite")
             self.bench = SuiteThread(
                 protocol,
                 option("robot_port"),
