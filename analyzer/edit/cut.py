@@ -40,7 +40,7 @@ from bilprov.analyzer.edit.recorded_values import (
 )
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded
-from bilprov.analyzer.replay.capture_session import capture_settings, heard
+from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.analyzer.replay.seek import Opened
@@ -108,7 +108,7 @@ def write_selected(
     """
     start = max(0, (window.first or 0) - AFTERMATH)
     end = None if window.after is None else window.after + AFTERMATH
-    selected = _selected_times(opened_at(start), window, test, progress)
+    selected = _selected_times(opened_at(start), protocol, window, test, progress)
     opened = opened_at(start)
     part = _Part(protocol, out, opened.decoder)
     values = timed(opened.recorded(), first_state(opened.decoder).time)
@@ -228,9 +228,12 @@ class _Times:
         return self._at < len(self._first) and self._first[self._at] <= last
 
 
-def _selected_times(opened: Opened, window: Window, test: Filter, progress: Progress) -> _Times:
+def _selected_times(
+    opened: Opened, protocol: Protocol, window: Window, test: Filter, progress: Progress
+) -> _Times:
     """When what is selected came, each instruction with its answer."""
-    found = _Exchanges(paired=heard(opened.capture) >= BOTH)
+    settings = capture_settings(opened.capture, protocol)
+    found = _Exchanges(paired=settings["heard"] >= BOTH, skew=settings["skew"])
     batches = decoded(opened.decoder, opened.batches(), progress, window, TEXT_BATCH)
     for batch in batches:
         chosen = batch.in_order(test.selection(batch) & batch.inside(window.first, window.after))
@@ -241,11 +244,15 @@ def _selected_times(opened: Opened, window: Window, test: Filter, progress: Prog
 
 
 class _Exchanges:
-    """Notes when selected instructions and answers came; where answers are `paired`, as one."""
+    """Notes when selected instructions and answers came; where answers are `paired`, as one.
 
-    def __init__(self, *, paired: bool) -> None:
+    An answer may be stamped `skew` ns before its instruction: it is known only then to have none.
+    """
+
+    def __init__(self, *, paired: bool, skew: int) -> None:
         self.times = _Times()
         self._paired = paired
+        self._skew = skew
         self._waiting: dict[int, tuple[HostRecord, bool]] = {}
 
     def add(self, record: Record, selected: bool) -> None:
@@ -254,13 +261,16 @@ class _Exchanges:
             self._waiting[record.sequence] = record, selected
             return
         number = None
+        end = record.t
         if isinstance(record, DeviceRecord):
             number = record.instruction
+            end += self._skew * (number is None)
         elif isinstance(record, FaultRecord):
             number = record.fault.instruction
-        elif not isinstance(record, HostRecord) and record.lost:
+        elif isinstance(record, HostRecord):
+            end = record.known
+        elif record.lost:
             self.give_up()
-        end = record.known if isinstance(record, HostRecord) else record.t
         if number is not None and number in self._waiting:
             frame, frame_selected = self._waiting.pop(number)
             self._note(frame.t, max(frame.known, end), selected or frame_selected)

@@ -9,6 +9,8 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -430,22 +432,20 @@ def test_a_recorded_run_replays_as_jsonl(tmp_path: Path) -> None:
 class Conforming:
     """A run on a served simulator that is under way."""
 
-    def __init__(
-        self, robot: Served, *arguments: str, ignored: Sequence[signal.Signals] = ()
-    ) -> None:
-        self.robot = robot
+    def __init__(self, port: str, *arguments: str, ignored: Sequence[signal.Signals] = ()) -> None:
         with ignoring(*ignored):
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "bilprov", "conform", robot.port, "--yes", *arguments],
+                [sys.executable, "-m", "bilprov", "conform", port, "--yes", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 cwd=ROOT,
             )
 
-    def wait_until_it_moves(self) -> None:
-        while not self.robot.state()["moving"]:
+    def wait_until_it_moves(self, robot: Served) -> None:
+        while not robot.state()["moving"]:
             assert self.process.poll() is None
+            time.sleep(0.01)
 
     def end(self) -> tuple[int, str, str]:
         out, err = self.process.communicate(timeout=PATIENCE)
@@ -461,9 +461,9 @@ def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
     file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
     with simulate() as robot:
         run = Conforming(
-            robot, "--probe", robot.probe, "--json", str(file), "--record", str(capture)
+            robot.port, "--probe", robot.probe, "--json", str(file), "--record", str(capture)
         )
-        run.wait_until_it_moves()
+        run.wait_until_it_moves(robot)
         run.process.send_signal(number)
         code, out, _ = run.end()
         state = robot.state()
@@ -478,25 +478,40 @@ def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
     assert not open_capture(capture).unfinished
 
 
+class Heralding(Simulator):
+    """Announces that a run is in its cases, by the number of bytes that it has received."""
+
+    def __init__(self, protocol: Protocol, fault: str) -> None:
+        super().__init__(protocol, fault_bank(protocol)[fault])
+        self.in_its_cases = threading.Event()
+        self._received = 0
+
+    def receive(self, data: bytes, now: int) -> None:
+        super().receive(data, now)
+        self._received += len(data)
+        if self._received > 1500:
+            self.in_its_cases.set()
+
+
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_ctrl_c_after_a_failure_ends_with_1(number: signal.Signals) -> None:
-    with simulate("--fault", "ok-to-unknown-id") as robot:
-        run = Conforming(robot, "--probe", robot.probe, "--json", "-")
-        run.wait_until_it_moves()  # the link check has failed by then
+def test_ctrl_c_after_a_failure_ends_with_1(protocol: Protocol, number: signal.Signals) -> None:
+    device = Heralding(protocol, "ok-to-unknown-id")
+    with served_here(device) as (port, probe):
+        run = Conforming(port, "--probe", probe, "--json", "-")
+        assert device.in_its_cases.wait(PATIENCE)  # the link check has failed by then
         run.process.send_signal(number)
         code, out, _ = run.end()
-        state = robot.state()
 
     assert code == report_of(out.encode()).exit == 1
-    assert state["moving"] is False
+    assert not device.state.moving
 
 
 def test_a_run_that_nohup_started_goes_on_without_its_terminal() -> None:
     with simulate() as robot:
         few = ("--only", "unused-id/9/*", "--json", "-")
-        run = Conforming(robot, "--probe", robot.probe, *few, ignored=[signal.SIGHUP])
-        run.wait_until_it_moves()
+        run = Conforming(robot.port, "--probe", robot.probe, *few, ignored=[signal.SIGHUP])
+        run.wait_until_it_moves(robot)
         run.process.send_signal(signal.SIGHUP)
         code, out, _ = run.end()
 
@@ -508,8 +523,8 @@ def test_a_run_that_nohup_started_goes_on_without_its_terminal() -> None:
 
 def test_a_run_in_the_background_is_ended_by_a_signal_that_is_sent_to_it() -> None:
     with simulate() as robot:
-        run = Conforming(robot, "--probe", robot.probe, ignored=[signal.SIGINT])
-        run.wait_until_it_moves()
+        run = Conforming(robot.port, "--probe", robot.probe, ignored=[signal.SIGINT])
+        run.wait_until_it_moves(robot)
         run.process.send_signal(signal.SIGINT)
         code, out, _ = run.end()
         state = robot.state()
@@ -525,8 +540,8 @@ def test_an_unplug_keeps_what_was_judged(tmp_path: Path, probe: bool) -> None:
     file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
     with simulate() as robot:
         probing = ("--probe", robot.probe) if probe else ()
-        run = Conforming(robot, *probing, "--json", str(file), "--record", str(capture))
-        run.wait_until_it_moves()
+        run = Conforming(robot.port, *probing, "--json", str(file), "--record", str(capture))
+        run.wait_until_it_moves(robot)
         robot.process.kill()
         code, out, _ = run.end()
 
@@ -546,7 +561,7 @@ def test_an_unplug_keeps_what_was_judged(tmp_path: Path, probe: bool) -> None:
 def test_a_dead_line_is_told_in_one_sentence_and_in_the_report(tmp_path: Path) -> None:
     file = tmp_path / "report.json"
     with simulate("--fault", "echo") as robot:
-        run = Conforming(robot, "--json", str(file))
+        run = Conforming(robot.port, "--json", str(file))
         code, out, _ = run.end()
 
     assert code == 2

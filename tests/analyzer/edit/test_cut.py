@@ -268,6 +268,10 @@ CUT_BEFORE = {
         HELD | {"heard": frozenset({"host"})},
         [(125, "host", "1c"), (129, "device", ""), (264, "host", "")],
     ),
+    "an answer to nothing waits for an instruction that comes later": (
+        HELD,
+        [(0, "device", "00 00"), (1, "host", "00")],
+    ),
     "an instruction that is never answered is given up after others": (
         HELD | {"skew": 0},
         [
