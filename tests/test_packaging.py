@@ -145,6 +145,8 @@ def runs_the_command(site: Path) -> None:
     bilprov = site / "venv/bin/bilprov"
     version = distribution("bilprov").version
     assert run(bilprov, "--version", cwd=site / "project") == f"bilprov {version}\n"
+    for name in ("modbus-rtu", "stk500v1", "dynamixel1"):
+        assert name in run(bilprov, "spec", "show", "--grammar", name, cwd=site / "project")
     smoke = ("conform", "sim", "--level", "smoke", "--only", "valid/Stop")
     assert "sim conforms" in run(bilprov, *smoke, cwd=site / "project")
 

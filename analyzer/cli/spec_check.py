@@ -18,6 +18,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.files import read_bounded
 from bilprov.analyzer.foreign import from_json
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.console import facts, heading, show_as
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
@@ -44,7 +45,7 @@ class RecordedBytes(msgspec.Struct):
 class CheckOptions:
     """The options of `spec check`."""
 
-    grammar: str = argument(metavar="NAME|FILE.py")
+    grammar: str = argument(metavar="NAME|FILE.py", type=GrammarName(readable=False))
     words: tuple[str, ...] = argument(metavar="FILE|HEX...", nargs=-1, required=True)
     sender: Direction = sender_option()
     style: str = text_format_option()

@@ -6,19 +6,17 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 from click import exceptions
 from click.core import ParameterSource
 
 from bilprov.analyzer.former_names import former_name
+from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.help import HELP_NAMES, Group
 from bilprov.analyzer.transport.ending import exit_status
 from bilprov.analyzer.version import kit_version
-
-if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
 
 
 class Row(NamedTuple):
@@ -148,21 +146,6 @@ def _use_grammar(ctx: click.Context, param: click.Parameter, path: str | None) -
 
         ctx.find_root().params["grammar"] = ctx.obj = path
         ctx.meta[TYPED_GRAMMAR] = ctx.get_parameter_source("grammar") is ParameterSource.COMMANDLINE
-
-
-class GrammarName(click.Path):
-    """The name of a grammar that the kit has, or the file of another one."""
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem[str]]:
-        """The names that begin so, and files."""
-        from click.shell_completion import CompletionItem
-
-        from bilprov.analyzer.grammar_file import SHIPPED
-
-        names = [CompletionItem(name) for name in SHIPPED if name.startswith(incomplete)]
-        return names + super().shell_complete(ctx, param, incomplete)
 
 
 def _grammar_option(help: str) -> click.Option:

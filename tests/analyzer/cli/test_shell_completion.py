@@ -35,6 +35,8 @@ def offered(line: str) -> list[str]:
         ("bilprov --grammar mod", ["plain,modbus-rtu"]),
         ("bilprov sniff --grammar ", ["plain,robot-car", "plain,dynamixel1", "file,"]),
         ("bilprov spec emit grammar st", ["plain,stk500v1"]),
+        ("bilprov spec check dyn", ["plain,dynamixel1", "file,dyn"]),
+        ("bilprov spec check dynamixel1 li", ["file,li"]),
         ("bilprov decode --format j", ["plain,jsonl"]),
         ("bilprov conform sim --fault no-stop-on-bad-d", ["plain,no-stop-on-bad-data"]),
         ("bilprov lab score --only echo", ["plain,echo"]),
