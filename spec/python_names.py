@@ -39,6 +39,20 @@ def answer_names(data: DataSpec) -> Mapping[str, FieldSpec]:
     return each_once(words, {"count", "index", *keyword.kwlist})
 
 
+def taken_type(part: FieldSpec) -> str:
+    """The type of the values that a field's parameter takes."""
+    if part.many is None:
+        return "int | str" if part.names else "int"
+    return "bytes | str" if part.many.element is None else "Sequence[int]"
+
+
+def told_type(part: FieldSpec) -> str:
+    """The type of the value that a field of an answer has."""
+    if part.many is None:
+        return "int"
+    return "bytes" if part.many.element is None else "tuple[int, ...]"
+
+
 def snake_case(name: str, prefix: str) -> str:
     """Return a name in lower case with underscores: `LEDOn` is `led_on`.
 

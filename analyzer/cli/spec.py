@@ -152,6 +152,19 @@ def c(options: EmitOption) -> None:
 
 
 @command(EmitOption)
+def stub(options: EmitOption) -> None:
+    """Examples:
+      bilprov spec emit stub --grammar modbus-rtu -o meter.pyi
+
+    It has a method for each instruction, with the types of its fields and of its answer. Type
+    checkers and editors read it.
+    """
+    from bilprov.spec.emit.python_stub import python_stub
+
+    options.write(python_stub(protocol_in_use()))
+
+
+@command(EmitOption)
 def wireshark(options: EmitOption) -> None:
     """Examples:
       bilprov spec emit wireshark -o robot.lua
@@ -163,7 +176,7 @@ def wireshark(options: EmitOption) -> None:
     from bilprov.captures.schemas import MS
     from bilprov.spec.emit.wireshark import lua_dissector
 
-    options.write(lua_dissector(protocol_in_use(), SKEW / MS))
+    options.write(lua_dissector(family_protocol("the dissector"), SKEW / MS))
 
 
 @command(GrammarOptions)

@@ -21,11 +21,11 @@ from bilprov.analyzer.client.port_driver import OnPort
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import Judgement, build, judge, spaced
-from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Part
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.python_names import answer_names, parameter_names
+from bilprov.spec.python_names import answer_names, parameter_names, taken_type
 from bilprov.spec.replies import Reply, read_reply, reply_size
 
 _TRIES = 20  # time-outs that a line is waited for to fall silent
@@ -80,7 +80,9 @@ class DeviceDriver(InstructionMethods):
         part = _address_part(self.protocol)
         if part is not None:
             only = inspect.Parameter.KEYWORD_ONLY
-            parameters.append(inspect.Parameter(part.name, only, default=None, annotation=int))
+            parameters.append(
+                inspect.Parameter(part.name, only, default=None, annotation="int | None")
+            )
         return inspect.Signature(parameters)
 
     def _call(self, spec: InstructionSpec, values: Mapping[str, Any]) -> Any:
@@ -217,20 +219,6 @@ def require_address(protocol: Protocol, address: object) -> None:
     raise ValueError(
         f"{part.name} is {address!r}, allowed are {part.low} to {part.high}{everybody}"
     )
-
-
-def taken_type(part: FieldSpec) -> str:
-    """The type of the values that a parameter takes, as it is written in Python."""
-    if part.many is None:
-        return "int | str" if part.names else "int"
-    return "bytes | str" if part.many.element is None else "Sequence[int]"
-
-
-def told_type(part: FieldSpec) -> str:
-    """The type of the value of an answer's field, as it is written in Python."""
-    if part.many is None:
-        return "int"
-    return "bytes" if part.many.element is None else "tuple[int, ...]"
 
 
 def _address_part(protocol: Protocol) -> Part | None:

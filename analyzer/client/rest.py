@@ -102,7 +102,7 @@ class Requests:
 
 def rest_of(protocol: spec_protocol.Protocol) -> Rest:
     """How a device of this protocol is brought to rest."""
-    return Stops(protocol) if protocol.plain else Requests(protocol)
+    return Stops(protocol) if protocol.plain and protocol.stop_or_none else Requests(protocol)
 
 
 def rest_requests(protocol: spec_protocol.Protocol) -> tuple[tuple[str, dict[str, Any]], ...]:

@@ -132,6 +132,7 @@ COMMANDS = {
     ),
     "spec emit c": Row("", "analyzer.spec", "A C header, for firmware and hosts."),
     "spec emit wireshark": Row("", "analyzer.spec", "A dissector for Wireshark and tshark."),
+    "spec emit stub": Row("", "analyzer.spec", "The instructions as typed methods, for Python."),
     "spec emit grammar": Row("", "analyzer.spec", "The text of a grammar, to be changed."),
     "config": Row("Settings", "analyzer.config", "Show the settings in force."),
     "completion": Row("Settings", "analyzer.completion", "Print a shell's completion script."),

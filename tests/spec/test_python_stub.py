@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.client.write_stub import STUB
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.emit.python_stub import RENEW, python_stub
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import method_names, parameter_names, snake_case
@@ -52,6 +53,73 @@ def test_whatever_a_grammar_says_the_stub_is_python_that_ruff_leaves_alone(
     done = subprocess.run([*ruff, "format", "--diff", *style, file], capture_output=True)
     assert done.returncode == 0, done.stdout
     done = subprocess.run([*ruff, "check", "--select", "E,F,W", *style, file], capture_output=True)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("grammar", "method", "parameters", "returns"),
+    [
+        ("modbus-rtu", "read_coils", ["start: int", "quantity: int"], "bytes"),
+        (
+            "modbus-rtu",
+            "write_single_coil",
+            ["coil: int", "value: int | str"],
+            "WriteSingleCoilAnswer",
+        ),
+        (
+            "stk500v1",
+            "prog_page",
+            ["size: int", "memory: int | str", "content: bytes | str"],
+            "None",
+        ),
+        (
+            "stk500v1",
+            "set_device_ext",
+            [
+                "eeprom_page_size: int",
+                "pagel: int",
+                "bs2: int",
+                "reset_disable: int",
+            ],
+            "None",
+        ),
+        ("dynamixel1", "read", ["register: int", "size: int"], "bytes"),
+    ],
+)
+def test_answers_with_data_have_types(
+    grammar: str, method: str, parameters: list[str], returns: str, tmp_path: Path
+) -> None:
+    protocol = load_protocol(grammar)
+    stub = python_stub(protocol)
+    file = tmp_path / "device.pyi"
+    file.write_text(stub, encoding="utf-8")
+    found = next(
+        node
+        for node in ast.walk(ast.parse(stub))
+        if isinstance(node, ast.FunctionDef) and node.name == method
+    )
+    taken = [f"{one.arg}: {ast.unparse(one.annotation or one)}" for one in found.args.args[1:]]
+    has_address = [one.arg for one in found.args.kwonlyargs]
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "ruff",
+            "format",
+            "--diff",
+            "--isolated",
+            "--line-length",
+            "100",
+            file,
+        ],
+        capture_output=True,
+    )
+
+    assert taken == parameters
+    assert has_address == (["address"] if protocol.layout.part("address") else [])
+    assert found.returns is not None
+    assert ast.unparse(found.returns) == returns
+    assert len(signatures(stub)) == len(protocol.instructions)
     assert done.returncode == 0, done.stdout
 
 

@@ -68,7 +68,7 @@ class Driving(Closing):
 
     def _stopping_words(self, protocol: Protocol) -> dict[str, tuple[Callable[[], object], str]]:
         """The words that stop the device, of a grammar that tells when it is at rest."""
-        if protocol.plain:
+        if protocol.plain and protocol.stop_or_none:
             stop = bytes([protocol.pad_byte])
             return {
                 "stop": (partial(self._send, stop), f"stops the {protocol.device}"),

@@ -163,7 +163,7 @@ def test_what_is_sent_to_all_returns_nothing_at_once() -> None:
 
 def test_the_signature_names_the_fields_and_the_address() -> None:
     meter, _, _ = driver("modbus-rtu")
-    wanted = "(coil: 'int', value: 'int | str', *, address: int = None)"
+    wanted = "(coil: 'int', value: 'int | str', *, address: 'int | None' = None)"
     assert str(inspect.signature(meter.write_single_coil)) == wanted
     assert meter.write_single_coil.__doc__ == "Switches one coil on or off."
     bootloader, _, _ = driver("stk500v1")
