@@ -14,6 +14,7 @@ from typing import Final, NamedTuple, TypeAlias
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.openings import Openings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, same_line, wait_readable
 from bilprov.analyzer.transport.pty import open_pty
@@ -232,11 +233,11 @@ def open_taps(settings: LineSettings, host: str, device: str | None = None) -> T
 class Bridge(Source):
     """A pty for the host program, connected to the device's port; every byte is passed on.
 
-    The host program opens `served`; its settings there (baud rate, DTR) do not reach the device.
-    It may open the pty at any time. A side that does not read never delays the other side or the
-    recording: bytes it does not take for a second are dropped, though they are still recorded. A
-    Line event `gap` reports this on the tap whose bytes were dropped. `ended` is true once the
-    device is lost. `close` also closes the port.
+    The host program opens `served`; its settings there (baud rate) do not reach the device. It may
+    open the pty at any time, which raises DTR at the device as if its port were opened. A side that
+    does not read never delays the other side or the recording: bytes it does not take for a second
+    are dropped, though they are still recorded. A Line event `gap` reports this on the tap whose
+    bytes were dropped. `ended` is true once the device is lost. `close` also closes the port.
     """
 
     one_clock = True
@@ -246,6 +247,7 @@ class Bridge(Source):
         super().__init__({"device": port})
         self._pty = open_pty()
         self.served = self._pty.name
+        self._openings = Openings(self.served)
         self.names = {"bridge": port.name, "pty": self.served}
         self._name = port.name
         self._to_device = Forward(self._write_some, "the device does not read")
@@ -269,7 +271,11 @@ class Bridge(Source):
         if self._to_device.owed or self._to_host.owed:
             timeout_s = _RETRY if timeout_s is None else min(timeout_s, _RETRY)
         ports = list(self._ports.values())
-        ready, others = wait_readable(ports, timeout_s, [self._pty.master, *also])
+        opening = self._openings.descriptors
+        ready, others = wait_readable(ports, timeout_s, [self._pty.master, *opening, *also])
+        if opening and opening[0] in others and self._openings.taken():
+            for port in ports:
+                port.pulse_dtr()
         said = self._pty.read() if self._pty.master in others else b""
         if said:
             events.append(Chunk(self.now(), "host", said))
@@ -288,6 +294,7 @@ class Bridge(Source):
     def close(self) -> None:
         """Close the pty and the port; further calls do nothing."""
         self._pty.close()
+        self._openings.close()
         super().close()
 
     def _hand_on(self, forward: Forward, data: bytes, tap: Direction, events: Events) -> None:

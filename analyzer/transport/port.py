@@ -22,6 +22,7 @@ from bilprov.captures.closing import Closing
 WRITE_TIMEOUT = 1.0  # s without a single byte taken
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
 _MORE_COMES = 2048  # bytes: a shorter read has emptied a terminal's or a socket's buffer
+_PULSE = 0.01  # s
 _TIOCGICOUNT = 0x545D
 # Places in Linux's struct serial_icounter_struct: cts dsr rng dcd rx tx frame overrun parity brk
 # buf_overrun, then room for more.
@@ -142,6 +143,21 @@ class Port(Closing):
             return bool(getattr(self._handle, {"dcd": "cd"}.get(line, line)))
         except (*FAULTS, NotImplementedError, AttributeError):
             return None  # pyserial's ways to say that this kind of URL has no such line
+
+    def pulse_dtr(self) -> None:
+        """Drop DTR for 10 ms, as if the port were opened anew: that resets an Arduino.
+
+        A pty has no such line and is opened a second time instead, which `Openings` notices. What
+        has neither is left alone. Raises LinkError when the port is closed.
+        """
+        self._require_open()
+        with contextlib.suppress(*FAULTS):
+            if _is_pty(self.name):
+                os.close(os.open(self.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
+            else:
+                self._handle.dtr = False
+                time.sleep(_PULSE)
+                self._handle.dtr = True
 
     def set_baud(self, baud: int) -> None:
         """Change the baud rate, and leave DTR alone, which opening anew would not.

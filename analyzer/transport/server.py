@@ -11,8 +11,9 @@ import json
 import select
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
+from bilprov.analyzer.transport.openings import Openings
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.streams import Listener, Stream
 from bilprov.captures.closing import Closing
@@ -61,13 +62,15 @@ def serve(
     stop: Stop,
     note: Callable[[str], None] = lambda _: None,
     clock: Callable[[], int] = time.monotonic_ns,
+    reset: Callable[[int], None] | None = None,
 ) -> None:
     """Serve `device` until `stop` is readable.
 
     `pty` asks for a pty; `listen` and `probe_listen` are addresses like `127.0.0.1:0` (port 0
     takes a free one). `announce` gets one line for each once all are open: the pty's path,
     `socket://HOST:PORT`, `probe tcp:HOST:PORT`. Answers go to the host that sent last. `note` gets
-    a sentence for an address that other machines reach.
+    a sentence for an address that other machines reach. `reset` is called with the time (ns) each
+    time a host opens the pty or connects, before its first byte.
 
     Raises ValueError for an invalid address or when there is nothing to serve; LinkError for a pty
     or an address that is not available.
@@ -75,11 +78,13 @@ def serve(
     if not pty and listen is None:
         raise ValueError("nothing to serve: ask for a pty or an address to listen on")
     with contextlib.ExitStack() as stack:
-        server = stack.enter_context(Server(device, clock, stop))
+        server = stack.enter_context(Server(device, clock, stop, reset))
         lines, warnings = [], []
         if pty:
             pair = stack.enter_context(open_pty())
             server.pty = Stream(pair.master, pair.close)
+            if reset:
+                server.openings = stack.enter_context(Openings(pair.name))
             lines.append(pair.name)
         for address, prefix, reach, take in (
             (listen, "socket://", "drive the robot", server.take_host),
@@ -101,8 +106,16 @@ def serve(
 class Server(Closing):
     """State of the server: the device, the connections of hosts, and those of probe clients."""
 
-    def __init__(self, device: ByteDevice, clock: Callable[[], int], stop: Stop) -> None:
+    def __init__(
+        self,
+        device: ByteDevice,
+        clock: Callable[[], int],
+        stop: Stop,
+        reset: Callable[[int], None] | None = None,
+    ) -> None:
         self.device = device
+        self.reset = reset
+        self.openings: Openings | None = None  # of the pty
         self.clock = clock
         self.stop = stop
         self.pty: Stream | None = None
@@ -139,6 +152,8 @@ class Server(Closing):
         else:
             self._drop_client()
             self.client = stream
+            if self.reset:
+                self.reset(self.clock())
 
     def take_probe(self, stream: Stream) -> None:
         """Take a client of the probe; one too many gets a sentence and is closed."""
@@ -163,7 +178,9 @@ class Server(Closing):
     def _wait(self) -> Sequence[object]:
         """Wait until a peer is ready or the device is due; return who can be read or accepted."""
         streams = self._streams()
-        reading = [self.stop, *self.listeners, *(one for one in streams if not one.ended)]
+        reading: list[Any] = [self.stop, *self.listeners]
+        reading += [one for one in streams if not one.ended]
+        reading += self.openings.descriptors if self.openings else []
         deadline = self.device.deadline()
         # select rounds up: it never returns before the deadline.
         patience = None if deadline is None else max(0, deadline - self.clock()) / 1e9
@@ -173,6 +190,8 @@ class Server(Closing):
         """Pass the hosts' bytes to the device and its answers back; return the time (ns)."""
         heard = [(host, host.take()) for host in self._hosts()]
         now = self.clock()
+        if self.reset and self.openings and self.openings.taken():
+            self.reset(now)
         for host, data in heard:
             if data:
                 self.device.receive(data, now)

@@ -25,14 +25,28 @@ if TYPE_CHECKING:
     from bilprov.conformance.dut.boards.paced import PacedBoard
 
 
+def _address_at(ctx: click.Context, param: click.Parameter, text: str | None) -> int | None:
+    try:
+        return None if text is None else int(text, 0)
+    except ValueError:
+        raise click.BadParameter(
+            f"{text!r} is not an address; write it like 0x7c00 or 31744"
+        ) from None
+
+
 @dataclass(frozen=True)
 class SimulateOptions:
     """The options of `simulate`."""
 
     firmware: Path | None = option(
         type=click.Path(path_type=Path),
-        metavar="FILE.elf",
+        metavar="FILE.elf|.hex",
         help="Run this firmware for an Arduino Uno under simavr instead.",
+    )
+    start: int | None = option(
+        callback=_address_at,
+        metavar="ADDRESS",
+        help="Start that firmware here, like 0x7c00, and not where its file has it.",
     )
     pty: bool = flag("Serve a pty: the default unless --listen is given.")
     listen: str | None = option(
@@ -55,6 +69,7 @@ def simulate(options: SimulateOptions) -> int:
       bilprov simulate --probe-listen 127.0.0.1:0
       bilprov simulate --fault always-0 --listen 127.0.0.1:7000
       bilprov simulate --firmware firmware/build/uno.elf
+      bilprov simulate --firmware optiboot.hex --start 0x7c00 --grammar stk500v1
 
     It is served on a pty, or over TCP. The device conforms, or misbehaves with --fault. Prints one
     line for each thing it serves: the pty's path, socket://HOST:PORT, and probe tcp:HOST:PORT,
@@ -64,11 +79,13 @@ def simulate(options: SimulateOptions) -> int:
     answers what is due, and from which what was written is read back. Its probe is a line of JSON
     with the state at each address.
 
-    With --firmware it is a board's: the ELF file for an Arduino Uno (ATmega328P, 16 MHz), run under
-    simavr. It runs as fast as the wall clock, and bytes take as long as on a wire of the grammar's
-    baud. The probe reports what the pins show. For conform alone, emulator:simavr:FILE.elf is
-    quicker: it needs no pty and no real time. A crash is reported at once; the firmware then stays
-    served as a robot that does not answer, and the exit code is 2.
+    With --firmware it is a board's: an ELF or Intel HEX file for an Arduino Uno (ATmega328P,
+    16 MHz), run under simavr. It runs as fast as the wall clock, and bytes take as long as on a
+    wire of the grammar's baud. Opening the pty, or connecting, resets the microcontroller, as it
+    does on an Arduino; its flash stays as it is. The probe reports what the pins of the car show.
+    For conform alone, emulator:simavr:FILE.elf is quicker: it needs no pty and no real time. A
+    crash is reported at once; until the next reset the firmware then stays served as a device that
+    does not answer, and the exit code is 2 if it ends so.
 
     One host at a time is served over TCP; a second is closed. A host that does not read loses what
     exceeds 64 KiB. 8 probe clients are served, each with lines of at most 1024 bytes; one more, and
@@ -91,8 +108,17 @@ def simulate(options: SimulateOptions) -> int:
         raise click.UsageError(
             "--firmware is a device of its own: --fault and --variant do not apply"
         )
+    if options.start is not None and firmware is None:
+        raise click.UsageError("--start is the address where firmware starts: give --firmware too")
+    if firmware is not None and options.probe_listen and not protocol.wheels:
+        raise click.UsageError(
+            f"the probe of a board sees the pins of the car, which {protocol.name} does not have: "
+            "leave out --probe-listen"
+        )
     with ExitStack() as stack:
-        board = None if firmware is None else stack.enter_context(_board(protocol, firmware))
+        board = None
+        if firmware is not None:
+            board = stack.enter_context(_board(protocol, firmware, options.start))
         device = board or _simulated(protocol, options)
         stopper = stack.enter_context(Stopper())
         power_on = time.monotonic_ns()
@@ -106,6 +132,7 @@ def simulate(options: SimulateOptions) -> int:
                 stop=stopper,
                 note=note,
                 clock=lambda: time.monotonic_ns() - power_on,
+                reset=board.reset if board else None,
             )
         except ValueError as error:
             raise click.UsageError(str(error)) from error
@@ -115,7 +142,6 @@ def simulate(options: SimulateOptions) -> int:
 def _require_no_faults(protocol: Protocol, options: SimulateOptions) -> None:
     """Refuse the options of the robot car for the device of another grammar."""
     given = {
-        "--firmware": options.firmware,
         "--fault": options.fault,
         "--variant": options.variant,
         "--list-faults": options.list_faults,
@@ -137,13 +163,13 @@ def _simulated(protocol: Protocol, options: SimulateOptions) -> Simulator | Simu
 
 
 @contextmanager
-def _board(protocol: Protocol, firmware: Path) -> Iterator[PacedBoard]:
+def _board(protocol: Protocol, firmware: Path, start: int | None) -> Iterator[PacedBoard]:
     """Run firmware at the pace of the wall clock. Raises EmulatorError if it cannot be run."""
     from bilprov.conformance.dut.boards import EmulatorError
     from bilprov.conformance.dut.boards.paced import PacedBoard
     from bilprov.conformance.dut.boards.simavr import SimavrBoard
 
-    with closing(SimavrBoard(firmware)) as board:
+    with closing(SimavrBoard(firmware, start)) as board:
         board.look(0)  # boots it
         if board.crashed:
             raise EmulatorError(

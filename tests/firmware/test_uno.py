@@ -14,7 +14,7 @@ from bilprov.analyzer.client.operations import Listen, Observation, Observe, Rec
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.boards import uno
-from bilprov.conformance.dut.boards.elf import flash
+from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.libsimavr import Avr
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.virtual_link import VirtualLink
@@ -204,7 +204,10 @@ def test_answers_to_what_came_before_a_damaged_byte_are_not_lost(bench: Bench) -
 
 
 def test_the_emulator_stops_where_it_is_told_also_while_the_chip_sleeps() -> None:
-    avr, draw = Avr(flash(built(), uno.FLASH), uno.CHIP, uno.FREQUENCY, print), Random(1)
+    avr, draw = (
+        Avr(read_firmware(built(), uno.FLASH).code, uno.CHIP, uno.FREQUENCY, print),
+        Random(1),
+    )
     late = set()
     for turn in range(2000):
         cycle = avr.cycle + draw.randrange(1, 40_000)

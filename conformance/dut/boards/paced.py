@@ -55,6 +55,14 @@ class PacedBoard:
             self._chunks.append((now, fitting))
             self._held += len(fitting)
 
+    def reset(self, now: int) -> None:
+        """Reset the microcontroller at `now`; bytes that are on their way are lost."""
+        self._board.reset(now)
+        self.crashed = False
+        self._at = self._free = self._run_over = self._back = now
+        self._discard()
+        self._answers.clear()
+
     def advance(self, now: int) -> bytes:
         """Run the board until `now`, or a part of the way; return the answers that arrived."""
         until = max(self._at, min(now, self._at + _SLICE))
@@ -117,9 +125,12 @@ class PacedBoard:
 
     def _give_up(self) -> None:
         self.crashed = True
-        self._chunks.clear()
-        self._held = self._index = 0
+        self._discard()
         self._note(
             f"the firmware crashed {self._at / 1e9:.3f} s after its start: its pins stay as they "
-            "are and nothing is answered any more; end with Ctrl-C, and start it again"
+            "are and nothing is answered until the port is opened again, which resets it"
         )
+
+    def _discard(self) -> None:
+        self._chunks.clear()
+        self._held = self._index = 0

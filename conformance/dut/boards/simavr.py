@@ -5,29 +5,34 @@ from __future__ import annotations
 from pathlib import Path
 
 from bilprov.captures.schemas import Look
-from bilprov.conformance.dut.boards import EmulatorError, uno
-from bilprov.conformance.dut.boards.elf import AVR, architecture, flash
+from bilprov.conformance.dut.boards import uno
+from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.libsimavr import Avr
 
 _NS = 1_000_000_000
 _BUSY, _IDLE = 20_000, 500_000  # ns between two checks for bytes it sends
 _SOON = 3_000_000  # ns after a byte in which it may answer
 _BOOT = 20_000_000  # ns from power-on to the first use of the line
+_ERASED = b"\xff\xff"  # flash without a program, which the emulator cannot run
+_WAIT = b"\xff\xcf"  # an instruction that jumps to itself
 
 
 class SimavrBoard:
     """A board with its firmware as a device under test: times are integers in nanoseconds.
+
+    The firmware starts at the address `start`, by default where its file tells. If that is in a
+    boot section and there is no program below it, the chip waits where that would be.
 
     Raises EmulatorError, in one sentence, where simavr is missing or cannot load the file.
     """
 
     lossless = True
 
-    def __init__(self, firmware: Path) -> None:
-        if architecture(firmware) != AVR:
-            raise EmulatorError(f"{firmware} is not for an AVR, which is all that simavr runs")
+    def __init__(self, firmware: Path, start: int | None = None) -> None:
         # The emulator's own reader of ELF files crashes on damaged ones.
-        self._code = flash(firmware, uno.FLASH)
+        self._code, self._start = read_firmware(firmware, uno.FLASH, start)
+        if self._start and self._code.startswith(_ERASED):
+            self._code = _WAIT + self._code[len(_WAIT) :]
         self._avr: Avr | None = None
         self.power_cycle(0)
 
@@ -35,9 +40,19 @@ class SimavrBoard:
         """Switch the board off and on at `now`."""
         self.close()
         self._sent = bytearray()
-        self._avr = Avr(self._code, uno.CHIP, uno.FREQUENCY, self._sent.append)
+        self._avr = Avr(self._code, uno.CHIP, uno.FREQUENCY, self._sent.append, self._start)
         self._now = self._lively = now
         self._begun = now - _BOOT
+
+    def reset(self, now: int) -> None:
+        """Pull its reset pin at `now`, or rather as long before as it takes to boot.
+
+        The flash stays as it is; a time not yet run is left out.
+        """
+        self._powered.reset()
+        self._sent.clear()
+        self._now = self._lively = now
+        self._begun = now - _BOOT - self._powered.cycle * _NS // uno.FREQUENCY
 
     def receive(self, data: bytes, now: int) -> None:
         """Bytes from the host that arrive at `now`."""

@@ -1,0 +1,285 @@
+"""Firmware in Intel HEX, boot sections, and what a reset of an emulated board leaves as it is."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import pytest
+
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.conformance.dut.boards import EmulatorError
+from bilprov.conformance.dut.boards.firmware import read_firmware
+from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from tests.support.commands import command
+from tests.support.firmware import AVR
+from tests.support.robots import PATIENCE, Served, emulate, sentence
+from tests.support.wires import running
+
+pytestmark = pytest.mark.waits
+
+MS = 1_000_000
+SIZE = 1 << 15  # bytes of flash
+
+# Each answer is the number of bytes since the reset, and in the upper half why it was reset: 1 by
+# its power, 2 by the reset pin, 8 by the watchdog, which has 2 s at first and 16 ms after a W.
+COUNTS = """
+#include <avr/io.h>
+#include <avr/wdt.h>
+
+int main(void)
+{
+    uint8_t why = MCUSR, count = 0;
+    MCUSR &= _BV(EXTRF);
+    wdt_disable();
+    UCSR0A = _BV(U2X0);
+    UBRR0 = 16;
+    UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
+    UCSR0B = _BV(RXEN0) | _BV(TXEN0);
+    wdt_enable(WDTO_2S);
+    for (;;) {
+        while (!(UCSR0A & _BV(RXC0)));
+        uint8_t byte = UDR0;
+        wdt_reset();
+        while (!(UCSR0A & _BV(UDRE0)));
+        UDR0 = ++count | why << 4;
+        if (byte == 'W') {
+            WDTCSR = _BV(WDCE) | _BV(WDE);
+            WDTCSR = _BV(WDE);
+            for (;;);
+        }
+    }
+}
+"""
+
+
+@cache
+def counting(at: int = 0) -> Path:
+    """A HEX file of that firmware, linked for a section that begins at an address."""
+    folder = Path(mkdtemp(prefix="bilprov-counts-"))
+    (folder / "counts.c").write_text(COUNTS)
+    words = ["avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-Os"]
+    section = f"-Wl,--section-start=.text={at:#x}"
+    subprocess.run([*words, section, "-o", "counts.elf", "counts.c"], cwd=folder, check=True)
+    copying = ["avr-objcopy", "-O", "ihex", "counts.elf", "counts.hex"]
+    subprocess.run(copying, cwd=folder, check=True)
+    return folder / "counts.hex"
+
+
+def record(offset: int, kind: int, data: bytes) -> str:
+    raw = bytes([len(data), offset >> 8, offset & 0xFF, kind]) + data
+    return f":{(raw + bytes([-sum(raw) & 0xFF])).hex().upper()}\n"
+
+
+END = record(0, 1, b"")
+
+
+@pytest.mark.parametrize(
+    ("records", "code", "start"),
+    [
+        # Typed from the description of the format, with its own check sums.
+        (":0300300002337A1E\n:00000001FF\n", b"\xff" * 48 + b"\x02\x33\x7a", 0x30),
+        (":02000002100EDE\n:0100000041BE\n:00000001FF\n", b"\xff" * 0x100E0 + b"A", 0x100E0),
+        (":020000040001F9\n:0100020042BB\n:00000001FF\n", b"\xff" * 0x10002 + b"B", 0x10002),
+        (":0400000300000002F7\n:040000000102030\n", None, 0),
+        (":0400000300000002F7\n:0400000001020304F2\n:00000001FF\n", b"\1\2\3\4", 2),
+        (":0400000500000000F7\n:0400000001020304F2\n:00000001FF\n", b"\1\2\3\4", 0),
+    ],
+)
+def test_records_are_read(tmp_path: Path, records: str, code: bytes | None, start: int) -> None:
+    file = tmp_path / "a.hex"
+    file.write_text(records)
+
+    if code is None:
+        with pytest.raises(EmulatorError, match="damaged in line 2"):
+            read_firmware(file, 1 << 17)
+    else:
+        assert read_firmware(file, 1 << 17) == (code, start)
+
+
+def test_lines_may_end_as_on_windows_and_the_start_may_be_given(tmp_path: Path) -> None:
+    file = tmp_path / "a.hex"
+    file.write_bytes((record(0x7C00, 0, bytes(8)) + END).replace("\n", "\r\n").encode())
+
+    assert read_firmware(file, SIZE).start == 0x7C00
+    assert read_firmware(file, SIZE, start=0x7C02).start == 0x7C02
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (record(0, 0, b"abcd"), "is cut off: its last record is missing"),
+        (END, "puts nothing into the flash"),
+        (record(0x7FFE, 0, b"abcd") + END, "needs 32770 bytes of flash, and the board has 32768"),
+        (record(0, 0, b"abcd")[:-3] + "\n" + END, "damaged in line 1"),
+        (record(0, 0, b"abcd").replace("61", "62") + END, "damaged in line 1"),
+        (record(0, 4, b"a") + END, "damaged in line 1"),
+        (record(0, 0, b"abcd") + "no record\n" + END, "damaged in line 2"),
+        (record(0, 3, bytes([0, 0, 0x7C, 0])) + record(0, 0, b"ab") + END, "instruction at 0x7c00"),
+    ],
+)
+def test_a_damaged_file_is_one_sentence(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "a.hex"
+    file.write_text(text)
+
+    result = command("simulate", "--firmware", str(file))
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert words in sentence(result)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--start", "0x7c00"], "give --firmware too"),
+        (["--firmware", "{hex}", "--start", "boot"], "write it like 0x7c00 or 31744"),
+        (["--firmware", "{hex}", "--start", "0x7f00"], "no instruction at 0x7f00"),
+        (["--firmware", "{hex}", "--start", "-2"], "no instruction at -0x2"),
+        (["--firmware", "{hex}", "--start", "1"], "no instruction at 0x1"),
+        (
+            ["--grammar", "stk500v1", "--firmware", "{hex}", "--probe-listen", "127.0.0.1:0"],
+            "leave out --probe-listen",
+        ),
+    ],
+)
+def test_wrong_use_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
+    file = tmp_path / "a.hex"
+    file.write_text(record(0, 0, b"abcd") + END)
+
+    result = command("simulate", *(word.format(hex=file) for word in arguments))
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert words in sentence(result)
+
+
+# -- in virtual time ------------------------------------------------------------------------------
+
+
+class Bench:
+    """A board on a clock that the test moves."""
+
+    def __init__(self, firmware: Path) -> None:
+        self.board = SimavrBoard(firmware)
+        self.now = 0
+        self.wait(MS)
+
+    def answer(self, data: bytes) -> bytes:
+        """Send bytes one by one, each with time to be answered; gives the answers."""
+        heard = b""
+        for byte in data:
+            self.board.receive(bytes([byte]), self.now)
+            heard += self.wait(MS)
+        return heard
+
+    def wait(self, duration: int) -> bytes:
+        self.now += duration
+        return self.board.advance(self.now)
+
+
+@pytest.fixture
+def bench() -> Iterator[Callable[[Path], Bench]]:
+    made: list[Bench] = []
+
+    def make(firmware: Path) -> Bench:
+        made.append(Bench(firmware))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.board.close()
+
+
+Make = Callable[[Path], Bench]
+
+
+@AVR
+@pytest.mark.parametrize("at", [0, 0x7000])
+def test_a_reset_starts_it_again_and_tells_it_why(bench: Make, at: int) -> None:
+    line = bench(counting(at))
+    assert line.answer(b"aaa") == b"\x11\x12\x13"
+
+    line.board.reset(line.now)
+
+    assert line.answer(b"aa") == b"\x21\x22"
+
+
+@AVR
+def test_the_watchdog_resets_it_after_its_new_period_and_the_chip_keeps_the_flags(
+    bench: Make,
+) -> None:
+    line = bench(counting(0x7000))
+    line.board.reset(line.now)
+    assert line.answer(b"aW") == b"\x21\x22"
+
+    line.wait(13 * MS)
+    assert line.answer(b"a") == b""  # it waits for the watchdog
+    line.wait(5 * MS)
+
+    assert line.answer(b"aa") == b"\xa1\xa2"
+    line.wait(2500 * MS)
+    assert line.answer(b"a") == b"\xa1"
+
+
+@AVR
+def test_a_reset_ends_a_crash_and_leaves_out_the_time_of_it(bench: Make, tmp_path: Path) -> None:
+    file = tmp_path / "a.hex"
+    file.write_text(record(0, 0, b"\x00\x00" * 20) + END)  # runs into erased flash
+    line = bench(file)
+    line.wait(50 * MS)
+    assert line.board.crashed
+    line.now += 3_600_000 * MS
+
+    line.board.reset(line.now)
+
+    assert not line.board.crashed
+    line.wait(MS)
+    assert line.board.crashed
+
+
+# -- on a pty -------------------------------------------------------------------------------------
+
+
+def asked(port: Port, data: bytes) -> bytes:
+    """The answers to bytes that are sent one by one."""
+    heard = b""
+    for count, byte in enumerate(data, 1):
+        port.write(bytes([byte]))
+        while len(heard) < count:
+            assert wait_readable([port], PATIENCE)[0], "no answer"
+            heard += port.read()
+    return heard
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Served]:
+    with emulate(counting(0x7000)) as board:
+        yield board
+
+
+@AVR
+def test_each_opening_of_the_pty_resets_it(served: Served) -> None:
+    for _ in range(3):
+        with open_port(served.port) as port:
+            assert asked(port, b"aa") == b"\x21\x22"
+
+
+@AVR
+def test_a_bridge_passes_each_opening_on(served: Served) -> None:
+    with running("sniff", "--bridge", served.port, "--quiet") as sniffing:
+        bridge = sniffing.stderr.readline().decode().strip().removeprefix("bilprov: ")
+        for _ in range(3):
+            with open_port(bridge) as port:
+                assert asked(port, b"aa") == b"\x21\x22"
+        assert sniffing.end()[0] == 0
+
+
+@AVR
+def test_each_connection_resets_it() -> None:
+    with emulate(counting(), "--listen", "127.0.0.1:0") as board:
+        for _ in range(2):
+            with open_port(board.port) as port:
+                assert asked(port, b"aa") == b"\x21\x22"
