@@ -7,6 +7,7 @@ truncated, or garbage (bytes that are known to belong to no frame).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Literal, NamedTuple
 
 from bilprov.spec.layout import Layout
@@ -147,6 +148,12 @@ class LayoutFramer(Framer):
     def span(self) -> tuple[int, int]:
         """The times (ns) of the first and the last held byte."""
         return (self._times[0], self._times[-1]) if self._times else (0, 0)
+
+    @property
+    def reads(self) -> list[tuple[int, bytes]]:
+        """What is held of a frame that is not complete: bytes, and when they came (ns)."""
+        places = groupby(range(len(self._held)), key=self._times.__getitem__)
+        return [(t, bytes(self._held[place] for place in group)) for t, group in places]
 
     def advance(self, now: int) -> list[Framed]:
         """Let time pass until `now` (ns); return what the time-out ends."""

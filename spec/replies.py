@@ -11,7 +11,13 @@ from bilprov.spec.codec import Judgement, spaced
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
-from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, Protocol, ResponseSpec
+from bilprov.spec.protocol import (
+    NO_ANSWER,
+    PLAIN_ANSWER,
+    InstructionSpec,
+    Protocol,
+    ResponseSpec,
+)
 
 
 class Reply(msgspec.Struct, frozen=True, gc=False):
@@ -47,7 +53,7 @@ def _shown(value: Any) -> str:
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-class _Way(NamedTuple):
+class Way(NamedTuple):
     """One way in which an answer can be laid out."""
 
     layout: Layout
@@ -86,7 +92,7 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
         return Reply(frame, None, (), reason=f"the bytes {spaced(frame)} are not an answer")
     way = (right or sized)[0]
     layout = way.layout
-    names, response = _meaning(protocol, layout.code_of(frame))
+    names, response = meaning(protocol, layout.code_of(frame))
     reason = "" if right else _damage(protocol, layout, frame, asked)
     fields: tuple[tuple[str, Any], ...] = ()
     if layout.has_data and way.data is not None and not reason:
@@ -150,19 +156,22 @@ def covered(protocol: Protocol, request: bytes) -> bytes:
     return check.covered(request) if check else request
 
 
-def _ways(protocol: Protocol, asked: Judgement | None) -> Iterator[_Way]:
-    """The ways in which a request can be answered, the likelier first."""
-    spec = asked.instruction if asked else None
+def usual_way(protocol: Protocol, spec: InstructionSpec | None) -> Way:
+    """The way in which a valid frame of an instruction is answered (None: of an unused ID)."""
     data = spec.answer if spec else None
     if data is not None and data.fields:
-        yield _Way(protocol.reply, data)
-    else:
-        yield _Way(protocol.acknowledgement, data or DataSpec())
+        return Way(protocol.reply, data)
+    return Way(protocol.acknowledgement, data or DataSpec())
+
+
+def _ways(protocol: Protocol, asked: Judgement | None) -> Iterator[Way]:
+    """The ways in which a request can be answered, the likelier first."""
+    yield usual_way(protocol, asked.instruction if asked else None)
     for layout in protocol.errors:
-        yield _Way(layout, DataSpec())
+        yield Way(layout, DataSpec())
 
 
-def _way_of(protocol: Protocol, asked: Judgement, response: ResponseSpec) -> _Way:
+def _way_of(protocol: Protocol, asked: Judgement, response: ResponseSpec) -> Way:
     """The way in which a response is given: errors in a layout of their own, if there is one."""
     ways = list(_ways(protocol, asked))
     valid = Outcome.VALID in response.outcomes
@@ -172,7 +181,7 @@ def _way_of(protocol: Protocol, asked: Judgement, response: ResponseSpec) -> _Wa
     return coded[0] if coded else ways[0]
 
 
-def _size(way: _Way, held: bytes, asked: Judgement | None, values: Mapping[str, Any]) -> int | None:
+def _size(way: Way, held: bytes, asked: Judgement | None, values: Mapping[str, Any]) -> int | None:
     """As `reply_size`, for one way."""
     if asked is not None and not way.layout.repeats(held, values):
         return -1
@@ -181,19 +190,19 @@ def _size(way: _Way, held: bytes, asked: Judgement | None, values: Mapping[str, 
     return way.layout.size(held, way.data, values)
 
 
-def _is_right(protocol: Protocol, way: _Way, frame: bytes, asked: Judgement | None) -> bool:
+def _is_right(protocol: Protocol, way: Way, frame: bytes, asked: Judgement | None) -> bool:
     """Whether a whole answer has right constants, a known code and a right check."""
     layout = way.layout
     if layout.wrong_constant(frame) is not None:
         return False
     code = layout.code_of(frame)
-    if code is not None and _meaning(protocol, code)[1] is None:
+    if code is not None and meaning(protocol, code)[1] is None:
         return False
     before = covered(protocol, asked.frame) if asked else b""
     return layout.check is None or layout.check.holds(frame, before)
 
 
-def _meaning(protocol: Protocol, code: int | None) -> tuple[tuple[str, ...], ResponseSpec | None]:
+def meaning(protocol: Protocol, code: int | None) -> tuple[tuple[str, ...], ResponseSpec | None]:
     """The names of a code, or of its flags, and the response that tells the outcome."""
     if code is None:
         return (), PLAIN_ANSWER

@@ -135,7 +135,8 @@ class HostRows:
     `t`, `end` and `known` (ns) are the times of the first and the last byte, and when it was known
     that no more follow. A row has `size` bytes of `data` from `offset` on. `kind` is a place in
     `KINDS`, `verdict` one in `OUTCOMES` or NO_VERDICT, `sequence` the instruction's number or -1.
-    `reasons` gives the reasons why some rows are faulty.
+    `reasons` gives the reasons why some rows are faulty. `keys` are those of `Judgement.key`; None
+    if that is the first byte.
     """
 
     t: NDArray[np.int64]
@@ -149,14 +150,15 @@ class HostRows:
     sequence: NDArray[np.int64]
     states: StateColumns
     reasons: Callable[[NDArray[np.int64]], Sequence[str]]
+    keys: NDArray[np.uint8] | None = None
 
     def __len__(self) -> int:
         return len(self.t)
 
     @cached_property
     def header(self) -> NDArray[np.uint8]:
-        """The first byte of each row."""
-        return self.data.take(self.offset)
+        """The key of each row, whose ID is in `Protocol.keys`."""
+        return self.data.take(self.offset) if self.keys is None else self.keys
 
     @cached_property
     def faults(self) -> Kinds:
@@ -170,19 +172,33 @@ class HostRows:
         return sliced(self.data, start, start + self.size[rows])
 
 
+class WideAnswers(NamedTuple):
+    """Answers of any number of bytes: each has `size` bytes of `data` from `offset` on.
+
+    `name` is the place of its name in `names`; an answer that is damaged has none (None).
+    """
+
+    data: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    size: NDArray[np.int64]
+    name: NDArray[np.int64]
+    names: Sequence[str | None]
+
+
 @dataclass(frozen=True, eq=False)
 class DeviceRows:
-    """The device's rows, one a byte: when it came (`t`, ns), and the instruction that it answers.
+    """The device's rows, one an answer: when it came (`t`, ns), and which instruction it answers.
 
-    That one's number (`sequence`, -1 where it answers none), header and verdict. `latency` (ns) is
-    from its last byte on, and `agrees` 1 where the answer is the expected one, 0 where not, -1
-    where nothing is expected. `odd` rows have an anomaly: `samples` gives records of some of them
-    (with a state that may be another), and `sort` numbers, which are equal where the kinds of the
-    anomalies are.
+    That one's number (`sequence`, -1 where it answers none), key (`header`) and verdict. `byte` is
+    the answer's one byte, or its code where `wide` has its bytes (-1: it has none). `latency` (ns)
+    is from the instruction's last byte on, and `agrees` 1 where the answer is the expected one, 0
+    where not, -1 where nothing is expected. `odd` rows have an anomaly: `samples` gives records of
+    some of them (with a state that may be another), and `sort` numbers, which are equal where the
+    kinds of the anomalies are.
     """
 
     t: NDArray[np.int64]
-    byte: NDArray[np.uint8]
+    byte: Integers
     sequence: NDArray[np.int64]
     header: NDArray[np.uint8]
     verdict: NDArray[np.uint8]
@@ -192,6 +208,7 @@ class DeviceRows:
     states: StateColumns
     samples: Callable[[NDArray[np.int64]], Sequence[DeviceRecord]]
     sort: Callable[[NDArray[np.int64]], Integers]
+    wide: WideAnswers | None = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -366,6 +383,7 @@ class Records(Batch):
             sequence=_numbers([record.sequence for record in listed]),
             states=_states_of(listed),
             reasons=lambda rows: [listed[row].reason for row in rows.tolist()],
+            keys=_keys(listed),
         )
 
     @cached_property
@@ -376,9 +394,9 @@ class Records(Batch):
         agrees = [-1 if record.agrees is None else int(record.agrees) for record in listed]
         return DeviceRows(
             t=times([record.t for record in listed]),
-            byte=np.array([record.byte for record in listed], np.uint8),
+            byte=np.array([record.byte for record in listed], np.int64),
             sequence=_numbers([record.instruction for record in listed]),
-            header=np.array([one.frame[0] if one else 0 for one in answered], np.uint8),
+            header=np.array([one.key if one else 0 for one in answered], np.uint8),
             verdict=np.array(
                 [OUTCOMES.index(one.outcome) if one else NO_VERDICT for one in answered], np.uint8
             ),
@@ -388,6 +406,7 @@ class Records(Batch):
             states=_states_of(listed),
             samples=lambda rows: [listed[row] for row in rows.tolist()],
             sort=lambda rows: rows,
+            wide=_wide(listed),
         )
 
     @cached_property
@@ -459,6 +478,26 @@ def _states_of(records: Sequence[HostRecord] | Sequence[DeviceRecord]) -> StateC
         return np.array(values) if values else np.zeros(0, np.int64)
 
     return StateColumns(kind, len(records), made)
+
+
+def _keys(records: Sequence[HostRecord]) -> NDArray[np.uint8] | None:
+    """The keys of records; None where they are the first bytes."""
+    judged = [record.judgement for record in records]
+    if not any(one.framed for one in judged if one):
+        return None
+    return np.array([one.key if one else 0 for one in judged], np.uint8)
+
+
+def _wide(records: Sequence[DeviceRecord]) -> WideAnswers | None:
+    """The bytes and names of answers; None where each is one byte."""
+    if not any(record.reply for record in records):
+        return None
+    data = [record.data for record in records]
+    size = np.array([len(part) for part in data], np.int64)
+    places: dict[str | None, int] = {}
+    name = [places.setdefault(record.name, len(places)) for record in records]
+    joined = np.frombuffer(b"".join(data), np.uint8)
+    return WideAnswers(joined, np.cumsum(size) - size, size, np.array(name, np.int64), list(places))
 
 
 def _verdict(record: HostRecord) -> int:

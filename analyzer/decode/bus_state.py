@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bilprov.spec.codec import Judgement
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.state import State, after
-from bilprov.spec.steps import Step
+from bilprov.spec.state import Assigned, State, after
 
 OTHERS = -1
 """Stands for the address of every device that was not addressed yet."""
@@ -20,16 +18,17 @@ class BusState:
         self._part = protocol.layout.part("address")
         self._states: dict[int, State] = {OTHERS: protocol.power_on}
 
-    def after(self, step: Step) -> State:
-        """The state of the addressed device after a frame; what is sent to all changes all."""
-        judgement = step.judgement
-        address = judgement.address if judgement.address is not None else OTHERS
-        if self._for_all(judgement):
-            self._states = {one: after(state, step.sets) for one, state in self._states.items()}
+    def after(self, address: int, sets: Assigned) -> State:
+        """The state of the addressed device after a frame that sets some variables.
+
+        What is sent to all changes all.
+        """
+        if self._part is not None and address == self._part.broadcast:
+            self._states = {one: after(state, sets) for one, state in self._states.items()}
             return self._states[OTHERS]
         state = self._states.get(address, self._states[OTHERS])
         if self._for_one(address):
-            state = self._states[address] = after(state, step.sets)
+            state = self._states[address] = after(state, sets)
         return state
 
     @property
@@ -38,11 +37,8 @@ class BusState:
         return tuple(sorted(self._states.items()))
 
     def resume(self, states: Iterable[tuple[int, State]]) -> None:
-        """Go on from saved states."""
-        self._states.update(states)
-
-    def _for_all(self, judgement: Judgement) -> bool:
-        return self._part is not None and judgement.address == self._part.broadcast
+        """Go on from saved states; none is the state of power-on for all."""
+        self._states = {OTHERS: self._states[OTHERS], **dict(states)}
 
     def _for_one(self, address: int) -> bool:
         """Whether a device can have that address, so that there is no end of them."""

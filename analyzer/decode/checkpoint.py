@@ -23,15 +23,17 @@ QUIET = 20 * MS
 """Ns of idle host line after an answer in mid-frame, after which the frame is given up."""
 
 
-class WaitingFrames(msgspec.Struct, frozen=True):
+class WaitingFrames(msgspec.Struct, frozen=True, omit_defaults=True):
     """Instructions that wait for an answer: whole frames, of which the last may be cut short.
 
-    All of them ended at `end` and count as unanswered from `expires` on (ns).
+    All of them ended at `end` and count as unanswered from `expires` on (ns). `first` is the number
+    of the first; where it is None, they and all that wait are the newest of all.
     """
 
     end: int
     expires: int
     frames: bytes
+    first: int | None = None
 
     def split(self, protocol: Protocol) -> Iterator[bytes]:
         """Yield the frames one by one."""
@@ -49,7 +51,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     `timeout`, `skew` and `heard` are the session's settings. `sequence` is the next instruction's
     number and `state` what the instructions so far predict. `frame` holds the bytes of the frame
     that is not complete, which came from `frame_start` to `frame_end`. `waiting` are the
-    instructions that wait for an answer, the last of them the newest of all, and `held` the answers
+    instructions that wait for an answer, the oldest first, and `held` the answers
     (time, byte) that wait for an instruction. `out_of_step` is when the open frame is given up,
     `lost_at` when bytes were last lost. `unsynced_since` is since when frame boundaries are unknown
     and the host is silent, and `spoken` tells whether the device has sent a byte since. `away` are

@@ -7,7 +7,7 @@ appends the records to the list that it gets, since a list costs less per record
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 import msgspec
@@ -25,9 +25,9 @@ from bilprov.analyzer.decode.records import (
     Record,
 )
 from bilprov.analyzer.decode.replies import Heard, ReplyFramer
-from bilprov.captures.schemas import Direction, Line
+from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import Framed, Kind, framer
+from bilprov.spec.framing import Framed, Kind, LayoutFramer, framer
 from bilprov.spec.protocol import Protocol, ResponseSpec
 from bilprov.spec.state import State, after
 from bilprov.spec.steps import Steps
@@ -240,7 +240,7 @@ class Decoder:
             frame=self._framer.held,
             frame_start=start,
             frame_end=end,
-            waiting=waiting_frames(self._pairing.waiting),
+            waiting=waiting_frames(self._pairing.waiting, numbered=not self._protocol.plain),
             held=tuple((held.t, held.byte) for held in self._pairing.held),
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,
@@ -254,20 +254,39 @@ class Decoder:
         self._sequence = state.sequence
         self._state = state.state
         self._bus.resume(state.by_address or ())
-        frames = [
-            (group, frame) for group in state.waiting for frame in group.split(self._protocol)
-        ]
-        first = state.sequence - len(frames)
+        self._replies.forget()
         self._pairing.waiting.clear()
-        self._pairing.waiting.extend(
-            Waiting(first + place, group.end, group.expires, self._steps[frame].judgement)
-            for place, (group, frame) in enumerate(frames)
-        )
+        self._pairing.waiting.extend(self._waiting_in(state))
         self._pairing.held.clear()
         self._pairing.held.extend(Held(t, byte) for t, byte in state.held)
         self._out_of_step = state.out_of_step
         self._lost_at = state.lost_at
         self._turn(frozenset(state.away))
+
+    def _waiting_in(self, state: DecoderState) -> Iterator[Waiting]:
+        groups = [(group, list(group.split(self._protocol))) for group in state.waiting]
+        number = state.sequence - sum(len(frames) for _, frames in groups)
+        for group, frames in groups:
+            number = number if group.first is None else group.first
+            for frame in frames:
+                judgement = self._steps[frame].judgement
+                yield Waiting(number, group.end, group.expires, judgement)
+                number += 1
+
+    @property
+    def begun(self) -> list[Chunk]:
+        """The host's bytes of a frame of any layout that is not complete, as they came."""
+        if not isinstance(self._framer, LayoutFramer):
+            return []
+        return [Chunk(t, "host", data) for t, data in self._framer.reads]
+
+    def hold(self, chunks: Iterable[Chunk]) -> None:
+        """Take the beginnings of a frame and of an answer of any layout, after `resume`."""
+        for chunk in chunks:
+            if chunk.direction == "host":
+                self._framer.feed(chunk.data, chunk.t)
+            else:
+                self._replies.feed(chunk.data, chunk.t)
 
     def _due(self) -> tuple[int, _Due] | None:
         """The next due time and its handler; at equal times the end of the frame comes first."""
@@ -375,7 +394,7 @@ class Decoder:
         if judgement.address is None:
             state = self._state = after(self._state, step.sets)
         else:
-            state = self._state = self._bus.after(step)
+            state = self._state = self._bus.after(judgement.address, step.sets)
         out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state))
         if self._paired and judgement.answer_due:
             pairing = self._pairing

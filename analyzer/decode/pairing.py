@@ -116,14 +116,21 @@ class Pairing:
         return held
 
 
-def waiting_frames(waiting: Iterable[Waiting]) -> tuple[WaitingFrames, ...]:
-    """Instructions that wait: neighbours with equal times together, as far as one cut short."""
-    groups: list[tuple[tuple[int, int], list[bytes]]] = []
+def waiting_frames(waiting: Iterable[Waiting], *, numbered: bool) -> tuple[WaitingFrames, ...]:
+    """Instructions that wait: neighbours with equal times together, as far as one cut short.
+
+    With `numbered` there may be some between them that are not answered.
+    """
+    groups: list[tuple[tuple[int, int], int, list[bytes]]] = []
     closed = True
     for one in waiting:
         times = one.end, one.expires
-        if closed or groups[-1][0] != times:
-            groups.append((times, []))
-        groups[-1][1].append(one.judgement.frame)
+        follows = not closed and groups[-1][0] == times
+        if not follows or (numbered and groups[-1][1] + len(groups[-1][2]) != one.sequence):
+            groups.append((times, one.sequence, []))
+        groups[-1][2].append(one.judgement.frame)
         closed = one.judgement.truncated
-    return tuple(WaitingFrames(*times, b"".join(frames)) for times, frames in groups)
+    return tuple(
+        WaitingFrames(*times, b"".join(frames), first if numbered else None)
+        for times, first, frames in groups
+    )

@@ -37,7 +37,7 @@ from bilprov.analyzer.decode.decoder import TURNS, unpaired_record
 from bilprov.analyzer.decode.pairing import MOST, Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
-from bilprov.captures.schemas import MS, Line
+from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
@@ -370,21 +370,32 @@ class RegularDecoder:
         late = round(protocol.timing.answer_deadline * MS)
         self._decoding = Decoding(protocol, self._tables, Steps(protocol), paired, skew, late)
 
-    def carry(self, state: DecoderState) -> Carry:
-        """The state of a session that is regular (`Session.regular`) as a Carry."""
+    def carry(self, state: DecoderState, begun: Sequence[Chunk] = ()) -> Carry:
+        """The state of a session that is regular (`Session.regular`) as a Carry.
+
+        It has all that a session has `begun`.
+        """
         waiting = b"".join(group.frames for group in state.waiting)
         data = np.frombuffer(waiting + state.frame, np.uint8)
-        offset, begun = self._tables.offsets(data[: len(waiting)])
+        offset, after = self._tables.offsets(data[: len(waiting)])
         upto = np.cumsum([len(group.frames) for group in state.waiting], dtype=np.int64)
         count = np.diff(np.searchsorted(offset, upto), prepend=0)
         end = np.repeat(np.array([group.end for group in state.waiting], np.int64), count)
         frames = self._tables.frames(data, offset)
-        return Carry(data, frames, end, begun, replace(state, waiting=(), frame=b""))
+        return Carry(data, frames, end, after, replace(state, waiting=(), frame=b""))
 
     def state(self, carry: Carry) -> DecoderState:
         """A Carry as the state of a session."""
         frame = carry.data[carry.begun :].tobytes()
         return replace(carry.rest, waiting=tuple(self._groups(carry)), frame=frame)
+
+    def saved(self, carry: Carry) -> DecoderState:
+        """All that is needed to go on from here."""
+        return self.state(carry)
+
+    def begun(self, carry: Carry) -> list[Chunk]:
+        """What the state does not have: nothing."""
+        return []
 
     def _groups(self, carry: Carry) -> Iterator[WaitingFrames]:
         """Yield the waiting frames, those with equal times together."""

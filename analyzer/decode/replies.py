@@ -49,6 +49,11 @@ class ReplyFramer:
         self._held += data
         self._times += [now] * len(data)
 
+    def forget(self) -> None:
+        """Drop what is held."""
+        self._held.clear()
+        self._times.clear()
+
     def delay(self, pause: int) -> None:
         """Let what is held have come so much (ns) later."""
         self._times = [t + pause for t in self._times]

@@ -7,6 +7,7 @@ decoded, everything due up to its time comes out, in the order in which it was d
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TypedDict
 
 import msgspec
@@ -159,6 +160,15 @@ class Session:
         self._time = state.time
         self._unsynced_since, self._spoken = state.unsynced_since, state.spoken
         self._decoder.resume(state)
+
+    @property
+    def begun(self) -> list[Chunk]:
+        """The host's bytes of a frame of any layout that is not complete, as they came."""
+        return self._decoder.begun
+
+    def hold(self, chunks: Iterable[Chunk]) -> None:
+        """Take the beginnings of a frame and of an answer of any layout, after `resume`."""
+        self._decoder.hold(chunks)
 
     def _until(self, now: int, out: list[Record]) -> None:
         """Append what falls due up to `now`; silence of the host ends resynchronisation."""

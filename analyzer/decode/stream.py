@@ -7,7 +7,8 @@ goes on from the state in which the one before it has ended. numpy is loaded wit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from typing import Protocol as Interface
 
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.records import Record
@@ -17,7 +18,6 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.decode.batch import Batch
-    from bilprov.analyzer.decode.regular import Carry, RegularDecoder
     from bilprov.captures.events import Events
 
 LEAST = 512
@@ -35,6 +35,17 @@ def preload(protocol: Protocol) -> None:
     from bilprov.analyzer.decode.regular import prepare
 
     prepare(protocol)
+
+
+class _ColumnDecoder(Interface):
+    """A decoder of regular traffic; what one batch leaves to the next is its carry."""
+
+    def carry(self, state: DecoderState, begun: Sequence[Chunk]) -> Any: ...
+    def state(self, carry: Any) -> DecoderState: ...
+    def begun(self, carry: Any) -> list[Chunk]: ...
+    def saved(self, carry: Any) -> DecoderState | None: ...
+    def deadline(self, carry: Any) -> int | None: ...
+    def decode(self, before: Any, events: Events) -> tuple[Batch, int, Any]: ...
 
 
 class StreamDecoder:
@@ -59,9 +70,9 @@ class StreamDecoder:
         )
         self._protocol = protocol
         self._settings = timeout, skew, heard >= BOTH
-        self._regular: RegularDecoder | None = None
+        self._regular: _ColumnDecoder | None = None
         self._unfit = False  # whether this protocol's state does not fit into columns
-        self._carry: Carry | None = None  # what the last batch left, while the Session rests
+        self._carry: Any = None  # what the last batch left, while the Session rests
         self._direct = _FEWEST
         self._window = _MOST
 
@@ -119,7 +130,7 @@ class StreamDecoder:
     def saved(self) -> DecoderState | None:
         """All that is needed to go on from here; None while frame boundaries are looked for."""
         if self._carry is not None and self._regular is not None:
-            return self._regular.state(self._carry)
+            return self._regular.saved(self._carry)
         return self._session.saved()
 
     def resume(self, state: DecoderState) -> None:
@@ -157,19 +168,19 @@ class StreamDecoder:
         regular = self._load()
         if regular is None or state is None:
             return False
-        self._carry = regular.carry(state)
-        return True
+        self._carry = regular.carry(state, self._session.begun)
+        return self._carry is not None
 
-    def _load(self) -> RegularDecoder | None:
+    def _load(self) -> _ColumnDecoder | None:
         """Make the decoder into columns; None for a protocol that does not fit into them."""
         if self._regular is None and not self._unfit:
+            from bilprov.analyzer.decode.framed import FramedDecoder
             from bilprov.analyzer.decode.regular import RegularDecoder
 
             timeout, skew, paired = self._settings
+            kind = RegularDecoder if self._protocol.plain else FramedDecoder
             try:
-                self._regular = RegularDecoder(
-                    self._protocol, timeout=timeout, skew=skew, paired=paired
-                )
+                self._regular = kind(self._protocol, timeout=timeout, skew=skew, paired=paired)
             except OverflowError:
                 self._unfit = True
         return self._regular
@@ -178,6 +189,7 @@ class StreamDecoder:
         """Hand over to the Session, if it is not in charge, and return it."""
         if self._carry is not None and self._regular is not None:
             self._session.resume(self._regular.state(self._carry))
+            self._session.hold(self._regular.begun(self._carry))
             self._carry = None
         return self._session
 

@@ -121,8 +121,16 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
     """The columns of the device's rows."""
 
     def name() -> Column:
+        if rows.wide:
+            return Words(rows.wide.name, rows.wide.names)
         codes = [protocol.codes.get(byte) for byte in range(256)]
         return Words(rows.byte, [code.name if code else None for code in codes])
+
+    def octets() -> Column:
+        if rows.wide:
+            return Octets(rows.wide.data, rows.wide.offset, rows.wide.size)
+        one = np.ones(len(rows), np.int64)
+        return Octets(rows.byte.astype(np.uint8), np.arange(len(rows)), one)
 
     def faulty() -> Column:
         return _truth(rows.answering & (rows.verdict != VALID) | rows.faults.serious)
@@ -132,11 +140,11 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
         return _words((record.reason for record in rows.samples(odd)), odd, len(rows))
 
     makers: Makers = {
-        "hex": lambda: Octets(rows.byte, np.arange(len(rows)), np.ones(len(rows), np.int64)),
+        "hex": octets,
         "direction": lambda: _one("device"),
         "kind": lambda: _one("response"),
         "name": name,
-        "response": lambda: Numbers(rows.byte),
+        "response": lambda: Numbers(rows.byte, rows.byte >= 0),
         "faulty": faulty,
         "reason": reason,
         "answers": lambda: Numbers(rows.sequence, rows.answering),

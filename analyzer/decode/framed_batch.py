@@ -1,0 +1,228 @@
+"""Regular traffic of frames of any layout, in columns. Needs numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, fields
+from functools import cached_property, partial
+from itertools import repeat
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bilprov.analyzer.decode import anomalies
+from bilprov.analyzer.decode.batch import (
+    INSTRUCTION,
+    Batch,
+    DeviceRows,
+    HostRows,
+    OtherRows,
+    Selection,
+    StateColumns,
+    WideAnswers,
+    sliced,
+)
+from bilprov.analyzer.decode.pairing import Held, Waiting
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.regular import objects
+from bilprov.captures.schemas import Line, State
+from bilprov.spec.arrays.answers import NO_CODE, Answers, AnswerTables
+from bilprov.spec.arrays.requests import Requests, RequestTables
+from bilprov.spec.codec import Judgement
+from bilprov.spec.motion import VARIABLES
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import read_reply
+from bilprov.spec.steps import Steps
+from bilprov.spec.tables import VALID, values_of
+
+
+@dataclass(frozen=True)
+class FramedDecoding:
+    """What decoding rests on: the protocol, its tables, and the session's settings (ns)."""
+
+    protocol: Protocol
+    requests: RequestTables
+    answers: AnswerTables
+    steps: Steps
+    skew: int
+    late: int
+
+
+@dataclass(frozen=True, eq=False)
+class FramedBatch(Batch):
+    """Regular traffic: every frame is whole and valid, and every answer is right and in turn.
+
+    `data` are the host's bytes and `heard` the device's. The `requests` are the new frames, which
+    came from `start` to `end` (ns); the first has the number `first`. Answer j of `answers`, whose
+    first byte came at `t` (ns), is to the frame of row j of `asked`, which has the number
+    `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. `before` is
+    the state before the new frames. Before each of the `lines` come `line_after` new frames and
+    `line_heard` answers.
+    """
+
+    decoding: FramedDecoding
+    data: NDArray[np.uint8]
+    heard: NDArray[np.uint8]
+    requests: Requests
+    first: int
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    asked: Requests
+    asked_end: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+    answers: Answers
+    t: NDArray[np.int64]
+    device_after: NDArray[np.int64]
+    before: State
+    lines: Sequence[Line]
+    line_after: NDArray[np.int64]
+    line_heard: NDArray[np.int64]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = [getattr(self, field.name) for field in fields(self)]
+        return FramedBatch, tuple(kept)  # without what is worked out from them
+
+    def __len__(self) -> int:
+        return len(self.start) + len(self.t) + len(self.lines)
+
+    @cached_property
+    def hosts(self) -> HostRows:
+        """The host's rows."""
+        count, alone = len(self.start), copy(self)
+        return HostRows(
+            t=self.start,
+            end=self.end,
+            known=self.end,
+            kind=np.broadcast_to(np.uint8(INSTRUCTION), count),
+            data=self.data,
+            offset=self.requests.offset,
+            size=self.requests.size,
+            verdict=np.broadcast_to(np.uint8(VALID), count),
+            sequence=self.first + np.arange(count),
+            states=StateColumns(alone._host_states),
+            reasons=lambda rows: [""] * len(rows),
+            keys=self.decoding.requests.keys.take(self.requests.kind),
+        )
+
+    @cached_property
+    def devices(self) -> DeviceRows:
+        """The device's rows."""
+        count, alone = len(self.t), copy(self)
+        latency = self.t - self.asked_end
+        late = latency > self.decoding.late
+        code = np.where(self.answers.code < 0, NO_CODE, self.answers.code)
+        return DeviceRows(
+            t=self.t,
+            byte=self.decoding.answers.bytes.take(code),
+            sequence=self.sequence,
+            header=self.decoding.requests.keys.take(self.asked.kind),
+            verdict=np.broadcast_to(np.uint8(VALID), count),
+            latency=latency,
+            agrees=np.broadcast_to(np.int8(1), count),
+            odd=late | (latency < 0),
+            states=StateColumns(partial(alone._device_states, self.hosts.states)),
+            samples=alone._samples,
+            sort=lambda rows: late[rows].astype(np.int64),
+            wide=WideAnswers(
+                self.heard,
+                self.answers.offset,
+                self.answers.size,
+                code,
+                self.decoding.answers.names,
+            ),
+        )
+
+    @cached_property
+    def others(self) -> OtherRows:
+        """The other rows."""
+        states = self._states_after(self.line_after) if len(self.lines) else []
+        listed = [
+            LineRecord(line, False, state, anomalies.of_line(line, lost=False))
+            for line, state in zip(self.lines, states, strict=True)
+        ]
+        return OtherRows(listed, self.line_after, self.line_heard)
+
+    @property
+    def after(self) -> NDArray[np.int64]:
+        """How many of the host's rows come before each of the device's."""
+        return self.device_after
+
+    def records(self, chosen: Selection | None = None) -> Sequence[Record]:
+        """The rows in order as records; the chosen ones, None for all."""
+        hosts, devices, others = (
+            np.arange(len(places)) if chosen is None else np.flatnonzero(mask)
+            for places, mask in zip(self.places, chosen or self.places, strict=True)
+        )
+        made: list[Record] = [*self._host_records(hosts)]
+        made += self._answers(devices, self._states_after(self.after[devices]))
+        made += [self.others.listed[row] for row in others.tolist()]
+        rows = (hosts, devices, others)
+        places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
+        return list(map(made.__getitem__, np.argsort(places, kind="stable").tolist()))
+
+    def _host_records(self, rows: NDArray[np.int64]) -> Iterator[HostRecord]:
+        end = objects(self.end[rows])
+        judged = self._judged(self.requests.rows(rows))
+        return map(
+            HostRecord,
+            objects(self.start[rows]),
+            end,
+            end,
+            repeat("instruction"),
+            [judgement.frame for judgement in judged],
+            judged,
+            (self.first + rows).tolist(),
+            self._states_after(rows + 1),
+        )
+
+    def _judged(self, requests: Requests) -> list[Judgement]:
+        steps = self.decoding.steps
+        return [
+            steps[frame].judgement for frame in sliced(self.data, requests.offset, requests.end)
+        ]
+
+    def _samples(self, rows: NDArray[np.int64]) -> list[DeviceRecord]:
+        return self._answers(rows, [self.before] * len(rows))
+
+    def _answers(self, rows: NDArray[np.int64], states: list[State]) -> list[DeviceRecord]:
+        """The records of some of the device's rows, in these states."""
+        frames = sliced(self.heard, self.answers.offset[rows], self.answers.end[rows])
+        columns = (self.t[rows], self.asked_end[rows], self.sequence[rows])
+        times = (column.tolist() for column in columns)
+        judged = self._judged(self.asked.rows(rows))
+        return [self._answer(*one) for one in zip(*times, frames, judged, states, strict=True)]
+
+    def _answer(
+        self, t: int, end: int, sequence: int, frame: bytes, judgement: Judgement, state: State
+    ) -> DeviceRecord:
+        decoding = self.decoding
+        reply = read_reply(decoding.protocol, frame, judgement)
+        response = reply.response
+        held = Held(t, response.code if response else -1, reply)
+        found = anomalies.of_answer(
+            decoding.protocol, held, Waiting(sequence, end, end, judgement), decoding.skew
+        )
+        return DeviceRecord(
+            t, held.byte, response, judgement, sequence, t - end, found.agrees, state,
+            found.faults, reply,
+        )  # fmt: skip
+
+    def _host_states(self, variable: str) -> NDArray[Any]:
+        return self.decoding.requests.state(variable, self.data, self.requests, self.before)
+
+    def _device_states(self, hosts: StateColumns, variable: str) -> NDArray[Any]:
+        column = hosts[variable]
+        first = values_of(self.before)[VARIABLES.index(variable)]
+        return np.append(np.array([first], column.dtype), column).take(self.after)
+
+    @cached_property
+    def _states(self) -> NDArray[np.object_]:
+        """The state before the new frames, and after each of them."""
+        states = [self.before, *self.hosts.states.states()]
+        return np.fromiter(states, object, len(states))
+
+    def _states_after(self, after: NDArray[np.int64]) -> list[State]:
+        states: list[State] = self._states.take(after).tolist()
+        return states

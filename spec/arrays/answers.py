@@ -1,0 +1,274 @@
+"""Cuts and reads the answers in a buffer in arrays: each is the usual one to its request.
+
+An answer in the layout of errors is not: what it is depends on all the ways to answer.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bilprov.spec.arrays.checks import Checking
+from bilprov.spec.arrays.layouts import (
+    Bytes,
+    Mask,
+    Places,
+    Told,
+    checks_hold,
+    constants_hold,
+    data_sizes,
+    part_values,
+    require_narrow,
+    size_by_byte,
+    sizes_by_request,
+)
+from bilprov.spec.arrays.requests import Requests, RequestTables
+from bilprov.spec.codec import judge
+from bilprov.spec.fields import Outcome
+from bilprov.spec.layout import Layout
+from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
+from bilprov.spec.replies import Way, asked_values, meaning, reply_size, usual_way
+
+NO_CODE = 256
+"""The place of the name of answers without a code; that of a code is the code."""
+
+
+class Answers(NamedTuple):
+    """Right answers in a buffer, one row each, in the order of the requests.
+
+    `offset` is where an answer begins, `size` its bytes, `code` its code, -1 where it has none.
+    """
+
+    offset: Places
+    size: Places
+    code: Places
+
+    def rows(self, rows: slice | Places) -> Answers:
+        """Some of the rows."""
+        return Answers(*(column[rows] for column in self))
+
+    @property
+    def end(self) -> Places:
+        """Where each answer ends."""
+        return self.offset + self.size
+
+
+class CutAnswers(NamedTuple):
+    """The answers in a buffer up to byte `end`.
+
+    With `regular` what follows is the beginning of an answer, or waits for its request; without it,
+    it is an answer that is damaged, or in the layout of errors.
+    """
+
+    answers: Answers
+    end: int
+    regular: bool
+
+
+class AnswerTables:
+    """Cuts answers and reads them. Raises OverflowError for what does not fit into 64 bits."""
+
+    def __init__(self, protocol: Protocol, tables: RequestTables) -> None:
+        self._protocol = protocol
+        self._tables = tables
+        self._ways = [usual_way(protocol, spec) for spec in protocol.instructions]
+        self._told = [size_by_byte(way.layout, way.data) for way in self._ways]
+        self._layouts: list[tuple[Layout, Mask]] = []
+        for layout in (protocol.reply, protocol.acknowledgement):
+            require_narrow(layout)
+            code = layout.part("code")
+            if code is not None and (code.size > 1 or code.number.signed):
+                raise OverflowError("the code of an answer is more than one byte")
+            with_it = np.array([way.layout is layout for way in self._ways], np.bool_)
+            if all(layout is not other for other, _ in self._layouts):
+                self._layouts.append((layout, with_it))
+        told = [meaning(protocol, code) for code in (*range(NO_CODE), None)]
+        known = [response for _, response in told]
+        # By code, and by NO_CODE: the name, and the code that a record has.
+        self.names = [
+            " ".join(names) or (response.name if response else None) for names, response in told
+        ]
+        self.bytes = np.array([one.code if one else -1 for one in known], np.int64)
+        self._known = np.array([one is not None for one in known], np.bool_)
+        # Codes with which the answer may lack its data.
+        self._fails = np.array(
+            [one is not None and Outcome.VALID not in one.outcomes for one in known], np.bool_
+        )
+
+    def cut(self, asked: Bytes, requests: Requests, data: Bytes) -> CutAnswers:
+        """The answers in `data` to the requests of `asked`, as far as they are right."""
+        raw = data.tobytes()
+        sizes = self._sizes(asked, requests)
+        *walked, end = self._walk(raw, sizes, asked, requests)
+        offset = np.array(walked, np.int64)
+        size = np.diff(offset, append=end)
+        given = requests.rows(slice(len(offset)))
+        code = np.full(len(offset), PLAIN_ANSWER.code, np.int64)
+        good = self._right(asked, given, data, offset, offset + size, code)
+        rows = len(good) if good.all() else int(np.argmin(good))
+        regular = rows == len(good)
+        if regular and end < len(raw) and rows < len(requests.offset):
+            regular = self._is_open(raw[end:], self._request(asked, requests, rows))
+        found = Answers(offset[:rows], size[:rows], code[:rows])
+        return CutAnswers(found, int(found.end[-1]) if rows else 0, regular)
+
+    @staticmethod
+    def _request(asked: Bytes, requests: Requests, row: int) -> bytes:
+        start = int(requests.offset[row])
+        return asked[start : start + int(requests.size[row])].tobytes()
+
+    def _is_open(self, rest: bytes, request: bytes) -> bool:
+        """Whether bytes are the beginning of an answer to a request that is not complete."""
+        size = reply_size(self._protocol, rest, judge(self._protocol, request))
+        return size is None or size > len(rest)
+
+    def _sizes(self, asked: Bytes, requests: Requests) -> Places:
+        """The size of the answer to each request; 0 where the answer itself tells it."""
+        fixed = [told if isinstance(told, int) else 0 for told in self._told]
+        sizes = np.array(fixed, np.int64).take(requests.kind)
+        for kind, (way, told) in enumerate(zip(self._ways, self._told, strict=True)):
+            if told is not None or way.data is None or way.layout.part("length") is not None:
+                continue
+            rows = np.flatnonzero(requests.kind == kind)
+            if len(rows):
+                numbers = self._tables.numbers(asked, requests.rows(rows), kind)
+                found = sizes_by_request(way.data, numbers, len(rows))
+                if found is not None:
+                    sizes[rows] = way.layout.head + found + way.layout.tail
+        return sizes
+
+    def _walk(self, data: bytes, sizes: Places, asked: Bytes, requests: Requests) -> list[int]:
+        """Where the answers begin that are whole, and where the next one begins."""
+        if sizes.all():
+            end = np.cumsum(sizes)
+            whole = int(np.searchsorted(end, len(data), "right"))
+            return [0, *end[:whole].tolist()]
+        walked, at, last = [0], 0, len(data)
+        rows = zip(sizes.tolist(), map(self._told.__getitem__, requests.kind.tolist()), strict=True)
+        for row, (size, told) in enumerate(rows):
+            if not size:
+                if isinstance(told, Told):
+                    place = at + told.place
+                    size = told.sizes[data[place]] if place < last else 0
+                else:
+                    request = self._request(asked, requests, row)
+                    way = self._ways[requests.kind[row]]
+                    least = way.layout.head + (way.data.length if way.data else 0)
+                    size = self._size(data[at : at + least], way, request)
+            at += size
+            if not size or at > last:
+                return walked
+            walked.append(at)
+        return walked
+
+    def _size(self, begun: bytes, way: Way, request: bytes) -> int:
+        """The size of the answer that begins so; 0 if it is not known yet, or none."""
+        values = asked_values(self._protocol, judge(self._protocol, request))
+        return max(0, way.layout.size(begun, way.data, values) or 0)
+
+    def _right(
+        self,
+        asked: Bytes,
+        requests: Requests,
+        data: Bytes,
+        start: Places,
+        end: Places,
+        code: Places,
+    ) -> Mask:
+        """Which answers are right; writes the codes of those that have one."""
+        good = np.ones(len(start), np.bool_)
+        for layout, kinds in self._layouts:
+            mask = kinds.take(requests.kind)
+            rows: slice | Places = slice(None) if mask.all() else np.flatnonzero(mask)
+            begin, after = start[rows], end[rows]
+            right = constants_hold(layout, data, begin, after)
+            right &= checks_hold(
+                layout, data, begin, after, self._counted(layout, asked, requests.rows(rows))
+            )
+            part = layout.part("code")
+            if part is not None:
+                code[rows] = part_values(part, data, begin, after)
+                right &= self._known.take(code[rows], mode="clip")
+            good[rows] = right
+        for kind, way in enumerate(self._ways):
+            rows = np.flatnonzero(good & (requests.kind == kind))
+            if len(rows):
+                these = requests.rows(rows)
+                good[rows] = self._repeats(way.layout, asked, these, kind, data, start[rows])
+                good[rows] &= self._whole(
+                    way, asked, these, kind, data, start[rows], end[rows], code[rows]
+                )
+        return good
+
+    def _counted(self, layout: Layout, asked: Bytes, requests: Requests) -> Checking | None:
+        """The check of what it covers of the requests, where it does."""
+        if layout.check is None or not layout.check.asked:
+            return None
+        checking = Checking(layout.check.function, len(requests.offset))
+        check = self._protocol.layout.check
+        first, last = (check.first, check.last) if check else (0, 0)
+        checking.take(asked, requests.offset + first, requests.end - last)
+        return checking
+
+    def _repeats(
+        self,
+        layout: Layout,
+        asked: Bytes,
+        requests: Requests,
+        kind: int,
+        data: Bytes,
+        start: Places,
+    ) -> Mask:
+        """Which answers to requests of one kind repeat what they must of them."""
+        found = np.ones(len(start), np.bool_)
+        parts = [part for part in layout.parts if part.same and part.offset >= 0]
+        numbers = self._tables.numbers(asked, requests, kind) if parts else {}
+        for part in parts:
+            expected = numbers.get(part.same, np.int64(-1)) + part.plus
+            found &= part_values(part, data, start, start) == expected
+        return found
+
+    def _whole(
+        self,
+        way: Way,
+        asked: Bytes,
+        requests: Requests,
+        kind: int,
+        data: Bytes,
+        start: Places,
+        end: Places,
+        code: Places,
+    ) -> Mask:
+        """Which answers to requests of one kind have all their data, or fail without any."""
+        layout, spec = way.layout, way.data
+        count = len(start)
+        if not layout.has_data or spec is None or layout.part("length") is None:
+            return np.ones(count, np.bool_)  # their size is made of their data
+        size = end - start - layout.head - layout.tail
+        good = size >= spec.length
+        many = spec.counted
+        if many is None or many.how != "rest":
+            rows = np.flatnonzero(good)
+            these = requests.rows(rows)
+            needed = sizes_by_request(spec, self._tables.numbers(asked, these, kind), len(rows))
+            if needed is None:
+                needed = data_sizes(
+                    spec,
+                    data,
+                    start[rows] + layout.head,
+                    lambda row: self._measured(way, data, start[rows][row], asked, these, row),
+                )
+            good[rows] = size[rows] == needed
+        refused: Mask = (size == 0) & (code >= 0) & self._fails.take(code, mode="clip")
+        return good | refused
+
+    def _measured(
+        self, way: Way, data: Bytes, start: int, asked: Bytes, requests: Requests, row: int
+    ) -> int:
+        """How many bytes the data of one answer must have."""
+        assert way.data is not None
+        judged = judge(self._protocol, self._request(asked, requests, row))
+        at = start + way.layout.head
+        begun = data[at : at + way.data.length].tobytes()
+        return way.data.measure(begun, asked_values(self._protocol, judged)) or 0

@@ -1,0 +1,272 @@
+"""Cuts and judges the requests in a buffer in arrays, as far as they are whole and valid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bilprov.spec.arrays.layouts import (
+    Bytes,
+    Mask,
+    Places,
+    Told,
+    checks_hold,
+    constants_hold,
+    data_sizes,
+    in_range,
+    part_values,
+    require_narrow,
+    size_by_byte,
+)
+from bilprov.spec.data import DataSpec
+from bilprov.spec.fields import Outcome
+from bilprov.spec.framing import frame_size
+from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol
+from bilprov.spec.tables import WIDEST, coded, number_values
+
+
+class Requests(NamedTuple):
+    """Valid frames of a buffer, one row each.
+
+    `offset` is where a frame begins, `size` its bytes, `kind` the place of its instruction in
+    `Protocol.instructions`, and `due` tells whether a conforming device answers it.
+    """
+
+    offset: Places
+    size: Places
+    kind: Places
+    due: Mask
+
+    def rows(self, rows: slice | Mask | Places) -> Requests:
+        """Some of the rows."""
+        return Requests(self.offset[rows], self.size[rows], self.kind[rows], self.due[rows])
+
+    def and_then(self, other: Requests) -> Requests:
+        """These rows and those of `other`, of the same buffer."""
+        return Requests(
+            np.concatenate([self.offset, other.offset]),
+            np.concatenate([self.size, other.size]),
+            np.concatenate([self.kind, other.kind]),
+            np.concatenate([self.due, other.due]),
+        )
+
+    @property
+    def end(self) -> Places:
+        """Where each frame ends."""
+        return self.offset + self.size
+
+
+class CutRequests(NamedTuple):
+    """The requests of a buffer up to byte `end`.
+
+    With `regular` what follows is the beginning of a frame, or nothing; without it, it is a frame
+    that is not valid, or none.
+    """
+
+    requests: Requests
+    end: int
+    regular: bool
+
+
+class RequestTables:
+    """Cuts requests and judges them. Raises OverflowError for what does not fit into 64 bits."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._protocol = protocol
+        layout = self.layout = protocol.layout
+        self.specs = protocol.instructions
+        identity = layout.part("id")
+        if identity is None:
+            raise OverflowError("frames without an ID are not decoded by columns")
+        self._id = identity
+        require_narrow(layout)
+        for spec in self.specs:
+            _require_numbers(spec.data)
+        self.keys = np.array([min(spec.id, 255) for spec in self.specs], np.uint8)
+        self._ids = np.array([spec.id for spec in self.specs], np.int64)
+        self._effects: dict[str, list[tuple[int, Any]]] = {}
+        for kind, spec in enumerate(self.specs):
+            for variable, source in spec.effect.assignments:
+                self._effects.setdefault(variable, []).append((kind, source))
+        answered = protocol.answers[Outcome.VALID] is not NO_ANSWER
+        self._answered = np.array(
+            [answered and spec.answer is not None for spec in self.specs], np.bool_
+        )
+        # The size of a frame by the byte at a place in it, 0 where it takes more to tell.
+        self._place = identity.offset
+        self._sizes: tuple[int, ...] = (0,) * 256
+        self._counted: dict[int, Told | InstructionSpec] = {}  # those by the byte of the ID
+        told = size_by_byte(layout, None)
+        by_id = identity.size == 1 and layout.part("length") is None
+        self._by_byte = by_id or isinstance(told, Told)
+        if by_id:
+            self._sizes = tuple(map(self._by_id_byte, range(256)))
+        elif isinstance(told, Told):
+            self._place, self._sizes = told
+
+    def _by_id_byte(self, byte: int) -> int:
+        """The size of the frames with this byte in the place of the ID; 0 if more decides."""
+        spec = self._protocol.by_id.get(self._id.read(bytes(self._id.offset) + bytes([byte])))
+        if spec is None:
+            return 0
+        size = size_by_byte(self.layout, spec.data)
+        if isinstance(size, int):
+            return size
+        self._counted[byte] = size or spec
+        return 0
+
+    @property
+    def has_effects(self) -> bool:
+        """Whether any instruction sets a state variable."""
+        return bool(self._effects)
+
+    def cut(self, data: Bytes, begun: int) -> CutRequests:
+        """The requests of `data` from byte `begun` on, as far as they are whole and valid."""
+        raw = data.tobytes()
+        *walked, end = self._walk(raw, begun)
+        offset = np.array(walked, np.int64)
+        size = np.diff(offset, append=end)
+        kind = self._kinds(data, offset)
+        good = self._valid(data, offset, offset + size, kind)
+        rows = len(good) if good.all() else int(np.argmin(good))
+        regular = rows == len(good) and self._is_open(raw[end:])
+        offset, size, kind = offset[:rows], size[:rows], kind[:rows]
+        found = Requests(offset, size, kind, self._due(data, offset, kind))
+        return CutRequests(found, int(offset[-1] + size[-1]) if rows else begun, regular)
+
+    def _walk(self, data: bytes, at: int) -> list[int]:
+        """Where the frames from `at` on begin that are whole, and where the next one begins."""
+        place, sizes = self._place, self._sizes
+        walked, last = [at], len(data) - place
+        while at < last:
+            size = sizes[data[at + place]] or self._size(data, at)
+            if not size:
+                return walked
+            at += size
+            walked.append(at)
+        if at > len(data):
+            walked.pop()
+        return walked
+
+    def _size(self, data: bytes, at: int) -> int:
+        """The size of the frame at this place; 0 if it is not known yet, or none."""
+        found = self._counted.get(data[at + self._place])
+        head = self.layout.head
+        if isinstance(found, Told):
+            place = at + found.place
+            return found.sizes[data[place]] if place < len(data) else 0
+        if found is not None:
+            count = found.data.measure(data[at + head : at + head + found.length])
+            return 0 if count is None else head + count + self.layout.tail
+        if self._by_byte:
+            return 0
+        spec = self._protocol.by_id.get(self.layout.id_of(data[at : at + head]) or 0)
+        size = frame_size(self._protocol, data[at : at + head + (spec.length if spec else 0)])
+        return max(0, size or 0)
+
+    def _is_open(self, rest: bytes) -> bool:
+        """Whether bytes are the beginning of a frame that is not complete, or none."""
+        size = frame_size(self._protocol, rest) if rest else None
+        return size is None or size > len(rest)
+
+    def _kinds(self, data: Bytes, offset: Places) -> Places:
+        """The place of each frame's instruction; -1 for an unused ID."""
+        identity = part_values(self._id, data, offset, offset)
+        place = np.minimum(np.searchsorted(self._ids, identity), len(self._ids) - 1)
+        return np.where(self._ids.take(place) == identity, place, -1)
+
+    def _due(self, data: Bytes, offset: Places, kind: Places) -> Mask:
+        due = self._answered.take(kind)
+        address = self.layout.part("address")
+        if address is not None:
+            to = part_values(address, data, offset, offset)
+            due &= (to >= address.low) & (to <= address.high)
+        return due
+
+    def _valid(self, data: Bytes, start: Places, end: Places, kind: Places) -> Mask:
+        """Which frames a device judges to be valid; see `codec.judge_framed`."""
+        good = (kind >= 0) & constants_hold(self.layout, data, start, end)
+        good &= checks_hold(self.layout, data, start, end)
+        for place, spec in enumerate(self.specs):
+            rows = np.flatnonzero(good & (kind == place))
+            if len(rows):
+                good[rows] = self._good_data(spec.data, data, start[rows], end[rows])
+        return good
+
+    def _good_data(self, spec: DataSpec, data: Bytes, start: Places, end: Places) -> Mask:
+        """Which frames with such data have as many as are needed, all in their ranges."""
+        at = start + self.layout.head
+        size = end - self.layout.tail - at
+        good = size >= spec.length
+        rows = np.flatnonzero(good)
+        at, size = at[rows], size[rows]
+        right = np.ones(len(rows), np.bool_)
+        many = spec.counted
+        if self.layout.part("length") is not None and (many is None or many.how != "rest"):
+            right &= size == data_sizes(spec, data, at, self._measured(spec, data, at, size))
+        for part in spec.fields:
+            right &= in_range(part, data, at + part.offset, size - part.offset)
+        good[rows] = right
+        return good
+
+    @staticmethod
+    def _measured(spec: DataSpec, data: Bytes, at: Places, size: Places) -> Callable[[int], int]:
+        """How many bytes the data of a row need."""
+
+        def measured(row: int) -> int:
+            begun = data[at[row] : at[row] + size[row]].tobytes()
+            return spec.measure(begun) or 0
+
+        return measured
+
+    def state(self, variable: str, data: Bytes, requests: Requests, before: Any) -> NDArray[Any]:
+        """A state variable after each request, as `tables.coded`; `before` is the state before."""
+        value = coded(getattr(before, variable))
+        rows, values = [np.zeros(0, np.int64)], [np.array([value])]
+        for kind, source in self._effects.get(variable, ()):
+            these = np.flatnonzero(requests.kind == kind)
+            rows.append(these)
+            if isinstance(source, tuple):
+                numbers = self.numbers(data, requests.rows(these), kind)
+                values.append(numbers[source[0]] * source[1])
+            else:
+                values.append(np.full(len(these), coded(source)))
+        row = np.concatenate(rows)
+        order = np.argsort(row, kind="stable")
+        counts = np.diff(np.append(row[order], len(requests.kind)), prepend=0)
+        after = np.concatenate(values[1:] or [np.zeros(0, np.int64)])[order]
+        return np.repeat(np.append(values[0], after), counts)
+
+    def numbers(self, data: Bytes, requests: Requests, kind: int) -> Mapping[str, Places]:
+        """The parts and the fields of requests of one kind that are numbers, by name."""
+        start, end = requests.offset, requests.end
+        roles = ("address", "id", "code", "other")
+        parts = {
+            part.name: part_values(part, data, start, end)
+            for part in self.layout.parts
+            if part.role in roles
+        }
+        at = start + self.layout.head
+        fields = {
+            part.name: number_values(part.number, data, at + part.offset)
+            for part in self.specs[kind].fields
+            if part.number is not None and part.size <= WIDEST
+        }
+        return {**parts, **fields}
+
+
+def _require_numbers(spec: DataSpec) -> None:
+    """Raise OverflowError for data whose ranges do not fit into 64 bits."""
+    for part in spec.fields:
+        if part.number is not None and part.size > WIDEST and not part.unlimited:
+            raise OverflowError(f"{part.name} does not fit into 64 bits")
+
+
+@lru_cache(maxsize=8)
+def request_tables(protocol: Protocol) -> RequestTables:
+    """The tables of a protocol, made when they are first asked for. Raises OverflowError."""
+    return RequestTables(protocol)
