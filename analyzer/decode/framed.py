@@ -16,17 +16,17 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from bilprov.analyzer.decode.batch import written
+from bilprov.analyzer.decode.bus_state import BusState
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.framed_batch import FramedBatch, FramedDecoding
 from bilprov.analyzer.decode.pairing import MOST
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
-from bilprov.captures.schemas import MS, Chunk, State
+from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.arrays.answers import AnswerTables
 from bilprov.spec.arrays.requests import Requests, request_tables
-from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State, after
 from bilprov.spec.steps import Steps
 
 
@@ -228,10 +228,10 @@ class FramedDecoder:
         paired = np.maximum.accumulate(np.maximum(whole, asked_come[: len(whole)]))
 
         # What there is after 0, 1, 2 ... events; what falls due before the next event ends it.
-        after = np.arange(-1, len(events))
-        frames = np.searchsorted(come, after, "right")
-        asked_by = np.searchsorted(asked_come, after, "right")
-        answered = np.searchsorted(paired, after, "right")
+        events_before = np.arange(-1, len(events))
+        frames = np.searchsorted(come, events_before, "right")
+        asked_by = np.searchsorted(asked_come, events_before, "right")
+        answered = np.searchsorted(paired, events_before, "right")
         falls_due = _paused(host, np.append(before.begun, requests.end)[frames], t, self._timeout)
         heard = np.append(0, answers.end)[answered]
         falls_due |= _paused(device, heard, t, self._reply_timeout)
@@ -245,6 +245,7 @@ class FramedDecoder:
         rows, replies, waiting = int(frames[cut]), int(answered[cut]), int(asked_by[cut])
         begun = int(requests.end[rows - 1]) if rows else before.begun
         new = requests.rows(slice(rows))
+        states, then = self._follow(rest, host.data, new)
         line_event = line_event[line_event < cut]
         batch = FramedBatch(
             decoding=self._decoding,
@@ -261,6 +262,7 @@ class FramedDecoder:
             t=answer_t[:replies],
             device_after=frames[1 + paired[:replies]],
             before=rest.state,
+            new_states=states,
             lines=[
                 replace(line, t=int(t[at]))
                 for line, at in zip(events.lines, line_event.tolist(), strict=False)
@@ -284,20 +286,29 @@ class FramedDecoder:
                 end=asked_end[replies:waiting],
                 sequence=sequence[replies:waiting],
                 device=device.rest(int(heard[cut]), cut),
-                rest=replace(
-                    rest,
-                    time=int(t[cut - 1]),
-                    sequence=rest.sequence + rows,
-                    state=self._last_state(batch),
-                ),
+                rest=replace(then, time=int(t[cut - 1]), sequence=rest.sequence + rows),
             ),
         )
 
-    def _last_state(self, batch: FramedBatch) -> State:
-        if not len(batch.start) or not self._requests.has_effects:
-            return batch.before
-        states = batch.hosts.states
-        return written(*(int(states[variable][-1]) for variable in VARIABLES))
+    def _follow(
+        self, rest: DecoderState, data: NDArray[np.uint8], new: Requests
+    ) -> tuple[list[State] | None, DecoderState]:
+        """The states after some requests (None: nothing changes), and what is known after them."""
+        if not self._requests.has_effects or not len(new.kind):
+            return None, rest
+        sets = self._requests.sets(data, new)
+        addresses = self._requests.addresses(data, new)
+        states: list[State] = []
+        if addresses is None:
+            state = rest.state
+            for one in sets:
+                state = after(state, one)
+                states.append(state)
+            return states, replace(rest, state=state)
+        bus = BusState(self._decoding.protocol)
+        bus.resume(rest.by_address or ())
+        states = [bus.after(*one) for one in zip(addresses, sets, strict=True)]
+        return states, replace(rest, state=states[-1], by_address=bus.saved)
 
 
 def _paused(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, fields
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import repeat
 from typing import Any
 
@@ -27,15 +27,15 @@ from bilprov.analyzer.decode.batch import (
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.decode.regular import objects
-from bilprov.captures.schemas import Line, State
+from bilprov.captures.schemas import Line
 from bilprov.spec.arrays.answers import NO_CODE, Answers, AnswerTables
 from bilprov.spec.arrays.requests import Requests, RequestTables
 from bilprov.spec.codec import Judgement
-from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import read_reply
+from bilprov.spec.state import State
 from bilprov.spec.steps import Steps
-from bilprov.spec.tables import VALID, values_of
+from bilprov.spec.tables import VALID
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class FramedBatch(Batch):
     came from `start` to `end` (ns); the first has the number `first`. Answer j of `answers`, whose
     first byte came at `t` (ns), is to the frame of row j of `asked`, which has the number
     `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. `before` is
-    the state before the new frames. Before each of the `lines` come `line_after` new frames and
+    the state before the new frames and `new_states` those after each of them, None if they are the
+    same. Before each of the `lines` come `line_after` new frames and
     `line_heard` answers.
     """
 
@@ -76,6 +77,7 @@ class FramedBatch(Batch):
     t: NDArray[np.int64]
     device_after: NDArray[np.int64]
     before: State
+    new_states: Sequence[State] | None
     lines: Sequence[Line]
     line_after: NDArray[np.int64]
     line_heard: NDArray[np.int64]
@@ -101,7 +103,7 @@ class FramedBatch(Batch):
             size=self.requests.size,
             verdict=np.broadcast_to(np.uint8(VALID), count),
             sequence=self.first + np.arange(count),
-            states=StateColumns(alone._host_states),
+            states=StateColumns(type(self.before), count, alone._host_states),
             reasons=lambda rows: [""] * len(rows),
             keys=self.decoding.requests.keys.take(self.requests.kind),
         )
@@ -122,7 +124,7 @@ class FramedBatch(Batch):
             latency=latency,
             agrees=np.broadcast_to(np.int8(1), count),
             odd=late | (latency < 0),
-            states=StateColumns(partial(alone._device_states, self.hosts.states)),
+            states=StateColumns(type(self.before), count, alone._device_states),
             samples=alone._samples,
             sort=lambda rows: late[rows].astype(np.int64),
             wide=WideAnswers(
@@ -210,18 +212,24 @@ class FramedBatch(Batch):
         )  # fmt: skip
 
     def _host_states(self, variable: str) -> NDArray[Any]:
-        return self.decoding.requests.state(variable, self.data, self.requests, self.before)
+        return self._column(variable, self._states[1:])
 
-    def _device_states(self, hosts: StateColumns, variable: str) -> NDArray[Any]:
-        column = hosts[variable]
-        first = values_of(self.before)[VARIABLES.index(variable)]
-        return np.append(np.array([first], column.dtype), column).take(self.after)
+    def _device_states(self, variable: str) -> NDArray[Any]:
+        return self._column(variable, self._states.take(self.after))
+
+    def _column(self, variable: str, states: NDArray[np.object_]) -> NDArray[Any]:
+        """A variable in some states."""
+        if self.new_states is None:
+            value = self.before.code(variable, getattr(self.before, variable))
+            return np.full(len(states), value)
+        values = [one.code(variable, getattr(one, variable)) for one in states.tolist()]
+        return np.array(values, np.int64)
 
     @cached_property
     def _states(self) -> NDArray[np.object_]:
         """The state before the new frames, and after each of them."""
-        states = [self.before, *self.hosts.states.states()]
-        return np.fromiter(states, object, len(states))
+        new = [self.before] * len(self.start) if self.new_states is None else self.new_states
+        return np.fromiter([self.before, *new], object, 1 + len(new))
 
     def _states_after(self, after: NDArray[np.int64]) -> list[State]:
         states: list[State] = self._states.take(after).tolist()

@@ -116,7 +116,9 @@ class Pairing:
         return held
 
 
-def waiting_frames(waiting: Iterable[Waiting], *, numbered: bool) -> tuple[WaitingFrames, ...]:
+def waiting_frames(
+    waiting: Iterable[Waiting], *, numbered: bool = False
+) -> tuple[WaitingFrames, ...]:
     """Instructions that wait: neighbours with equal times together, as far as one cut short.
 
     With `numbered` there may be some between them that are not answered.

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
-from typing import Any, NamedTuple
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bilprov.spec.arrays.layouts import (
     Bytes,
@@ -26,7 +25,8 @@ from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import frame_size
 from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol
-from bilprov.spec.tables import WIDEST, coded, number_values
+from bilprov.spec.state import Assigned, assigned
+from bilprov.spec.tables import WIDEST, number_values
 
 
 class Requests(NamedTuple):
@@ -88,10 +88,6 @@ class RequestTables:
             _require_numbers(spec.data)
         self.keys = np.array([min(spec.id, 255) for spec in self.specs], np.uint8)
         self._ids = np.array([spec.id for spec in self.specs], np.int64)
-        self._effects: dict[str, list[tuple[int, Any]]] = {}
-        for kind, spec in enumerate(self.specs):
-            for variable, source in spec.effect.assignments:
-                self._effects.setdefault(variable, []).append((kind, source))
         answered = protocol.answers[Outcome.VALID] is not NO_ANSWER
         self._answered = np.array(
             [answered and spec.answer is not None for spec in self.specs], np.bool_
@@ -119,10 +115,11 @@ class RequestTables:
         self._counted[byte] = size or spec
         return 0
 
-    @property
+    @cached_property
     def has_effects(self) -> bool:
-        """Whether any instruction sets a state variable."""
-        return bool(self._effects)
+        """Whether any frame sets a state variable."""
+        effects = [self._protocol.on_fault, *(spec.effect for spec in self.specs)]
+        return any(effect.assignments for effect in effects)
 
     def cut(self, data: Bytes, begun: int) -> CutRequests:
         """The requests of `data` from byte `begun` on, as far as they are whole and valid."""
@@ -223,23 +220,27 @@ class RequestTables:
 
         return measured
 
-    def state(self, variable: str, data: Bytes, requests: Requests, before: Any) -> NDArray[Any]:
-        """A state variable after each request, as `tables.coded`; `before` is the state before."""
-        value = coded(getattr(before, variable))
-        rows, values = [np.zeros(0, np.int64)], [np.array([value])]
-        for kind, source in self._effects.get(variable, ()):
-            these = np.flatnonzero(requests.kind == kind)
-            rows.append(these)
-            if isinstance(source, tuple):
-                numbers = self.numbers(data, requests.rows(these), kind)
-                values.append(numbers[source[0]] * source[1])
-            else:
-                values.append(np.full(len(these), coded(source)))
-        row = np.concatenate(rows)
-        order = np.argsort(row, kind="stable")
-        counts = np.diff(np.append(row[order], len(requests.kind)), prepend=0)
-        after = np.concatenate(values[1:] or [np.zeros(0, np.int64)])[order]
-        return np.repeat(np.append(values[0], after), counts)
+    def sets(self, data: Bytes, requests: Requests) -> list[Assigned]:
+        """The state variables that each request sets, with their new values."""
+        found: list[Assigned] = [()] * len(requests.kind)
+        for kind in np.unique(requests.kind).tolist():
+            effect = self.specs[kind].effect
+            if effect.assignments:
+                rows = np.flatnonzero(requests.kind == kind)
+                numbers = self.numbers(data, requests.rows(rows), kind)
+                columns = {name: column.tolist() for name, column in numbers.items()}
+                for place, row in enumerate(rows.tolist()):
+                    fields = {name: column[place] for name, column in columns.items()}
+                    found[row] = assigned(effect, fields)
+        return found
+
+    def addresses(self, data: Bytes, requests: Requests) -> list[int] | None:
+        """The address in each request; None where they have none."""
+        part = self.layout.part("address")
+        if part is None:
+            return None
+        found: list[int] = part_values(part, data, requests.offset, requests.end).tolist()
+        return found
 
     def numbers(self, data: Bytes, requests: Requests, kind: int) -> Mapping[str, Places]:
         """The parts and the fields of requests of one kind that are numbers, by name."""

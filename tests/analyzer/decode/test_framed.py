@@ -16,18 +16,22 @@ from bilprov.spec.protocol import Protocol
 from tests.analyzer.decode.test_foreign_traffic import TRAFFIC
 from tests.analyzer.decode.test_foreign_traffic import events as recorded
 from tests.analyzer.decode.test_stream import same
+from tests.support import ROOT
 from tests.support.decoding import MS, Event
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.framed_traffic import Traffic, exchanges
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
-SHIPPED = ("modbus-rtu", "stk500v1", "dynamixel1")
+EXAMPLES = ("relay_board", "roboclaw")  # their states follow from the requests
+SHIPPED = ("modbus-rtu", "stk500v1", "dynamixel1", *EXAMPLES)
 BOTH = frozenset({"host", "device"})
 
 
 @cache
 def protocol_of(name: str | int) -> Protocol:
-    return load_protocol(name) if isinstance(name, str) else drawn_layout(name).protocol
+    if isinstance(name, int):
+        return drawn_layout(name).protocol
+    return load_protocol(str(ROOT / "examples" / f"{name}.py") if name in EXAMPLES else name)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
