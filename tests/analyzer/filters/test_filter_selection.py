@@ -233,7 +233,8 @@ def test_two_names_are_compared_row_by_row(
 def test_numbers_that_floats_cannot_tell_apart_are_told_apart(
     grammar_text: str, number: float
 ) -> None:
-    text = grammar_text.replace("speed=0, steering=0, led=0)", f"speed=0, led={(1 << 53) + 2})")
+    wide = grammar_text.replace('led=Bits("RGB")', f"led=Whole(0, {1 << 60})")
+    text = wide.replace("speed=0, steering=0, led=0)", f"speed=0, led={(1 << 53) + 2})")
     protocol = load(text)
     for batch in batches(protocol, driving(protocol, 3, 1), heard=frozenset({"host"})):
         for sign, compare in _SIGNS.items():
@@ -246,7 +247,8 @@ def _led(compare: Callable[[Any, Any], bool], number: int, row: Values) -> bool:
 
 
 def test_numbers_beyond_64_bits_are_asked_for(grammar_text: str) -> None:
-    protocol = load(grammar_text.replace("speed=0, steering=0, led=0)", f"speed=0, led={1 << 70})"))
+    wide = grammar_text.replace('led=Bits("RGB")', f"led=Whole(0, {1 << 70})")
+    protocol = load(wide.replace("speed=0, steering=0, led=0)", f"speed=0, led={1 << 70})"))
     (batch, *_) = batches(protocol, driving(protocol, 3, 1))
 
     for text, holds in (
