@@ -12,7 +12,7 @@ export PYTHONDONTWRITEBYTECODE :=
 PYTEST_ARGS ?= -n 4 --dist worksteal
 # A browser for the pages, compilers and emulators for the firmware, other people's serial programs,
 # a reader of exported traffic, a terminal for the screen, a drawer of graphs.
-PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr \
+PACKAGES := chromium make gcc libc6-dev gcc-avr avr-libc simavr avrdude arduino-core-avr libmodbus-dev \
 	ser2net socat tshark tmux graphviz
 
 # Another reader of captures, in JavaScript; npm brings it, where there is one.

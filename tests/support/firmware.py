@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -28,9 +29,12 @@ def _has_simavr() -> bool:
     return True
 
 
-def needs(*programs: str, simavr: bool = False, package: str) -> pytest.MarkDecorator:
-    """Skips where a program, or libsimavr, is not installed, with the line that brings it."""
+def needs(
+    *programs: str, files: Sequence[Path] = (), simavr: bool = False, package: str
+) -> pytest.MarkDecorator:
+    """Skips where a program, a file or libsimavr is not installed, with the line that brings it."""
     missing = [p for p in programs if shutil.which(p) is None]
+    missing += [str(file) for file in files if not file.exists()]
     missing += ["libsimavr"] if simavr and not _has_simavr() else []
     reason = f"no {', '.join(missing)}: apt-get install {package}"
     return pytest.mark.skipif(bool(missing), reason=reason)

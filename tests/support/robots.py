@@ -225,15 +225,23 @@ def simulate(
     return _serving(*before, "simulate", *line, *arguments, probe=probe)
 
 
-def emulate(firmware: Path, *arguments: str, lines: int = 2) -> AbstractContextManager[Served]:
-    """Serve an emulated board so; `lines` are what it announces."""
-    return _serving("simulate", "--firmware", str(firmware), *arguments, lines=lines)
+def emulate(
+    firmware: Path, *arguments: str, lines: int = 2, grammar: str = ""
+) -> AbstractContextManager[Served]:
+    """Serve an emulated board so; `lines` are what it announces.
+
+    With another `grammar` than the car's it has no probe, and announces one line.
+    """
+    words = ("simulate", "--firmware", str(firmware), *arguments)
+    if grammar:
+        return _serving("--grammar", grammar, *words, lines=1, probe="")
+    return _serving(*words, lines=lines)
 
 
 @contextmanager
 def _serving(*words: str, lines: int = 2, probe: str = "127.0.0.1:0") -> Iterator[Served]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *words, "--probe-listen", probe],
+        [sys.executable, "-m", "bilprov", *words, *(("--probe-listen", probe) if probe else ())],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
