@@ -73,7 +73,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
 
 def judged_columns(columns: list[Columns], protocol: Protocol) -> Judged:
     """The columns' response codes and last state, to compare with those of the peers."""
-    codes = bytes(protocol.answers[outcome].code for outcome in OUTCOMES).ljust(256, b"\0")
+    codes = bytes(max(protocol.answers[outcome].code, 0) for outcome in OUTCOMES).ljust(256, b"\0")
     last = {name: int(columns[-1].state[name][-1]) for name in VARIABLES}
     state = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())
     verdicts = b"".join(part.verdict.tobytes() for part in columns)

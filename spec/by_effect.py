@@ -6,16 +6,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 from bilprov.spec.codec import build, judge
-from bilprov.spec.motion import Motion, car_state, rotates
+from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.state import State
+from bilprov.spec.state import Effect, State
 
 
 def moves(spec: InstructionSpec) -> bool:
@@ -239,7 +239,7 @@ def movement_of(protocol: Protocol, frames: Iterable[bytes]) -> Movement:
             continue
         known.add(frame)
         effect = judged.instruction.effect
-        after = effect.apply(car_state(), dict(judged.fields))
+        after = effect.apply(protocol.power_on, dict(judged.fields))
         found |= Movement(
             frozenset({after.motion} - {Motion.STOPPED}),
             after.speed if effect.sets("speed") else None,
@@ -261,3 +261,77 @@ def movement_words(protocol: Protocol, movement: Movement) -> str:
         elif verbs:
             words += ", at the speed that it has"
     return f"{words}; its wheels should be off the ground"
+
+
+def effect_words(protocol: Protocol, frames: Iterable[bytes] | None = None) -> str:
+    """What frames may change in a device, in words; "" if they are known to change nothing.
+
+    Without `frames` it is what all instructions may change. A car is said to drive and turn.
+    """
+    if protocol.wheels:
+        if not all_movement(protocol).motions:
+            return ""
+        every = all_movement(protocol) if frames is None else movement_of(protocol, frames)
+        return movement_words(protocol, every)
+    if frames is None:
+        specs = list(protocol.instructions)
+        unknown = False
+        effects: list[tuple[Effect, dict[str, Any] | None]] = [(s.effect, None) for s in specs]
+    else:
+        judged = [judge(protocol, frame) for frame in dict.fromkeys(frames)]
+        valid = [one for one in judged if one.valid and one.instruction]
+        specs = [one.instruction for one in valid if one.instruction]
+        effects = [(s.effect, dict(o.fields)) for s, o in zip(specs, valid, strict=True)]
+        unknown = len(valid) < len(judged)
+    words = [*_set_words(protocol, effects), *_other_words(specs)]
+    told = [f"it may {', '.join(words)}"] if words else []
+    if unknown:
+        told.append("what the faulty instructions change is not known")
+    return "; ".join(told)
+
+
+def _set_words(
+    protocol: Protocol, effects: Iterable[tuple[Effect, dict[str, Any] | None]]
+) -> Iterator[str]:
+    """What is set to what: of all values of the fields where these are None."""
+    found: dict[str, list[Any]] = {}
+    for effect, fields in effects:
+        for name, value in effect.assignments:
+            ends = found.setdefault(name, [])
+            if isinstance(value, tuple) and len(value) == 2 and fields is None:
+                ends += protocol.limits[name]
+            elif isinstance(value, tuple) and len(value) == 2:
+                ends.append(fields[value[0]] * value[1] if fields else 0)
+            elif isinstance(value, tuple) or value is None:
+                spec = protocol.variables[name]
+                ends += spec.words or (spec.low, spec.high)
+            else:
+                ends.append(value)
+    for name, values in found.items():
+        if isinstance(values[0], str):
+            yield f"set {name} to {' or '.join(dict.fromkeys(values))}"
+        else:
+            low, high = min(values), max(values)
+            yield f"set {name} to {low}" + (f"..{high}" if high > low else "")
+
+
+def _other_words(specs: Iterable[InstructionSpec]) -> Iterator[str]:
+    """What is written besides the state, each once."""
+    written = dict.fromkeys(
+        name
+        for spec in specs
+        for name in (spec.changes, spec.writes.name if spec.writes else "")
+        if name
+    )
+    yield from (f"write {name}" for name in written)
+
+
+def change_by(protocol: Protocol, frame: bytes) -> str:
+    """Why a frame is not known to change nothing, in words; "" if it only reads."""
+    judged = judge(protocol, frame)
+    if not judged.valid or judged.instruction is None:
+        return f"{judged.describe()} is faulty, and what it changes is not known"
+    spec = judged.instruction
+    sets = [name for name, _ in spec.effect.assignments]
+    changes = [*(f"sets {name}" for name in sets), *(f"may {w}" for w in _other_words([spec]))]
+    return f"{judged.describe()} {', '.join(changes)}" if changes else ""

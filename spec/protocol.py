@@ -372,15 +372,20 @@ class Protocol:
         return self.header_bytes[self.stop.id, 0]
 
 
-def require_family(protocol: Protocol, what: str) -> None:
+def require_family(protocol: Protocol, what: str, *, drives: bool = True) -> None:
     """Raise GrammarError, in one sentence, unless a protocol is of the robot car's family.
 
-    `what` is what needs that.
+    `what` is what needs that. With `drives` it must declare WHEELS too.
     """
     if not protocol.plain:
         raise GrammarError(
             f"{what} is for the robot car and its family, which have one header byte and answers "
             f"of one byte; {protocol.name} is laid out otherwise"
+        )
+    if drives and protocol.wheels is None:
+        raise GrammarError(
+            f"{what} is for the robot car and its family, which have wheels; {protocol.name} "
+            "declares no WHEELS"
         )
 
 

@@ -280,20 +280,41 @@ class NotConfirmed(click.ClickException):
     exit_code = 2
 
 
-def confirm_motion(protocol: Protocol, what: str, *, yes: bool, option: str = "--yes") -> None:
-    """Ask whether the device may move, and return if it may or no instruction moves it.
+def confirm_effect(
+    protocol: Protocol, what: str, words: str, *, yes: bool, option: str = "--yes"
+) -> None:
+    """Ask whether the device may do what is sent, and return if it may or that changes nothing.
 
-    `what` says what will move, like `the device at /dev/ttyUSB0 will drive as recorded`; `yes` is
-    the value of the command's `--yes` (or of the option named `option`). Raises NotConfirmed if the
-    answer is no, or if there is no terminal to ask on.
+    `what` says what will be done, like `the device at /dev/ttyUSB0 will move as recorded`, and
+    `words` what that may change (`effect_words`), "" for nothing. `yes` is the value of the
+    command's `--yes` (or of the option named `option`). Raises NotConfirmed if the answer is no, or
+    if there is no terminal to ask on.
     """
-    from bilprov.spec.by_effect import all_movement
-
-    if yes or not all_movement(protocol).motions:
+    if yes or not words:
         return
+    what = f"{what}: {words}"
+    may = "may move" if protocol.wheels else "may"
+    room = "Is there room, and may it move?" if protocol.wheels else "May it?"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise NotConfirmed(
-            f"{what}: there is no terminal to ask on, so give {option} if it may move"
-        )
-    if not click.confirm(_wrapped(one_line(f"{what}. Is there room, and may it move?")), err=True):
-        raise NotConfirmed("nothing was sent: the device may not move")
+        raise NotConfirmed(f"{what}: there is no terminal to ask on, so give {option} if it {may}")
+    if not click.confirm(_wrapped(one_line(f"{what}. {room}")), err=True):
+        end = " move" if protocol.wheels else " be changed"
+        raise NotConfirmed(f"nothing was sent: the device may not{end}")
+
+
+def require_reading(protocol: Protocol, frames: Iterable[bytes]) -> None:
+    """Raise UsageError for the first frame that is not known to change nothing."""
+    from bilprov.spec.by_effect import change_by
+
+    for frame in frames:
+        why = change_by(protocol, frame)
+        if why:
+            raise click.UsageError(f"{why}: --only-reading sends what changes nothing")
+
+
+def only_reading_option() -> Any:
+    """The option that sends nothing that changes something."""
+    return flag(
+        "Send only what the grammar knows to change nothing. A device that can be stopped is "
+        "stopped all the same."
+    )

@@ -14,7 +14,7 @@ from bilprov.analyzer.cli.command import argument, command, flag, group, option,
 from bilprov.analyzer.cli.options import (
     Finite,
     LineOptions,
-    confirm_motion,
+    confirm_effect,
     note,
     note_suspension,
     text_format_option,
@@ -96,10 +96,10 @@ def ports(options: PortsOptions) -> int:
     if usable(findings.found):
         rates = rates_of(names[0], settings.baud) if ask else ()
         if rates:
-            what = _what_may_move(protocol, names[0], rates, longest_time(protocol, rates))
-            confirm_motion(protocol, what, yes=options.yes)
+            what, words = _what_may_move(protocol, names[0], rates, longest_time(protocol, rates))
+            confirm_effect(protocol, what, words, yes=options.yes)
             if options.yes:
-                note(what)
+                note(f"{what}: {words}" if words else what)
         if len(names) > 1:
             findings.begin("both taps")
         with Stopper() as stopper:
@@ -130,17 +130,19 @@ def _list(*, as_json: bool) -> None:
         note(unseen(found))
 
 
-def _what_may_move(protocol: Protocol, port: str, rates: Sequence[int], seconds: float) -> str:
-    from bilprov.spec.by_effect import all_movement, link_check, movement_of, movement_words
+def _what_may_move(
+    protocol: Protocol, port: str, rates: Sequence[int], seconds: float
+) -> tuple[str, str]:
+    """What is done to a device, and what that may change, in words."""
+    from bilprov.spec.by_effect import effect_words, link_check
 
-    first = f"the robot at {port} is asked at {rates[0]} baud"
+    first = f"the {protocol.device} at {port} is asked at {rates[0]} baud"
     if len(rates) == 1:
-        words = movement_words(protocol, movement_of(protocol, link_check(protocol)))
-        return f"{first}: {words}"
-    words = movement_words(protocol, all_movement(protocol))
+        return first, effect_words(protocol, filter(None, link_check(protocol)))
     return (
         f"{first} and {len(rates) - 1} other rates, for up to {seconds:.0f} s; at a wrong rate it "
-        f"hears other bytes than are sent, and may do anything: {words}"
+        "hears other bytes than are sent, and may do anything",
+        effect_words(protocol),
     )
 
 

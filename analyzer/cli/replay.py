@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -18,12 +18,14 @@ from bilprov.analyzer.cli.options import (
     ShownOptions,
     WindowOptions,
     compiled,
-    confirm_motion,
+    confirm_effect,
     judge_option,
     max_drive_option,
     note,
     note_each,
+    only_reading_option,
     plain_option,
+    require_reading,
     timeout_option,
 )
 from bilprov.analyzer.cli.reading import protocol_of
@@ -54,7 +56,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.captures.topics import HOST_RAW
-from bilprov.spec.by_effect import movement_of, movement_words
+from bilprov.spec.by_effect import effect_words
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -89,6 +91,7 @@ class ReplayOptions:
     plain: bool = plain_option()
     judged: bool = judge_option()
     yes: bool = flag("With --to: the device may move, do not ask.")
+    only_reading: bool = only_reading_option()
     max_drive: float = max_drive_option()
     line: LineOptions = group(LineOptions)
     truncation_timeout: float | None = timeout_option()
@@ -147,10 +150,13 @@ def replay(options: ReplayOptions) -> int:
         if not capture.contents.counts.get(HOST_RAW):
             raise click.UsageError(f"{options.path} holds no bytes of the host to send")
         # Before Ctrl-C is taken over, so that it can end the question.
-        if not options.yes:  # what moves is in the whole capture
-            words = _movement(protocol, capture, timeout, window)
-            what = f"the device at {port} will move as recorded in {options.path}: {words}"
-            confirm_motion(protocol, what, yes=False)
+        if options.only_reading:
+            require_reading(protocol, _frames(protocol, capture, timeout, window))
+        if not options.yes:  # what it does is in the whole capture
+            words = effect_words(protocol, _frames(protocol, capture, timeout, window))
+            does = "move" if protocol.wheels else "do"
+            what = f"the device at {port} will {does} as recorded in {options.path}"
+            confirm_effect(protocol, what, words, yes=False)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         target, sent = None, 0
@@ -196,18 +202,17 @@ def replay(options: ReplayOptions) -> int:
     return tell_findings(judge.finish(), style)
 
 
-def _movement(protocol: Protocol, capture: Capture, timeout: int | None, window: Window) -> str:
-    """What the host bytes of the window will make a device do, in words."""
+def _frames(
+    protocol: Protocol, capture: Capture, timeout: int | None, window: Window
+) -> Iterator[bytes]:
+    """The frames that the host sent in the window, those that are cut short among them."""
     decoder = capture_decoder(capture, protocol, timeout)
     inside = ([event] for event in capture.events() if window.has(event.t))
     parts = chain.from_iterable(map(decoder.feed, inside))
-    frames = (
-        record.data
-        for batch in chain(parts, decoder.finish())
-        for record in batch.records()
-        if isinstance(record, HostRecord)
-    )
-    return movement_words(protocol, movement_of(protocol, frames))
+    for batch in chain(parts, decoder.finish()):
+        for record in batch.records():
+            if isinstance(record, HostRecord) and record.judgement:
+                yield record.data
 
 
 def _opened(

@@ -148,7 +148,7 @@ def c(options: EmitOption) -> None:
     """
     from bilprov.spec.emit.c import c_header
 
-    options.write(c_header(family_protocol("the C header")))
+    options.write(c_header(family_protocol("the C header", drives=False)))
 
 
 @command(EmitOption)
@@ -176,7 +176,7 @@ def wireshark(options: EmitOption) -> None:
     from bilprov.captures.schemas import MS
     from bilprov.spec.emit.wireshark import lua_dissector
 
-    options.write(lua_dissector(family_protocol("the dissector"), SKEW / MS))
+    options.write(lua_dissector(family_protocol("the dissector", drives=False), SKEW / MS))
 
 
 @command(GrammarOptions)

@@ -88,7 +88,7 @@ class SimulatedDrive(Source):
     def __init__(self, protocol: Protocol, settings: LineSettings) -> None:
         super().__init__({})
         self.names = {"simulated": "drive"}
-        made = drive if protocol.plain else exchanges
+        made = drive if protocol.wheels else exchanges
         self._chunks = made(protocol, settings.byte_time)
         self._next = next(self._chunks)
 

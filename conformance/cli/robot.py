@@ -12,7 +12,7 @@ from bilprov.analyzer.cli.command import argument, group, option
 from bilprov.analyzer.cli.options import (
     LineOptions,
     asked_here,
-    confirm_motion,
+    confirm_effect,
     note_each,
     note_hindrances,
     note_suspension,
@@ -32,7 +32,7 @@ from bilprov.conformance.dut.target import (
     open_target,
     target_named,
 )
-from bilprov.spec.by_effect import Movement, movement_words
+from bilprov.spec.by_effect import Movement, all_movement, movement_words
 from bilprov.spec.protocol import Protocol
 
 
@@ -128,5 +128,7 @@ class RobotOptions:
         """Ask once whether the robot may move for so long, in words, and in this way."""
         note_hindrances(self.target)
         words = movement_words(protocol, movement)
-        what = f"the robot at {self.target} will move for about {how_long}: {words}"
-        confirm_motion(protocol, what, yes=self.yes)
+        what = f"the robot at {self.target} will move for about {how_long}"
+        confirm_effect(
+            protocol, what, words if all_movement(protocol).motions else "", yes=self.yes
+        )

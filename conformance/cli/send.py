@@ -16,6 +16,7 @@ from bilprov.analyzer.cli.options import (
     LineOptions,
     asked_here,
     max_drive_option,
+    only_reading_option,
     timeout_option,
     yes_option,
 )
@@ -50,6 +51,7 @@ class SendOptions:
         "--together, once."
     )
     yes: bool = yes_option()
+    only_reading: bool = only_reading_option()
     max_drive: float = max_drive_option()
     wait: bool = flag(
         "With ITEMs: wait for a port that is not there yet, and for one that is unplugged "
@@ -118,6 +120,7 @@ def send(options: SendOptions) -> int:
                 expectations=options.expectations,
                 style=options.style,
                 yes=yes,
+                only_reading=options.only_reading,
                 max_drive=options.max_drive,
                 wait=options.wait,
             )
@@ -131,6 +134,7 @@ def send(options: SendOptions) -> int:
             probe=probe,
             style=options.style,
             yes=yes,
+            only_reading=options.only_reading,
             max_drive=options.max_drive,
         )
 
@@ -147,7 +151,7 @@ def _simulator(protocol: Protocol) -> Iterator[tuple[str, str]]:
     with closing(Stopper()) as stop, ThreadPoolExecutor(max_workers=1) as pool:
         served = pool.submit(
             serve,
-            Simulator(protocol) if protocol.plain else SimulatedDevice(protocol),
+            Simulator(protocol) if protocol.wheels else SimulatedDevice(protocol),
             pty=True,
             listen=None,
             probe_listen="127.0.0.1:0",

@@ -96,7 +96,7 @@ def simulate(options: SimulateOptions) -> int:
     Exit code: 0 after Ctrl-C or SIGTERM.
     """
     protocol, firmware = protocol_in_use(), options.firmware
-    if not protocol.plain:
+    if not protocol.wheels:
         _require_no_faults(protocol, options)
     if options.list_faults or options.list_variants:
         from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
@@ -157,7 +157,7 @@ def _require_no_faults(protocol: Protocol, options: SimulateOptions) -> None:
 
 def _simulated(protocol: Protocol, options: SimulateOptions) -> Simulator | SimulatedDevice:
     """The simulator of a grammar; that of the car's family can misbehave."""
-    if not protocol.plain:
+    if not protocol.wheels:
         return SimulatedDevice(protocol)
     return Simulator(protocol, named_device(protocol, options.fault, options.variant))
 

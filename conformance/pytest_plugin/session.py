@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.cli.options import NotConfirmed, confirm_motion
+from bilprov.analyzer.cli.options import NotConfirmed, confirm_effect
 from bilprov.analyzer.client.probes import ProbeError
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.ending import ENDINGS
@@ -27,7 +27,7 @@ from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
 from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
-from bilprov.spec.by_effect import all_movement, movement_words
+from bilprov.spec.by_effect import effect_words
 from bilprov.spec.errors import one_line
 from bilprov.spec.protocol import GrammarError, Protocol, require_family
 
@@ -120,13 +120,13 @@ class RobotSession:
         if ids:
             seconds = self.bench.seconds(frozenset(ids))
             what = f"the robot at {self.bench.target} will move for about {seconds:.0f} s"
-        what += f": {movement_words(self.bench.protocol, all_movement(self.bench.protocol))}"
+        words = effect_words(self.bench.protocol)
         capture = self._config.pluginmanager.getplugin("capturemanager")
         if capture is not None:
             capture.suspend_global_capture(in_=True)
         try:
             yes = self._config.getoption("robot_yes")
-            confirm_motion(self.bench.protocol, what, yes=yes, option="--robot-yes")
+            confirm_effect(self.bench.protocol, what, words, yes=yes, option="--robot-yes")
         finally:
             if capture is not None:
                 capture.resume_global_capture()

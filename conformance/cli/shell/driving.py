@@ -20,6 +20,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cli.shell.looks import STEP, asked, look_text, look_words, seen_words
+from bilprov.spec.by_effect import change_by
 from bilprov.spec.codec import free_parts
 from bilprov.spec.protocol import Protocol
 
@@ -46,7 +47,11 @@ class Driving(Closing):
         style: Literal["lines", "jsonl"],
         probe: Probe | None,
         max_drive: float,
+        *,
+        only_reading: bool = False,
     ) -> None:
+        self._only_reading = only_reading
+        self._protocol = protocol
         self.target = Target(protocol, port, timeout, stopper, self._heard, max_drive)
         self.check = AnswerCheck()
         self.look: Look | None = None
@@ -58,7 +63,6 @@ class Driving(Closing):
             **self._stopping_words(protocol),
             "quit": (self._quit, "stops it and leaves, as Ctrl-D does"),
         }
-        self._protocol = protocol
         self._stopper = stopper
         self._style = style
         self._output = stream_output(style)
@@ -152,6 +156,9 @@ class Driving(Closing):
         what = bytes_or_pause(self._protocol, item, self.words)
         if isinstance(what, float):
             return partial(self._pause, what)
+        change = change_by(self._protocol, what) if self._only_reading else ""
+        if change:
+            raise ValueError(f"{change}: --only-reading sends what changes nothing")
         return partial(self._send, what)
 
     def _send(self, data: bytes) -> None:

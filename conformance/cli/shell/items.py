@@ -12,7 +12,7 @@ from typing import Literal
 
 import click
 
-from bilprov.analyzer.cli.options import note, note_each
+from bilprov.analyzer.cli.options import note, note_each, require_reading
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
 from bilprov.analyzer.decode.records import HostRecord, Record
@@ -36,7 +36,7 @@ from bilprov.captures.schemas import Chunk
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.shell.looks import asked, look_text
 from bilprov.conformance.cli.shell.session import agreed
-from bilprov.spec.by_effect import movement_of, movement_words
+from bilprov.spec.by_effect import effect_words
 from bilprov.spec.protocol import Protocol
 
 _NO_ANSWER = "none"
@@ -56,6 +56,7 @@ def send_items(
     yes: bool,
     max_drive: float,
     wait: bool,
+    only_reading: bool,
 ) -> int:
     """Send the items to the device at a port, show its answers, and return the exit code.
 
@@ -69,6 +70,8 @@ def send_items(
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     frames = _frames(protocol, steps, timeout, together=together)
+    if only_reading:
+        require_reading(protocol, frames)
     planned = len(frames)
     if expectations:
         promise_verdict()
@@ -83,8 +86,8 @@ def send_items(
     if opened is None:
         note("stopped before the port appeared: nothing was sent")
         return 1
-    words = f"what is sent: {movement_words(protocol, movement_of(protocol, frames))}"
-    with agreed(protocol, port, opened, probe, words, yes=yes) as (eye, stopper):
+    words = effect_words(protocol, frames)
+    with agreed(protocol, port, opened, probe, "what is sent", words, yes=yes) as (eye, stopper):
 
         def heard(record: Record) -> None:
             if check.flooded:

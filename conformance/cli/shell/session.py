@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Literal
 
 from bilprov.analyzer.cli.options import (
-    confirm_motion,
+    confirm_effect,
     note_each,
     note_hindrances,
     note_suspension,
@@ -21,7 +21,7 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
-from bilprov.spec.by_effect import all_movement, movement_words
+from bilprov.spec.by_effect import effect_words
 from bilprov.spec.protocol import Protocol
 
 
@@ -35,17 +35,20 @@ def drive(
     style: Literal["lines", "jsonl"],
     yes: bool,
     max_drive: float,
+    only_reading: bool,
 ) -> int:
     """Have what is typed done by the device at a port, until the end; returns the exit code.
 
     The values are those of the options of `bilprov send`; `timeout` (ns) is the longest pause
     inside a frame. Raises LinkError and ProbeError.
     """
-    words = f"what is typed: {movement_words(protocol, all_movement(protocol))}"
+    words = "" if only_reading else effect_words(protocol)
     opened = open_port(port, settings)
     with (
-        agreed(protocol, port, opened, probe, words, yes=yes) as (eye, stopper),
-        Driving(protocol, opened, timeout, stopper, style, eye, max_drive) as driving,
+        agreed(protocol, port, opened, probe, "what is typed", words, yes=yes) as (eye, stopper),
+        Driving(
+            protocol, opened, timeout, stopper, style, eye, max_drive, only_reading=only_reading
+        ) as driving,
     ):
         driving.begin()
         interactive = _on_terminal()
@@ -68,12 +71,19 @@ def drive(
 
 @contextmanager
 def agreed(
-    protocol: Protocol, name: str, port: Port, probe: str | None, what: str, *, yes: bool
+    protocol: Protocol,
+    name: str,
+    port: Port,
+    probe: str | None,
+    what: str,
+    words: str,
+    *,
+    yes: bool,
 ) -> Iterator[tuple[Probe | None, Stopper]]:
     """Open the probe of the robot at a port and ask once whether the robot may move.
 
-    `what` it will do is in words. Gives the probe, None for none, and the stopper that handles
-    signals until the end of the block, which closes all. Raises ProbeError.
+    `what` it will do and what that may change are in words. Gives the probe, None for none, and the
+    stopper that handles signals until the end of the block, which closes all. Raises ProbeError.
     """
     with ExitStack() as stack:
         stack.enter_context(port)
@@ -81,7 +91,8 @@ def agreed(
         if eye is not None:
             stack.callback(eye.close)
         note_hindrances(name)
-        confirm_motion(protocol, f"the robot at {name} will do {what}", yes=yes)
+        what = f"the {protocol.device} at {name} will do {what}"
+        confirm_effect(protocol, what, words, yes=yes)
         stopper = stack.enter_context(Stopper())
         yield eye, stopper
         note_suspension(stopper)
