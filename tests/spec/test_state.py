@@ -1,0 +1,176 @@
+"""The state that a grammar declares: its words, what is refused, and what follows from it."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bilprov.spec.by_effect import change_by, effect_words
+from bilprov.spec.codec import judge
+from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
+from bilprov.spec.tables import frame_tables
+from bilprov.spec.value_checks import WrongValue
+from tests.support import ROOT
+from tests.support.commands import command
+from tests.support.grammars import embedded, mutated, undeclared
+
+SWITCHES = ROOT / "tests" / "support" / "switch_grammar.py"
+TEXT = SWITCHES.read_text(encoding="utf-8")
+BOARD = load(TEXT, "switches.py")
+
+
+def test_a_grammar_without_a_rest_has_no_stop() -> None:
+    assert BOARD.device == "relay board"
+    assert BOARD.at_rest is BOARD.wheels is BOARD.stop_or_none is None
+    assert not BOARD.stops(BOARD.on_fault)
+    assert not BOARD.power_on.moving
+    with pytest.raises(GrammarError, match="stops the relay board"):
+        BOARD.pad_byte  # noqa: B018
+
+
+def test_it_may_come_from_a_capture() -> None:
+    assert embedded(TEXT) == BOARD
+
+
+def test_a_text_that_does_not_declare_the_cars_state_has_it(
+    protocol: Protocol, grammar_text: str
+) -> None:
+    older = load(undeclared(grammar_text))
+    assert older.variables == protocol.variables
+    assert older.state_type is protocol.state_type
+    assert older.power_on == protocol.power_on
+    assert (older.device, older.at_rest) == ("robot", protocol.at_rest)
+    assert older.instructions == protocol.instructions
+
+
+WRONG: list[tuple[dict[str, str], str]] = [
+    ({'Sets(fan="high")': 'Sets(fan="fast")'}, "sets fan to 'fast', allowed is off, low, high"),
+    ({'Sets(fan="high")': "Sets(fan=2)"}, "sets fan to 2, allowed is off, low, high"),
+    ({'Sets(fan="high")': "Sets(fan=Changed(1, 1))"}, "sets fan to a number"),
+    ({'Sets(fan="high")': "Sets(level=6)"}, "sets level to is 6, allowed is -5 to 5"),
+    ({'Sets(fan="high")': "Sets(wind=1)"}, "sets 'wind', allowed are relays, fan, level, on"),
+    ({'relays=From("mask")': 'level=From("mask")'}, "sets level to 0 to 15, allowed is -5 to 5"),
+    ({"Whole(-5, 5)": "Whole(5, -5)"}, "the highest value of a variable is -5"),
+    ({"Whole(-5, 5)": "7"}, "the variable level is 7"),
+    ({"level=Whole": "moving=Whole"}, "a variable is named moving"),
+    ({'"low", "high"': '"low", "low"'}, "each once"),
+    ({'Bits("DCBA")': 'Bits("DD")'}, "each once"),
+    ({"HEADER =": "AT_REST = AnyOf(fan='on')\nHEADER ="}, "AT_REST names fan='on'"),
+    ({"HEADER =": "AT_REST = AnyOf(wind=1)\nHEADER ="}, "AT_REST names the variable 'wind'"),
+    ({"HEADER =": "AT_REST = AnyOf()\nHEADER ="}, "AnyOf names no variable"),
+    ({'changes="flash"': "changes=5"}, "what an Instruction changes is 5"),
+]
+
+
+@pytest.mark.parametrize(("changes", "piece"), WRONG, ids=[row[1] for row in WRONG])
+def test_a_wrong_declaration_is_one_sentence(changes: dict[str, str], piece: str) -> None:
+    text = mutated(TEXT, changes).replace("    Answers,\n", "    Answers,\n    AnyOf,\n", 1)
+    with pytest.raises(GrammarError) as found:
+        load(text)
+    assert piece in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize("kinds", [{"of": Whole(0, 1)}, {"a": 1}, {"_a": Whole(0, 1)}])
+def test_a_variable_must_have_a_name_and_a_kind(kinds: dict[str, Whole]) -> None:
+    with pytest.raises(WrongValue):
+        Variables(**kinds)
+
+
+def test_rest_is_any_or_all_of_the_values() -> None:
+    kinds = {"a": Whole(-9, 9), "b": Whole(-9, 9)}
+    specs = tuple(kind.spec(name) for name, kind in kinds.items())
+    for condition, moving in ((AnyOf(a=0, b=0), False), (AllOf(a=0, b=0), True)):
+        state = state_class(specs, condition).of({"a": 0, "b": 3})
+        assert state.moving is moving
+        assert state.but(a=1).moving
+        assert not state.but(b=0).moving
+        assert pickle.loads(pickle.dumps(state)) == state
+    assert AllOf(a=0, b=0).follows({"a": 0, "b": 0})
+    assert not AllOf(a=0, b=0).follows({"a": 0})
+    assert AnyOf(a=0, b=0).follows({"a": 0})
+
+
+def test_a_state_is_told_in_words() -> None:
+    state = BOARD.state(relays=5, level=-2, fan="low")
+    assert state.described == "relays 5 low level -2 on 0"
+    assert state.but(level=0, fan=None, on=None).described == "relays 5 fan not known on not known"
+
+
+@given(data=st.lists(st.sampled_from([b"\x20", b"\x30", b"\x40", b"\x50", b"\x60", b"\x11\x05"])))
+def test_columns_have_what_the_effects_make_one_by_one(data: list[bytes]) -> None:
+    array = np.frombuffer(b"".join(data), np.uint8)
+    tables, state = frame_tables(BOARD), BOARD.power_on
+    frames = tables.frames(array, tables.offsets(array)[0])
+    expected = []
+    for frame in data:
+        judged = judge(BOARD, frame)
+        assert judged.instruction
+        state = judged.instruction.effect.apply(state, dict(judged.fields))
+        expected.append(state.codes)
+    before = BOARD.power_on.codes
+    columns = [tables.state(name, array, frames, before).tolist() for name in BOARD.variables]
+    assert list(zip(*columns, strict=True)) == expected
+    assert tables.last_state(array, frames, before) == state.codes
+
+
+@pytest.mark.parametrize(
+    ("frames", "words"),
+    [
+        (["00"], ""),
+        (["1105", "1103"], "it may set relays to 3..5"),
+        (["20", "30"], "it may set fan to high or off"),
+        (["40"], "it may set on to 0..1"),
+        (["1105", "70"], "it may set relays to 5, write flash"),
+        (["90"], "what the faulty instructions change is not known"),
+    ],
+)
+def test_what_frames_may_change_is_told_in_words(frames: list[str], words: str) -> None:
+    sent = [bytes.fromhex(frame) for frame in frames]
+    assert effect_words(BOARD, sent) == words
+    assert any(change_by(BOARD, frame) for frame in sent) is bool(words)
+
+
+def test_all_that_a_grammar_may_change_is_told_in_words() -> None:
+    assert effect_words(BOARD) == (
+        "it may set relays to 0..15, set fan to high or off or low, set on to 0..1, "
+        "set level to -5..5, write flash"
+    )
+
+
+GRAMMAR = ("--grammar", str(SWITCHES))
+
+
+def test_the_columns_of_its_rows_are_its_variables(tmp_path: Path) -> None:
+    lines = command(*GRAMMAR, "decode", "--format", "jsonl", "1105", "60").stdout.splitlines()
+    states = [json.loads(line)["state"] for line in lines]
+    assert states == [
+        {"relays": 5, "fan": "off", "level": 0, "on": 0},
+        {"relays": 5, "fan": None, "level": 0, "on": None},
+    ]
+    chosen = command(*GRAMMAR, "decode", "--filter", "state.fan == high", "20", "60", "20")
+    assert chosen.stdout.count(b"\n") == 2
+
+
+def test_only_reading_sends_nothing_that_changes_something() -> None:
+    read = command(*GRAMMAR, "send", "sim", "--only-reading", "Read")
+    assert (read.returncode, read.stderr) == (0, b"")
+    for item, why in (("Relays 5", b"sets relays"), ("Store", b"may write flash")):
+        refused = command(*GRAMMAR, "send", "sim", "--only-reading", "Read", item)
+        assert refused.returncode == 2
+        assert why in refused.stderr
+        assert refused.stderr.count(b"\n") == 1
+
+
+def test_conform_ends_with_one_sentence() -> None:
+    refused = command(*GRAMMAR, "conform", "sim")
+    assert refused.returncode == 2
+    assert b"declares no WHEELS" in refused.stderr
+    assert refused.stderr.count(b"\n") == 1
