@@ -5,8 +5,11 @@ Each is a callable from the covered bytes to the value, as construct's `Checksum
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import TypeAlias
 
 from bilprov.spec.value_checks import WrongValue, require_whole, shown
@@ -25,6 +28,11 @@ class Sum:
         _require_width("the bits of a Sum", self.bits)
         _require_bool("Sum.complement", self.complement)
 
+    def running(self, data: bytes) -> Iterator[int]:
+        """The sum of the first 0, 1, 2, ... bytes, up to all."""
+        most, inverted = (1 << self.bits) - 1, (1 << self.bits) - 1 if self.complement else 0
+        return (value & most ^ inverted for value in accumulate(data, initial=0))
+
     def __call__(self, data: bytes) -> int:
         """The sum of the bytes."""
         most = (1 << self.bits) - 1
@@ -39,6 +47,10 @@ class Xor:
 
     def __post_init__(self) -> None:
         require_whole("the start of a Xor", self.start, 0, 255)
+
+    def running(self, data: bytes) -> Iterator[int]:
+        """The exclusive or of the first 0, 1, 2, ... bytes, up to all."""
+        return accumulate(data, operator.xor, initial=self.start)
 
     def __call__(self, data: bytes) -> int:
         """The exclusive or of the bytes."""
@@ -78,6 +90,23 @@ class Crc:
     def first(self) -> int:
         """The register before the first byte."""
         return _mirrored(self.init, self.width) if self.reflected else self.init
+
+    def running(self, data: bytes) -> Iterator[int]:
+        """The check of the first 0, 1, 2, ... bytes, up to all."""
+        table, most, top = self.table, (1 << self.width) - 1, self.width - 8
+        if self.reflected:
+            values = accumulate(
+                data,
+                lambda value, byte: value >> 8 ^ table[(value ^ byte) & 0xFF],
+                initial=self.first,
+            )
+        else:
+            values = accumulate(
+                data,
+                lambda value, byte: value << 8 & most ^ table[value >> top ^ byte],
+                initial=self.first,
+            )
+        return (value ^ self.xorout for value in values)
 
     def __call__(self, data: bytes) -> int:
         """The check of the bytes."""

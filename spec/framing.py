@@ -290,8 +290,7 @@ def _unknown_size(layout: Layout, held: bytes) -> int | None:
     """
     least = layout.head + layout.tail
     if layout.check and layout.check.part.size > 1:
-        sizes = range(least, min(len(held), _MOST_UNKNOWN) + 1)
-        right = (n for n in sizes if layout.check.holds(held[:n]))
+        right = layout.check.right_sizes(held[:_MOST_UNKNOWN], least)
         return next((n for n in right if layout.wrong_constant(held[:n]) is None), None)
     marked = any(offset < 0 for offset, _ in layout.constants)
     if marked and len(held) >= least and layout.wrong_constant(held[:least]) is None:

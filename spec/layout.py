@@ -6,7 +6,7 @@ cannot be read into a layout raises LayoutError.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -110,6 +110,18 @@ class Check:
         """The right value in a frame; `asked` is what the request's check covers."""
         covered = self.covered(frame)
         return self.function(asked + covered if self.asked else covered)
+
+    def right_sizes(self, begun: bytes, least: int) -> Iterator[int]:
+        """The sizes, `least` or more, that a frame which begins so can have: it is right there.
+
+        Each byte is counted once, however many sizes are tried.
+        """
+        part = self.part
+        values = self.function.running(begun[self.first : len(begun) - self.last])
+        for size, value in enumerate(values, self.first + self.last):
+            at = size + part.offset
+            if size >= least and part.number.parse(begun[at : at + part.size]) == value:
+                yield size
 
     def covered(self, frame: bytes) -> bytes:
         """The bytes of a frame that it counts."""
