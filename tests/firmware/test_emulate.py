@@ -191,6 +191,17 @@ def test_a_machine_that_was_busy_skips_no_time(bench: Make) -> None:
 
 
 @AVR
+def test_a_probe_sees_the_stop_that_is_due_however_late_the_board_is(bench: Make) -> None:
+    line = bench(built())
+    line.send(b"\x11\xff\x20")
+    line.wait(5 * MS)
+    line.send(b"\x81")  # is cut short after 50 ms
+    line.now += 200 * MS  # as if others had used the machine
+
+    assert b'"moving":false' in line.device.probe(line.now)
+
+
+@AVR
 def test_after_a_long_stop_it_catches_up_bit_by_bit(bench: Make) -> None:
     line = bench(built())
     line.send(b"\x11\xff\x20")

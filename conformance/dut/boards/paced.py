@@ -18,6 +18,7 @@ HELD = 1 << 20
 _SOON = 100_000  # ns; a board whose deadline is nearer is busy
 _IDLE = 2_000_000  # ns between two calls for a board that is not busy
 _SLICE = 20_000_000  # ns caught up at a time, so that Ctrl-C and probes are served meanwhile
+_SEEN = 1_000_000_000  # ns caught up for a probe at most
 _AGAIN = 20_000  # ns until the next check whether the chip has read a byte
 _WAITED = 3  # bytes' time, after which the line no longer waits for the chip to read
 
@@ -65,12 +66,7 @@ class PacedBoard:
 
     def advance(self, now: int) -> bytes:
         """Run the board until `now`, or a part of the way; return the answers that arrived."""
-        until = max(self._at, min(now, self._at + _SLICE))
-        while (start := self._next()) is not None and start <= until:
-            self._run(start)
-            if not self.crashed:  # on the way there
-                self._begin(start)
-        self._run(until)
+        self._catch_up(min(now, self._at + _SLICE))
         due = bytearray()
         while self._answers and self._answers[0][0] <= now:
             due.append(self._answers.popleft()[1])
@@ -86,10 +82,24 @@ class PacedBoard:
         return min(wanted, default=None)
 
     def probe(self, now: int) -> bytes:
-        """Return what the pins show as one line of JSON without newline."""
+        """Return what the pins show as one line of JSON without newline.
+
+        A board that is behind first runs until `now`, or for `_SEEN`: a host that has waited for a
+        stop would otherwise see the robot as it was before.
+        """
+        self._catch_up(min(now, self._at + _SEEN))
         look = msgspec.to_builtins(self._board.look(self._at))
         del look["t"]
         return msgspec.json.encode({name: seen for name, seen in look.items() if seen is not None})
+
+    def _catch_up(self, until: int) -> None:
+        """Run the board until `until` (ns), and hand over the bytes that are due by then."""
+        until = max(self._at, until)
+        while (start := self._next()) is not None and start <= until:
+            self._run(start)
+            if not self.crashed:  # on the way there
+                self._begin(start)
+        self._run(until)
 
     def _next(self) -> int | None:
         """When (ns) the next byte of the host can start, None where none waits."""
