@@ -11,7 +11,7 @@ from typing import Any
 from bilprov.analyzer.html.markup import Safe, bar, joined, json_block, tag
 from bilprov.analyzer.html.page import html_page
 from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency
-from bilprov.analyzer.totals.timeline import Mark, Range, Timeline, word_of
+from bilprov.analyzer.totals.timeline import Mark, Range, Timeline, numbers_of, word_of
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 
@@ -46,7 +46,7 @@ def plot_page(
             tag(
                 "main",
                 _facts(capture, protocol, stats, kit),
-                _picture(timeline),
+                _picture(protocol, timeline),
                 _latencies(stats.counts),
                 _anomalies(marks, step, stats.counts),
             ),
@@ -66,7 +66,8 @@ def plot_data(protocol: Protocol, timeline: Timeline) -> dict[str, Any]:
         "begin": timeline.begin,
         "end": timeline.end,
         "folds": [(first, last, _long(last - first)) for first, last in _folds(timeline)],
-        "motions": [word.replace("_", " ") for word in words],
+        "word": word,
+        "motions": [one.replace("_", " ") for one in words],
         "bounds": {name: protocol.bounds[name] for name in states.ranges},
         "states": {
             "t": _deltas(states.t),
@@ -140,7 +141,7 @@ def _moment(start: int) -> str:
         return "at an impossible time"  # only a forged file has it
 
 
-def _picture(timeline: Timeline) -> Safe:
+def _picture(protocol: Protocol, timeline: Timeline) -> Safe:
     buttons = {
         "in": "Zoom in",
         "out": "Zoom out",
@@ -152,7 +153,9 @@ def _picture(timeline: Timeline) -> Safe:
         tag("button", said, type="button", class_="chip", data_do=do)
         for do, said in buttons.items()
     )
-    names = {name: name for name in ("time", "motion", "speed", "steering")}
+    word = word_of(protocol)
+    shown = [*([word] if word else []), *numbers_of(protocol)]
+    names = {name: name for name in ("time", *shown)}
     names |= {"latency": "last latency", "anomaly": "anomaly"}
     values = (
         tag("div", tag("dt", said), tag("dd", "", data_of=name), class_=f"of-{name}")
@@ -169,7 +172,7 @@ def _picture(timeline: Timeline) -> Safe:
             id="plot",
             tabindex=0,
             role="application",
-            aria_label="Motion, speed, steering, anomalies and latency over time",
+            aria_label=f"{', '.join([*shown, 'anomalies'])} and latency over time".capitalize(),
             aria_describedby="keys",
         ),
         tag("canvas", id="map", aria_hidden="true"),

@@ -15,10 +15,11 @@
   const NEAR = 8; // px from an anomaly to the line at which it is told
   const LEFT = 98, AXIS = 26, GAP = 14, MAP = 40;
   const ROW = 15; // px of a motion's row
+  const WORD = data.word ? [{ name: data.word, height: ROW * data.motions.length, draw: drawMotion }] : [];
+  const RANGES = Object.keys(data.bounds);
   const LANES = [
-    { name: "motion", height: ROW * data.motions.length, draw: drawMotion },
-    { name: "speed", height: 96, draw: drawRange },
-    { name: "steering", height: 96, draw: drawRange },
+    ...WORD,
+    ...RANGES.map((name) => ({ name, height: 96, draw: drawRange })),
     { name: "anomalies", height: 42, draw: drawMarks },
     { name: "latency", height: 120, draw: drawLatencies },
   ];
@@ -182,9 +183,8 @@
     told.time.textContent = clock(cursor, px);
     const row = Math.max(0, placeOf(cursor, states.t));
     const some = states.t.length > 0;
-    told.motion.textContent = some ? motions(seen(row)) : "none";
-    told.speed.textContent = some ? between(range("speed", row)) : "none";
-    told.steering.textContent = some ? between(range("steering", row)) : "none";
+    for (const { name } of WORD) told[name].textContent = some ? motions(seen(row)) : "none";
+    for (const name of RANGES) told[name].textContent = some ? between(range(name, row)) : "none";
     const answer = placeOf(cursor, latencies.t);
     told.latency.textContent =
       answer < 0 ? "none yet" : between([latencies.low[answer], latencies.high[answer]], duration);
@@ -487,13 +487,13 @@
     const [region, margin] = [view, gutter];
     [view, gutter] = [[begin, LAST], canvas.clientWidth < 560 ? 0 : LEFT];
     fit(overview, calm, MAP);
-    const [low, high] = data.bounds.speed;
+    const [low, high] = data.bounds[RANGES[0]] ?? [0, 0];
     calm.fillStyle = colours.raised;
     calm.fillRect(gutter, 0, width - gutter, MAP);
     calm.fillStyle = colours.host;
     calm.globalAlpha = 0.5;
-    eachState((row, from, to) => {
-      const height = ((range("speed", row)[1] - low) / (high - low || 1)) * (MAP - 4);
+    if (RANGES.length) eachState((row, from, to) => {
+      const height = ((range(RANGES[0], row)[1] - low) / (high - low || 1)) * (MAP - 4);
       calm.fillRect(from, MAP - height, Math.max(to - from, 1), height);
     });
     calm.globalAlpha = 1;
