@@ -14,6 +14,7 @@ import pytest
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.safe_grammar import WORDS
 from tests.support import ROOT
 from tests.support.commands import parsed
 from tests.support.pages import (
@@ -166,6 +167,15 @@ def test_the_grammar_on_the_page_is_the_example() -> None:
     text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
 
     assert f"```python\n{text}```\n" in TEXTS["docs/your-own-protocol.md"]
+
+
+def test_the_page_has_every_word_of_a_grammar() -> None:
+    text = TEXTS["docs/your-own-protocol.md"]
+    code = "\n".join(re.findall(r"`([^`\n]+)`", text))
+    ours = WORDS["bilprov.spec.fields"]
+    construct = {word for word in WORDS["construct"] if not re.match(r"Int\d|Nibble|this", word)}
+
+    assert [word for word in sorted(ours | construct) if not re.search(rf"\b{word}\b", code)] == []
 
 
 def _values(instruction: InstructionSpec) -> str:
