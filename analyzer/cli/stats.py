@@ -72,4 +72,5 @@ def stats(options: StatsOptions) -> None:
     if options.csv_file is not None:
         write_output(options.csv_file, stats_csv(found).encode())
     if STANDARD_OUTPUT not in named.values():
-        show(*drawn(found, BLOCKS if can_show(BLOCKS.steps + BLOCKS.fills) else ASCII))
+        charts = BLOCKS if can_show(BLOCKS.steps + BLOCKS.fills) else ASCII
+        show(*drawn(found, charts, moves=protocol.at_rest is not None))

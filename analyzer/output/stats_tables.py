@@ -17,7 +17,7 @@ _BAR = 36  # columns of the longest bar
 _FEWEST = 4  # counts by time that are worth a sparkline
 
 
-def drawn(stats: Stats, charts: Charts) -> Iterator[RenderableType]:
+def drawn(stats: Stats, charts: Charts, *, moves: bool) -> Iterator[RenderableType]:
     """Yield the parts to print; text from the files is escaped."""
     if stats.filter is not None:
         yield Text(f"Only what passes {printable(stats.filter)} is counted.")
@@ -25,17 +25,19 @@ def drawn(stats: Stats, charts: Charts) -> Iterator[RenderableType]:
     for number, file in enumerate(stats.files):
         if number:
             yield Text()
-        yield from _part(printable(file.path), file.counts, file, charts)
+        yield from _part(printable(file.path), file.counts, file, charts, moves=moves)
     if len(stats.files) > 1:
         yield Text()
-        yield from _part(f"{len(stats.files)} captures together", stats.total, None, charts)
+        yield from _part(
+            f"{len(stats.files)} captures together", stats.total, None, charts, moves=moves
+        )
 
 
 def _part(
-    title: str, counts: Counts, file: FileStats | None, charts: Charts
+    title: str, counts: Counts, file: FileStats | None, charts: Charts, *, moves: bool
 ) -> Iterator[RenderableType]:
     yield heading(title)
-    yield facts(_about(counts, file))
+    yield facts(_about(counts, file, moves=moves))
     if file and file.rates and len(file.rates.frames) >= _FEWEST:
         yield from _rates(counts, file.rates, charts)
     yield from _instructions(counts)
@@ -44,9 +46,10 @@ def _part(
     yield from _histogram(counts, charts)
 
 
-def _about(counts: Counts, file: FileStats | None) -> Iterator[tuple[str, str]]:
+def _about(counts: Counts, file: FileStats | None, *, moves: bool) -> Iterator[tuple[str, str]]:
     share = f" ({_share(counts.moving / counts.duration)})" if counts.duration else ""
-    yield "span of traffic", f"{counts.duration:.3f} s, moving for {counts.moving:.3f} s{share}"
+    moving = f", moving for {counts.moving:.3f} s{share}" if moves else ""
+    yield "span of traffic", f"{counts.duration:.3f} s{moving}"
     yield "host", f"{quantity(counts.host_bytes, 'byte')}, {_frames(counts)}"
     yield "device", quantity(counts.device_bytes, "byte")
     if counts.load:

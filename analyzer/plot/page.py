@@ -110,7 +110,8 @@ def _facts(capture: Capture, protocol: Protocol, stats: FileStats, kit: str) -> 
     told: dict[str, object] = {"recorded": _moment(capture.start)}
     told["span of traffic"] = _span(counts.duration)
     moving = f" ({counts.moving / counts.duration:.0%})" if counts.duration else ""
-    told["moving"] = _span(counts.moving) + moving
+    if protocol.at_rest:
+        told["moving"] = _span(counts.moving) + moving
     cut = f", {counts.truncated:,} of them truncated" if counts.truncated else ""
     told["frames"] = f"{counts.frames:,}{cut}"
     told["answers"] = f"{counts.agreeing:,} as expected, {counts.disagreeing:,} not"
