@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecord, Record
 from bilprov.spec.codec import spaced
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
 
 _KEPT = 16  # unpaired device bytes
 
@@ -95,5 +95,7 @@ def answer_words(protocol: Protocol, code: int | None) -> str:
     """The answer of this code in words, like `OK (00)`; None is no answer."""
     if code is None:
         return "no answer"
+    if code == PLAIN_ANSWER.code:
+        return PLAIN_ANSWER.prose
     known = protocol.codes.get(code)
     return f"{known.name if known else 'unused'} ({code:02x})"

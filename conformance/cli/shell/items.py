@@ -37,7 +37,8 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.cli.shell.looks import asked, look_text
 from bilprov.conformance.cli.shell.session import agreed
 from bilprov.spec.by_effect import effect_words
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
 
 _NO_ANSWER = "none"
 
@@ -186,7 +187,10 @@ def _resumed(
 def _code(protocol: Protocol, word: str) -> int | None:
     """Parse an expected answer into its code, None for no answer. Raises ValueError."""
     word = word.strip()
-    codes = {spec.name.lower(): code for code, spec in protocol.codes.items()}
+    known = [*protocol.responses]
+    if protocol.answers[Outcome.VALID] is PLAIN_ANSWER:
+        known.append(PLAIN_ANSWER)
+    codes = {spec.name.lower(): spec.code for spec in known}
     if word.lower() in codes:
         return codes[word.lower()]
     if word.lower() == _NO_ANSWER:
@@ -195,7 +199,7 @@ def _code(protocol: Protocol, word: str) -> int | None:
         number = int(word, 0)
         if number in range(256):
             return number
-    names = [*(spec.name for spec in protocol.responses), _NO_ANSWER]
+    names = [*(spec.name for spec in known), _NO_ANSWER]
     raise ValueError(
         f"--expect {word!r} is not an answer{meant(word, names)}; there are {', '.join(names)} "
         "and the numbers 0 to 255"
@@ -217,4 +221,5 @@ def _frames(
         if not together:  # a frame that is incomplete is waited for
             now += timeout
     records += session.finish()
-    return [record.data for record in records if isinstance(record, HostRecord)]
+    hosts = (record for record in records if isinstance(record, HostRecord))
+    return [record.data for record in hosts if record.sequence is not None]
