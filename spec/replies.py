@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from bilprov.spec.codec import Judgement, spaced
-from bilprov.spec.data import DataSpec
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import (
@@ -239,22 +239,40 @@ def _filled(data: DataSpec, asked: Mapping[str, Any], values: Mapping[str, Any])
     for part in data.fields:
         if part.constant is not None:
             built += part.constant
-            continue
-        known = values.get(part.name, asked.get(part.name))
-        if part.many is None:
-            built += part.build(known if isinstance(known, int) else max(part.low, 0))
-        elif known is not None:
-            built += part.build(known)
+        elif part.name in values:
+            built += part.build(values[part.name])
         else:
-            built += _zeros(data, built, asked)
+            repeated = _repeated(data, part, built, asked)
+            built += _zeros(data, part, built, asked) if repeated is None else repeated
     return built
 
 
-def _zeros(data: DataSpec, before: bytes, asked: Mapping[str, Any]) -> bytes:
-    """The last, counted field with as many zeros as the request asks for."""
-    many = data.counted
+def _repeated(
+    data: DataSpec, part: FieldSpec, before: bytes, asked: Mapping[str, Any]
+) -> bytes | None:
+    """The field with the value of the request's field of that name; None where it does not fit."""
+    value = asked.get(part.name)
+    if value is None or (part.many is None) is not isinstance(value, int):
+        return None
+    try:
+        raw = part.build(value)
+    except (ValueError, TypeError, OverflowError):
+        return None
+    if not part.in_range(part.parse(raw)):
+        return None
+    counted = part.many is not None and part.many is data.counted
+    due = data.measure(before + raw, asked) if counted and not _takes_rest(data) else None
+    return raw if due in (None, len(before + raw)) else None
+
+
+def _zeros(data: DataSpec, part: FieldSpec, before: bytes, asked: Mapping[str, Any]) -> bytes:
+    """The field with zeros, as many as the request asks for, or with the value nearest to 0."""
+    many = part.many
     if many is None:
-        return bytes(data.length - len(before))
+        nearest = min(max(part.low, 0), part.high)
+        return part.build(part.names[0][1] if part.names else nearest)
     if many.prefix:
         return many.build(b"" if many.element is None else ())
-    return bytes((data.measure(before, asked) or len(before)) - len(before))
+    if many.how == "expression":
+        return bytes((data.measure(before, asked) or len(before)) - len(before))
+    return bytes(part.size)

@@ -22,9 +22,10 @@ from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.simulated.requests import drawn_request
 from bilprov.captures.schemas import Chunk
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.spec.codec import build, judge
+from bilprov.spec.codec import build, free_parts, judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
+from tests.support.drawn_layouts import drawn_layout, drawn_values
 from tests.support.robots import served_here
 
 BYTE_TIME = 572_917  # ns at 19,200 8E1
@@ -62,11 +63,15 @@ class Tap(LinkListener):
         self.records += self._session.feed(Chunk(t, "device", data))
 
 
-def driver(name: str, address: int | None = None) -> tuple[DeviceDriver, Scripted, Tap]:
+def client_of(protocol: Protocol) -> tuple[DeviceDriver, Scripted, Tap]:
     """A client of a simulated device in virtual time, and what the decoder makes of it."""
-    protocol = load_protocol(name)
     device, tap = Scripted(protocol), Tap(protocol)
-    client = DeviceDriver(protocol, VirtualLink(device, BYTE_TIME, tap))
+    return DeviceDriver(protocol, VirtualLink(device, BYTE_TIME, tap)), device, tap
+
+
+def driver(name: str, address: int | None = None) -> tuple[DeviceDriver, Scripted, Tap]:
+    """The same for a shipped grammar, and for a device at this address."""
+    client, device, tap = client_of(load_protocol(name))
     client._address = address
     return client, device, tap
 
@@ -233,34 +238,40 @@ def test_a_wrong_use_sends_nothing() -> None:
 # -- all agree ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_client_simulator_and_decoder_agree(name: str) -> None:
-    """Each drawn request is what `build` makes of its fields, and is paired with its answer."""
-    client, device, tap = driver(name)
-    chance, sent = Random(name), 0
-    for _ in range(200):
-        frame = drawn_request(client.protocol, chance)
-        asked = judge(client.protocol, frame)
-        assert asked.instruction is not None
-        part = client.protocol.layout.part("address")
-        values = dict(asked.fields) | ({part.name: asked.address} if part else {})
-        assert build(client.protocol, asked.instruction.name, values) == frame
-        device.heard, tap.records = b"", []
-        reply = client.send(asked.instruction.name, **values)
-        assert device.heard == frame
-        host, *answers = tap.records
-        assert isinstance(host, HostRecord)
-        assert host.data == frame
-        assert host.sequence == sent
-        sent += 1
-        if reply is None:
-            assert answers == []
-            assert not asked.answer_due
-            continue
-        (answer,) = answers
+def agreeing(client: DeviceDriver, device: Scripted, tap: Tap, frame: bytes) -> None:
+    """Have a request sent by its fields: it is that frame, and is paired with its answer."""
+    asked = judge(client.protocol, frame)
+    assert asked.instruction is not None
+    parts = {part.name: part.read(frame) for part in free_parts(client.protocol)}
+    device.heard, tap.records = b"", []
+    reply = client.send(asked.instruction.name, **parts, **dict(asked.fields))
+    assert device.heard == frame
+    host, *answers = tap.records
+    assert isinstance(host, HostRecord)
+    assert host.data == frame
+    assert len(answers) == asked.answer_due == (reply is not None)
+    for answer in answers:
         assert isinstance(answer, DeviceRecord)
+        assert reply is not None
+        assert answer.reply is not None
         assert answer.instruction == host.sequence
         assert answer.agrees
         assert answer.data == reply.frame
-        assert answer.reply is not None
         assert answer.reply.fields == reply.fields
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_client_simulator_and_decoder_agree(name: str) -> None:
+    client, device, tap = driver(name)
+    chance = Random(name)
+    for _ in range(200):
+        agreeing(client, device, tap, drawn_request(client.protocol, chance))
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_client_simulator_and_decoder_agree_in_any_layout(seed: int) -> None:
+    protocol, draw = drawn_layout(seed).protocol, Random(seed)
+    client, device, tap = client_of(protocol)
+    for spec in protocol.instructions:
+        values = drawn_values(draw, protocol, spec)
+        agreeing(client, device, tap, build(protocol, spec.name, values))
