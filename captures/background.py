@@ -19,8 +19,6 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Checkpoint, Chunk
 from bilprov.captures.text import printable
 from bilprov.captures.writer import CaptureWriter
-from bilprov.spec.motion import CAR_STATE
-from bilprov.spec.state import State
 
 QUEUE_BYTES: Final = 16 * 1024 * 1024  # of payload that may wait
 WAKE_BYTES: Final = 256 * 1024  # of waiting payload that is written at once
@@ -67,12 +65,12 @@ class BackgroundWriter(Closing):
         start_wall: int,
         metadata: Mapping[str, str],
         version: str,
-        state: type[State] = CAR_STATE,
+        shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
         self.waited_ns = 0
         self.failure = ""
         self._writer = CaptureWriter(
-            path, start_wall=start_wall, metadata=metadata, version=version, state=state
+            path, start_wall=start_wall, metadata=metadata, version=version, shapes=shapes
         )
         self.oldest = 0
         self._made = [_Made(self._writer.path, 0)]

@@ -65,29 +65,57 @@ class Instruction(Timed, frozen=True, gc=False):
     id: int | None
     name: str | None
     length: int | None
-    fields: dict[str, Any]
+    fields: dict[str, int]
     judgement: str | None
     reason: str
+
+
+class FramedInstruction(Instruction, frozen=True, gc=False):
+    """Host bytes of a protocol whose frames are more than a header byte and data.
+
+    `address` is who is meant, where frames have an address. The others are as in an Instruction.
+    """
+
+    fields: dict[str, Any]
     address: int | None = None
 
 
 class Response(Timed, frozen=True, gc=False):
-    """One answer of a device, with the instruction it answers (topic `/device/responses`).
+    """One device byte, with the instruction it answers (topic `/device/responses`).
 
-    `byte` is there where answers are one byte; otherwise `fields`, and `address` if there is one.
     `instruction` is that instruction's `sequence` or None where there is none; `latency` is in
     nanoseconds from the instruction's last byte; `agrees` tells whether it is the response that the
     grammar expects, None where nothing is expected.
     """
 
     hex: str
-    byte: int | None
+    byte: int
     name: str | None
     instruction: int | None
     latency: int | None
     agrees: bool | None
     reason: str
-    fields: dict[str, Any] | None = None
+
+    @property
+    def latency_ns(self) -> int | None:
+        """The same as `latency`, under the name that tells its unit."""
+        return self.latency
+
+
+class FramedResponse(Timed, frozen=True, gc=False):
+    """One answer of several bytes, with the instruction it answers.
+
+    `fields` are its data and `address` is whose it is, if it has one. The others are as in a
+    Response.
+    """
+
+    hex: str
+    name: str | None
+    instruction: int | None
+    latency: int | None
+    agrees: bool | None
+    reason: str
+    fields: dict[str, Any]
     address: int | None = None
 
     @property

@@ -10,6 +10,7 @@ is None.
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeAlias
@@ -21,16 +22,28 @@ from bilprov.captures.schemas import (
     CaseMark,
     Checkpoint,
     Chunk,
+    FramedInstruction,
+    FramedResponse,
     Instruction,
     Line,
     Log,
     Look,
     Response,
 )
+from bilprov.spec.motion import CAR_STATE
 from bilprov.spec.state import State
 
 Written: TypeAlias = (
-    Instruction | Response | State | Log | Line | CaseMark | Look | Asked | Checkpoint
+    Instruction
+    | Response
+    | FramedResponse
+    | State
+    | Log
+    | Line
+    | CaseMark
+    | Look
+    | Asked
+    | Checkpoint
 )
 
 HOST_RAW = "/host/raw"
@@ -102,9 +115,20 @@ _SCHEMAS = {topic.name for topic in TOPICS if topic.schema}
 BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
 
 
+Shapes: TypeAlias = Mapping[type, type]
+"""The classes of which the values of a capture are, by the class that stands for them here."""
+
+CAR_SHAPES: Shapes = {State: CAR_STATE}
+_STAND_FOR: dict[type, type[msgspec.Struct]] = {
+    FramedInstruction: Instruction,
+    FramedResponse: Response,
+}
+
+
 def topic_of(value: Written) -> Topic:
     """The topic of a value."""
-    return BY_VALUE[State if isinstance(value, State) else type(value)]
+    kind: type[msgspec.Struct] = State if isinstance(value, State) else type(value)
+    return BY_VALUE[_STAND_FOR.get(kind, kind)]
 
 
 def encoded(value: Written) -> bytes:

@@ -24,8 +24,6 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk, Log, Time
 from bilprov.captures.storage.records import ATTACHMENT_BYTES, MESSAGE_BYTES, STRING_BYTES
 from bilprov.captures.text import printable
-from bilprov.spec.motion import CAR_STATE
-from bilprov.spec.state import State
 
 FLUSH_AFTER = 100_000_000  # ns
 CHUNK_MESSAGES = 2_000  # the cost of a seek is proportional to this
@@ -54,7 +52,7 @@ class CaptureWriter(Closing):
         start_wall: int,
         metadata: Mapping[str, str],
         version: str,
-        state: type[State] = CAR_STATE,
+        shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
         self.path = Path(path)
         self._start = start_wall
@@ -67,7 +65,7 @@ class CaptureWriter(Closing):
         self._kept_bytes = 0
         self._kept_until = 0
         self._version = version
-        self._state_type = state
+        self._shapes = shapes
         self._before = ""  # what else holds a part of the recording
         self._failure = ""
         self._closed = False
@@ -176,7 +174,7 @@ class CaptureWriter(Closing):
                 start_wall=self._start,
                 metadata=metadata,
                 version=self._version,
-                state=self._state_type,
+                shapes=self._shapes,
             )
         except CaptureError as error:
             raise CaptureError(f"{error}; {self._kept()} in {printable(self.path)}") from error
@@ -212,7 +210,7 @@ class CaptureWriter(Closing):
             schema = 0
             if topic.schema:
                 schema = len(schemas) + 1
-                value = self._state_type if topic.value is State else topic.value
+                value = self._shapes.get(topic.value, topic.value)
                 form = topics.json_schema(value)
                 schemas.append(
                     Schema(id=schema, data=form, encoding="jsonschema", name=topic.schema)

@@ -37,6 +37,7 @@ from bilprov.analyzer.cli.options import (
     timeout_option,
 )
 from bilprov.analyzer.cli.settings import PortName
+from bilprov.analyzer.decode.records import shapes_of
 from bilprov.analyzer.decode.session import BOTH, SKEW
 from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
@@ -198,11 +199,11 @@ def sniff(options: SniffOptions) -> int:
         kept: str | None = None
         if path:
             recorder = stack.enter_context(
-                Recorder(path, source.start_wall, metadata, rotation, protocol.state_type)
+                Recorder(path, source.start_wall, metadata, rotation, shapes_of(protocol))
             )
         elif style == "live" and not quiet:
             recorder = stack.enter_context(
-                Spool(source.start_wall, metadata, state=protocol.state_type)
+                Spool(source.start_wall, metadata, shapes=shapes_of(protocol))
             )
         statistics = Statistics()
         judge = None

@@ -7,15 +7,23 @@ same as `t` and `latency`, which in JSON lines and CSV are seconds.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import msgspec
 
-from bilprov.captures.schemas import Instruction, Line, Response, Timed
+from bilprov.captures.schemas import (
+    FramedInstruction,
+    FramedResponse,
+    Instruction,
+    Line,
+    Response,
+    Timed,
+)
+from bilprov.captures.topics import Shapes
 from bilprov.spec.codec import Judgement
 from bilprov.spec.data import plain_values
 from bilprov.spec.framing import Kind
-from bilprov.spec.protocol import ResponseSpec
+from bilprov.spec.protocol import Protocol, ResponseSpec
 from bilprov.spec.replies import Reply
 from bilprov.spec.state import State
 
@@ -88,7 +96,7 @@ class HostRecord(Timed, frozen=True, gc=False):
         """The record as a capture holds it."""
         judgement = self.judgement
         spec = judgement.instruction if judgement else None
-        return Instruction(
+        value = Instruction(
             t=self.t,
             end=self.end,
             kind=self.kind,
@@ -100,8 +108,10 @@ class HostRecord(Timed, frozen=True, gc=False):
             fields=plain_values(judgement.fields) if judgement else {},
             judgement=judgement.response.name if judgement else None,
             reason=self.reason,
-            address=judgement.address if judgement else None,
         )
+        if judgement is None or not judgement.framed:
+            return value
+        return FramedInstruction(**msgspec.structs.asdict(value), address=judgement.address)
 
 
 class DeviceRecord(Timed, frozen=True, gc=False):
@@ -152,18 +162,13 @@ class DeviceRecord(Timed, frozen=True, gc=False):
         return "; ".join(fault.reason for fault in self.faults) if self.faults else ""
 
     @property
-    def value(self) -> Response:
+    def value(self) -> Response | FramedResponse:
         """The record as a capture holds it."""
-        return Response(
-            t=self.t,
-            hex=self.hex,
-            name=self.name,
-            instruction=self.instruction,
-            latency=self.latency,
-            agrees=self.agrees,
-            reason=self.reason,
-            **self.told,
-        )
+        told = (self.name, self.instruction, self.latency, self.agrees, self.reason)
+        if self.reply is None:
+            return Response(self.t, self.hex, self.byte, *told)
+        fields = plain_values(self.reply.fields)
+        return FramedResponse(self.t, self.hex, *told, fields, self.reply.address)
 
     @property
     def name(self) -> str | None:
@@ -172,16 +177,11 @@ class DeviceRecord(Timed, frozen=True, gc=False):
             return " ".join(self.reply.names)
         return self.answer.name if self.answer else None
 
-    @property
-    def told(self) -> dict[str, Any]:
-        """What JSON has of the answer's bytes: the one byte, or the fields and the address."""
-        if self.reply is None:
-            return {"byte": self.byte}
-        return {
-            "byte": None,
-            "fields": plain_values(self.reply.fields),
-            "address": self.reply.address,
-        }
+
+def shapes_of(protocol: Protocol) -> Shapes:
+    """The classes of what a capture of this protocol holds, where they are not the car's."""
+    framed: Shapes = {Instruction: FramedInstruction, Response: FramedResponse}
+    return {State: protocol.state_type, **({} if protocol.plain else framed)}
 
 
 class LineRecord(msgspec.Struct, frozen=True):

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bilprov.analyzer.decode.checkpoint import DecoderState, encoded
+from bilprov.analyzer.decode.records import shapes_of
 from bilprov.analyzer.decode.session import SessionSettings
 from bilprov.analyzer.files import replaced_whole
 from bilprov.analyzer.replay.capture_session import capture_settings
@@ -32,7 +33,7 @@ def new_capture(
     writer: RecordWriter | None = None
     try:
         with replaced_whole(out, force=force) as part:
-            writer = RecordWriter(part, start_wall, metadata, protocol.state_type)
+            writer = RecordWriter(part, start_wall, metadata, shapes_of(protocol))
             try:
                 yield writer
             finally:

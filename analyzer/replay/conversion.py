@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.decode.records import shapes_of
 from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter, grammar_metadata
@@ -47,7 +48,7 @@ def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordW
     # The new file's records are those of this grammar, whatever the old one's were.
     metadata |= grammar_metadata(protocol)
     try:
-        return RecordWriter(path, capture.start, metadata, protocol.state_type)
+        return RecordWriter(path, capture.start, metadata, shapes_of(protocol))
     except ValueError as error:
         raise CaptureError(
             f"{printable(capture.path)} cannot be decoded into a new file: {error}"

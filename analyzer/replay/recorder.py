@@ -19,7 +19,6 @@ from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Log
 from bilprov.captures.storage.records import STRING_BYTES
 from bilprov.captures.topics import Written
 from bilprov.captures.writer import CaptureWriter
-from bilprov.spec.motion import CAR_STATE
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
@@ -84,10 +83,10 @@ class RecordWriter(CaptureWriter):
         path: str | Path,
         start_wall: int,
         metadata: Mapping[str, str],
-        state: type[State] = CAR_STATE,
+        shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
         super().__init__(
-            path, start_wall=start_wall, metadata=metadata, version=kit_version(), state=state
+            path, start_wall=start_wall, metadata=metadata, version=kit_version(), shapes=shapes
         )
         self._state: State | None = None
 
@@ -167,7 +166,7 @@ class Recorder(Closing):
         start_wall: int,
         metadata: Mapping[str, str],
         rotation: Rotation | None = None,
-        state: type[State] = CAR_STATE,
+        shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
         self.bytes = 0
         self._start = start_wall
@@ -180,7 +179,7 @@ class Recorder(Closing):
         if rotation:
             path, metadata = part_path(self._name, 1), {**metadata, topics.PART: "1"}
         self._writer = BackgroundWriter(
-            path, start_wall=start_wall, metadata=metadata, version=kit_version(), state=state
+            path, start_wall=start_wall, metadata=metadata, version=kit_version(), shapes=shapes
         )
         self._throttle = Throttle()
         self._state: State | None = None

@@ -14,13 +14,12 @@ from typing import Final
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter
 from bilprov.analyzer.replay.rotation import Rotation
+from bilprov.captures import topics
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
 from bilprov.captures.text import printable
-from bilprov.spec.motion import CAR_STATE
-from bilprov.spec.state import State
 
 MOST_BYTES: Final = 1 << 30
 PARTS: Final = 16  # so many are there when the oldest goes
@@ -39,12 +38,12 @@ class Spool(Closing):
         start_wall: int,
         metadata: Mapping[str, str],
         most: int = MOST_BYTES,
-        state: type[State] = CAR_STATE,
+        shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
         self.failure = ""
         self._start_wall = start_wall
         self._metadata = dict(metadata)
-        self._state = state
+        self._shapes = shapes
         self._recorder: Recorder | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         try:
@@ -53,7 +52,7 @@ class Spool(Closing):
             )
             self._name = Path(self._folder.name) / _NAME
             rotation = Rotation(size=most // PARTS, keep=PARTS)
-            self._recorder = Recorder(self._name, start_wall, metadata, rotation, state)
+            self._recorder = Recorder(self._name, start_wall, metadata, rotation, shapes)
         except (CaptureError, OSError) as error:
             self._note(error.strerror if isinstance(error, OSError) else error)
 
@@ -146,7 +145,7 @@ class Spool(Closing):
 
     def _join(self, path: Path, oldest: int) -> None:
         """Write all parts into one capture; what was decoded from the bytes is left out."""
-        with RecordWriter(path, self._start_wall, self._metadata, self._state) as writer:
+        with RecordWriter(path, self._start_wall, self._metadata, self._shapes) as writer:
             if oldest:
                 gone = f"what came before {oldest / 1e9:.3f} s was dropped: no room"
                 writer.event(Line(oldest, "gap", "", gone))

@@ -21,11 +21,12 @@ from bilprov.analyzer.client.operations import (
     Reconnected,
     Reply,
 )
-from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.decode.records import Record, shapes_of
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.version import kit_version
+from bilprov.captures import topics
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Asked, CaseMark, Chunk, Line, Look
@@ -36,9 +37,7 @@ from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
-from bilprov.spec.motion import CAR_STATE
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.state import State
 
 RUN, PROFILE, VERDICT = "run.json", "profile.json", "verdict.json"
 """The names of the attachments."""
@@ -62,7 +61,7 @@ def open_recorder(
         heard=("host", "device"),
     )
     session = Session(protocol, timeout=timeout, skew=0)
-    return RunRecorder(path, session, wall_clock(), metadata, protocol.state_type)
+    return RunRecorder(path, session, wall_clock(), metadata, shapes_of(protocol))
 
 
 class RunRecorder(Closing, RunListener):
@@ -80,10 +79,10 @@ class RunRecorder(Closing, RunListener):
         session: Session,
         start_wall: int,
         metadata: Mapping[str, str],
-        state: type[State] = CAR_STATE,
+        shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
         self._session = session
-        self._file = RecordWriter(path, start_wall, metadata, state)
+        self._file = RecordWriter(path, start_wall, metadata, shapes)
         self._now = 0
         self._event(Line(0, "open"))
 
