@@ -432,8 +432,8 @@ def test_a_killed_run_leaves_what_can_be_judged(tmp_path: Path, protocol: Protoc
     [
         ("deadline=100,", 'deadline="a",', "Timing.answer_deadline in ms is 'a'"),
         ('NAME = "', 'NAME = "\\x1b[2J', "NAME holds the character U+001B"),
-        ("speed=0", f"speed={'(' * 16 + '0' + ',0)' * 16}", "allowed is a whole number"),
-        ("speed=0", f"speed=[{'0,' * 40_000}]", "has over 32768 parts"),
+        ("speed=0, ", f"speed={'(' * 16 + '0' + ',0)' * 16}, ", "allowed is a whole number"),
+        ("speed=0, ", f"speed=[{'0,' * 40_000}], ", "has over 32768 parts"),
     ],
     ids=["a time in text", "an escape", "tuples", "many parts"],
 )

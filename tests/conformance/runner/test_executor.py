@@ -111,7 +111,7 @@ def test_every_faulty_case_is_seen_moving_before_it_and_moving_again_after_it(
 
     run_over(link, protocol, cases)
 
-    motion = cases[0].setup.motion.value
+    motion = cases[0].setup.motion
     mine = [look.motion for look in link.looks[-17:]]  # 13 of the hold, and what is around it
     assert motion in mine
     first = mine.index(motion)
