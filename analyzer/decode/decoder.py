@@ -346,7 +346,7 @@ class Decoder:
             if self._paired and not waiting:
                 return  # the request may be delayed in the other adapter
             heard = (
-                self._replies.take(one.judgement for one in waiting)
+                self._replies.take(waiting, self._pairing.late)
                 if self._paired
                 else self._replies.take_unasked()
             )

@@ -2,8 +2,8 @@
 
 Regular is what needs no decision: every frame is whole, valid and without a pause that could cut it
 short, no bytes are lost, and each answer is the usual one to the oldest request that waits, comes
-before that is given up, and has no long pause in it. An answer may come before its request, as two
-taps stamp it.
+before that is given up, or is overdue while others wait, and has no long pause in it. An answer may
+come before its request, as two taps stamp it.
 """
 
 from __future__ import annotations
@@ -237,6 +237,8 @@ class FramedDecoder:
         falls_due |= _paused(device, heard, t, self._reply_timeout)
         expires = np.append(asked_end, 0)[answered[:-1]] + self._longest
         falls_due |= (asked_by[:-1] > answered[:-1]) & (t >= expires)
+        overdue = np.append(asked_end, 0)[answered[:-1]] + self._decoding.late
+        falls_due |= (asked_by[:-1] > answered[:-1] + 1) & (t > overdue)
         falls_due |= asked_by[1:] - answered[:-1] > MOST
         if falls_due.any():
             cut = min(cut, int(np.argmax(falls_due)))

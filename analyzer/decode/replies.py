@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from bilprov.spec.codec import Judgement
+from bilprov.analyzer.decode.pairing import Waiting
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_reply, reply_size
 
@@ -58,25 +58,31 @@ class ReplyFramer:
         """Let what is held have come so much (ns) later."""
         self._times = [t + pause for t in self._times]
 
-    def take(self, waiting: Iterable[Judgement]) -> Heard | None:
+    def take(self, waiting: Iterable[Waiting], late: int) -> Heard | None:
         """Take the next answer to the requests that wait, the oldest first; None if none is whole.
 
-        A right answer to a later one passes over those before it.
+        A right answer to a later one passes over those before it. So does one that comes later than
+        `late` (ns) after the older one: a host that repeats a request has given up the first.
         """
         held = bytes(self._held)
+        overdue: Heard | None = None
         damaged: Heard | None = None
-        for passed, asked in enumerate(waiting):
-            size = reply_size(self._protocol, held, asked)
+        for passed, one in enumerate(waiting):
+            size = reply_size(self._protocol, held, one.judgement)
             if size is None or size > len(held):
-                return damaged and self._taken(damaged)
+                break
             if size < 0:
                 continue
-            reply = read_reply(self._protocol, held[:size], asked)
+            reply = read_reply(self._protocol, held[:size], one.judgement)
             heard = Heard(reply, self._times[0], self._times[size - 1], passed)
-            if not reply.reason:
+            if reply.reason:
+                damaged = damaged or heard
+            elif heard.start - one.end > late:
+                overdue = overdue or heard
+            else:
                 return self._taken(heard)
-            damaged = damaged or heard
-        return damaged and self._taken(damaged)
+        best = overdue or damaged
+        return best and self._taken(best)
 
     def take_unasked(self) -> Heard | None:
         """Take the next answer where no request is heard; None if it is not whole, or not known."""

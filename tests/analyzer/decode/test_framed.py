@@ -9,7 +9,8 @@ import pytest
 
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.framed_batch import FramedBatch
-from bilprov.analyzer.decode.session import SKEW
+from bilprov.analyzer.decode.records import FaultRecord
+from bilprov.analyzer.decode.session import SKEW, Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
@@ -17,7 +18,7 @@ from tests.analyzer.decode.test_foreign_traffic import TRAFFIC
 from tests.analyzer.decode.test_foreign_traffic import events as recorded
 from tests.analyzer.decode.test_stream import same
 from tests.support import ROOT
-from tests.support.decoding import MS, Event
+from tests.support.decoding import MS, Event, decoded, devices
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.framed_traffic import Traffic, exchanges
 
@@ -103,3 +104,25 @@ def test_recorded_traffic_is_columns_alone(name: str, single: bool) -> None:
     parts = same(protocol, list(recorded(name, single=single)), [50])
 
     assert not any(isinstance(batch, Records) for batch in parts)
+
+
+@pytest.mark.parametrize(("second", "answered"), [(200, 0), (2000, 1)])
+def test_an_overdue_answer_is_that_to_the_request_that_was_repeated(
+    second: int, answered: int
+) -> None:
+    protocol = protocol_of("modbus-rtu")
+    ask = bytes.fromhex("110300320001 2755")
+    events = [
+        Chunk(0, "host", ask),
+        Chunk(second * MS, "host", ask),
+        Chunk((second + 1) * MS, "device", bytes.fromhex("1103024321 88af")),
+        Chunk((second + 10) * MS, "host", ask),
+        Chunk((second + 11) * MS, "device", bytes.fromhex("1103024321 88af")),
+    ]
+
+    same(protocol, events, [1, 1000])
+    records = decoded(Session(protocol), events)
+
+    assert [one.instruction for one in devices(records)] == [answered, 1 + answered]
+    given_up = [one.faults[0].kind for one in records if isinstance(one, FaultRecord)]
+    assert given_up == ["unanswered"] * answered
