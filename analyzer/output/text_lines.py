@@ -65,7 +65,7 @@ class LineRenderer:
         """Render one line without its newline, safe for a terminal and for a pipe."""
         if isinstance(record, HostRecord):
             text, why = self._host(record)
-            return f"{self._time(record.t)} {text}{self._state(record.state)}{why}"
+            return f"{self._time(record.t)} {text}{self._state(record.state)}{why}".rstrip()
         if isinstance(record, DeviceRecord):
             return f"{self._time(record.t)} {self._device_line(record)}"
         if isinstance(record, LineRecord) and not record.faults:
@@ -98,6 +98,8 @@ class LineRenderer:
 
     def _state_text(self, state: State) -> str:
         words = state.described
+        if not words:
+            return ""
         return f"  {click.style(words, dim=True) if self._colour else words}"
 
     def _why(self, reason: str, severity: Severity | None) -> str:
