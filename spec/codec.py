@@ -201,7 +201,7 @@ def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
         truncated=not whole,
         address=address,
         head=layout.head,
-        key=255 if identity is None else min(identity, 255),
+        key=protocol.key_of(identity),
         framed=True,
     )
 

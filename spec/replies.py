@@ -25,7 +25,8 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
 
     `response` is what its code means, None for an unused code; of several flags the first that
     stands for an outcome. `names` are those of all. `fields` are its data, `address` is whose it
-    is. `reason` tells why the answer is damaged, "" for one that is not.
+    is. `reason` tells why the answer is damaged, "" for one that is not. Around the data stand
+    `head` bytes and `tail` bytes.
     """
 
     frame: bytes
@@ -34,6 +35,8 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     fields: tuple[tuple[str, Any], ...] = ()
     address: int | None = None
     reason: str = ""
+    head: int = 0
+    tail: int = 0
 
     def describe(self) -> str:
         """The answer in words: its names and its fields."""
@@ -102,7 +105,8 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
             fields = tuple(way.data.decode(data).items())
         elif data or (response and Outcome.VALID in response.outcomes):
             reason = f"it has {len(data)} data bytes, {needed} are due"
-    return Reply(frame, response, names, fields, layout.address_of(frame), reason)
+    address = layout.address_of(frame)
+    return Reply(frame, response, names, fields, address, reason, layout.head, layout.tail)
 
 
 def build_reply(

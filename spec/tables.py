@@ -173,9 +173,9 @@ class FrameTables:
             rows = np.flatnonzero(key >> 8 == code)
             good = np.ones(len(rows), np.bool_)
             for part in spec.fields:
-                value = field_values(part, data, offset[rows])
+                value = field_values(part, data, offset[rows] + 1)
                 good &= (value >= part.low) & (value <= part.high)
-            verdict[rows] = np.where(good, VALID, _BAD_DATA)
+            verdict[rows] = np.where(good, VALID, BAD_DATA)
         return FrameColumns(offset, key, verdict)
 
     def state(
@@ -247,7 +247,7 @@ class FrameTables:
                 for variable, value in effect.assignments:
                     if isinstance(value, tuple) and len(value) == 2:
                         part = next(part for part in spec.fields if part.name == value[0])
-                        set_to = field_values(part, data, frames.offset[where]) * value[1]
+                        set_to = field_values(part, data, frames.offset[where] + 1) * value[1]
                     else:
                         set_to = np.full(len(where), self._state.code(variable, value))
                     yield variable, where, set_to
@@ -257,14 +257,12 @@ _BLOCK = 1 << 16  # bytes that are tokenized at once; the tables of a block fit 
 _DOUBLINGS = 5
 _TAIL = 256  # frames in which each variable is mostly set
 WIDEST = 7  # bytes of a field whose values, signed or not, all fit into 64 bits
-VALID, _BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
+VALID, BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
 
 
-def field_values(
-    part: FieldSpec, data: NDArray[np.uint8], offset: NDArray[np.int64]
-) -> NDArray[Any]:
-    """The value of a field in each of the frames at `offset`, which all carry it."""
-    at = offset + 1 + part.offset
+def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[Any]:
+    """The value of a field in each of the data that begin `at` some places and carry it."""
+    at = at + part.offset
     if part.size == 1:
         return np.take(_byte_values(part.parse), data.take(at))
     if part.number and part.size <= WIDEST:

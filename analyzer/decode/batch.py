@@ -175,7 +175,9 @@ class HostRows:
 class WideAnswers(NamedTuple):
     """Answers of any number of bytes: each has `size` bytes of `data` from `offset` on.
 
-    `name` is the place of its name in `names`; an answer that is damaged has none (None).
+    `name` is the place of its name in `names`; an answer that is damaged has none (None). The
+    fields of its data are in `fields_size` bytes from `fields_at` on; -1 where it has no fields.
+    `address` is whose it is, -1 if not known.
     """
 
     data: NDArray[np.uint8]
@@ -183,6 +185,9 @@ class WideAnswers(NamedTuple):
     size: NDArray[np.int64]
     name: NDArray[np.int64]
     names: Sequence[str | None]
+    fields_at: NDArray[np.int64]
+    fields_size: NDArray[np.int64]
+    address: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -494,10 +499,22 @@ def _wide(records: Sequence[DeviceRecord]) -> WideAnswers | None:
         return None
     data = [record.data for record in records]
     size = np.array([len(part) for part in data], np.int64)
+    offset = np.cumsum(size) - size
     places: dict[str | None, int] = {}
     name = [places.setdefault(record.name, len(places)) for record in records]
-    joined = np.frombuffer(b"".join(data), np.uint8)
-    return WideAnswers(joined, np.cumsum(size) - size, size, np.array(name, np.int64), list(places))
+    around = [(one.reply.head, one.reply.tail) if one.reply else (0, 0) for one in records]
+    head, tail = np.array(around, np.int64).reshape(-1, 2).T
+    has_fields = np.array([bool(one.reply and one.reply.fields) for one in records], np.bool_)
+    return WideAnswers(
+        data=np.frombuffer(b"".join(data), np.uint8),
+        offset=offset,
+        size=size,
+        name=np.array(name, np.int64),
+        names=list(places),
+        fields_at=offset + head,
+        fields_size=np.where(has_fields, size - head - tail, -1),
+        address=_numbers([one.reply.address if one.reply else None for one in records]),
+    )
 
 
 def _verdict(record: HostRecord) -> int:

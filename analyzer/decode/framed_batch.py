@@ -127,13 +127,22 @@ class FramedBatch(Batch):
             states=StateColumns(type(self.before), count, alone._device_states),
             samples=alone._samples,
             sort=lambda rows: late[rows].astype(np.int64),
-            wide=WideAnswers(
-                self.heard,
-                self.answers.offset,
-                self.answers.size,
-                code,
-                self.decoding.answers.names,
-            ),
+            wide=self._wide,
+        )
+
+    @property
+    def _wide(self) -> WideAnswers:
+        answers, tables = self.answers, self.decoding.answers
+        fields_at, fields_size = tables.fields(self.asked.kind, answers)
+        return WideAnswers(
+            data=self.heard,
+            offset=answers.offset,
+            size=answers.size,
+            name=np.where(answers.code < 0, NO_CODE, answers.code),
+            names=tables.names,
+            fields_at=fields_at,
+            fields_size=fields_size,
+            address=tables.addresses(self.asked.kind, self.heard, answers),
         )
 
     @cached_property

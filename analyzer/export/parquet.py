@@ -22,6 +22,7 @@ from bilprov.analyzer.output.row_columns import (
     Column,
     RowStyle,
     Value,
+    bytes_fields,
     converted,
 )
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_batches
@@ -144,11 +145,12 @@ def _usual_columns(protocol: Protocol) -> tuple[Column, ...]:
 
 def _wide(protocol: Protocol) -> set[str]:
     """The columns of fields and states whose numbers may not fit into 64 bits with a sign."""
+    answered = [spec.answer.fields for spec in protocol.instructions if spec.answer]
     fields = {
         name
-        for spec in protocol.instructions
-        for part in spec.fields
-        if part.size >= _INT_BYTES
+        for parts in (*(spec.fields for spec in protocol.instructions), *answered)
+        for part in parts
+        if part.size >= _INT_BYTES and part.number
         for name in (part.name, f"fields.{part.name}")
     }
     most = 1 << 8 * _INT_BYTES - 1
@@ -175,6 +177,7 @@ def _types(pa: Any, protocol: Protocol) -> dict[str, Any]:
         **dict.fromkeys(_words(protocol), pa.dictionary(pa.int32(), pa.string())),
         **dict.fromkeys(_TEXTS, pa.string()),
         **dict.fromkeys(_wide(protocol), pa.decimal128(38)),
+        **{name: pa.string() for one in bytes_fields(protocol) for name in (one, f"fields.{one}")},
     }
 
 

@@ -7,8 +7,8 @@ bytes of the capture are in it, in order, and its events tell what decoding know
 - `DATA_TX_START` with bytes is one frame of the host, stamped with the time of its last byte; where
   the frame was cut short, an empty `DATA_TX_END` stands where that was known.
 - `DATA_TX_END` with bytes is garbage: host bytes that belong to no frame.
-- `DATA_RX_START` is the device's answer to an instruction in the file, one byte; `DATA_RX_END` is a
-  byte that answers none.
+- `DATA_RX_START` is the device's answer to an instruction in the file; `DATA_RX_END` is one that
+  answers none.
 - The other events are those of the line. What has no event of its own is a `STATUS_CHANGE`.
 
 A comment on the packet says what the event does not. What can be told from the bytes (judgements,
@@ -197,7 +197,7 @@ def _of_host(record: HostRecord) -> Iterator[Packet]:
 
 
 def _of_answer(record: DeviceRecord, *, stray: bool) -> Packet:
-    data = bytes([record.byte])
+    data = record.data
     if not stray:
         return Packet(record.t, 1, Event.DATA_RX_START, data)
     why = record.reason if record.instruction is None else _ELSEWHERE

@@ -5,10 +5,10 @@ Numbers and bytes are arrays; words are coded, so that each word of a column is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from operator import attrgetter
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +17,20 @@ from bilprov.analyzer.decode.batch import (
     GARBAGE,
     INSTRUCTION,
     KINDS,
-    NO_VERDICT,
     DeviceRows,
     HostRows,
     Mask,
     StateColumns,
 )
 from bilprov.analyzer.decode.json_lines import JsonLine
+from bilprov.analyzer.filters.fields import Kind, fields_of
 from bilprov.analyzer.filters.moments import DAY, STEP, offset
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
+from bilprov.spec.arrays.layouts import part_values
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import NOT_KNOWN
-from bilprov.spec.tables import OUTCOMES, VALID, field_values
+from bilprov.spec.tables import BAD_DATA, OUTCOMES, VALID, WIDEST, field_values
 
 
 class Numbers(NamedTuple):
@@ -52,6 +54,8 @@ class Octets(NamedTuple):
     start: NDArray[np.int64]
     size: NDArray[np.int64]
 
+
+NO_DATA = np.zeros(0, np.uint8)
 
 Column: TypeAlias = Numbers | Words | Octets
 
@@ -85,14 +89,26 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
 
     `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
     """
-    headers, garbage, faulty = protocol.headers, rows.kind == GARBAGE, rows.verdict != VALID
+    garbage, faulty = rows.kind == GARBAGE, rows.verdict != VALID
 
-    def of_header(place: int) -> Column:
-        values = np.array([header[place] for header in headers])
-        return Numbers(values.take(rows.header), ~garbage)
+    def identity() -> Column:
+        if protocol.plain:
+            return Numbers(np.array(protocol.keys).take(rows.header), ~garbage)
+        return _part_of(protocol, rows, "id")
+
+    def length() -> Column:
+        if protocol.plain:
+            return Numbers(np.frombuffer(protocol.lengths, np.uint8).take(rows.header), ~garbage)
+        around = protocol.layout.head + protocol.layout.tail
+        return Numbers(np.maximum(rows.size - around, 0), ~garbage)
+
+    def data() -> Column:
+        head, tail = protocol.layout.head, protocol.layout.tail
+        size = np.maximum(rows.size - head - np.where(rows.kind == INSTRUCTION, tail, 0), 0)
+        return Octets(rows.data, rows.offset + head, np.where(garbage, -1, size))
 
     def name() -> Column:
-        specs = [protocol.by_id.get(identity) for identity, _ in headers]
+        specs = [protocol.by_id.get(identity) for identity in protocol.keys]
         code = np.where(garbage, np.int64(len(specs)), rows.header)
         return Words(code, [spec.name if spec else None for spec in (*specs, None)])
 
@@ -101,10 +117,11 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
         return _words(rows.reasons(odd), odd, len(rows))
 
     makers: Makers = {
-        "id": lambda: of_header(0),
-        "len": lambda: of_header(1),
+        "id": identity,
+        "len": length,
+        "address": lambda: _part_of(protocol, rows, "address"),
         "hex": lambda: Octets(rows.data, rows.offset, rows.size),
-        "data": lambda: Octets(rows.data, rows.offset + 1, np.where(garbage, -1, rows.size - 1)),
+        "data": data,
         "direction": lambda: _one("host"),
         "kind": lambda: Words(rows.kind, KINDS),
         "name": name,
@@ -112,7 +129,7 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
         "reason": reason,
         "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
     }
-    fields = {key: partial(_field, protocol, rows, name) for key, name in _fields(protocol)}
+    fields = _of_fields(protocol, partial(_requests, protocol, rows), rows.data, len(rows))
     both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
     return Columns(len(rows), makers, fields, *both)
 
@@ -125,6 +142,9 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
             return Words(rows.wide.name, rows.wide.names)
         codes = [protocol.codes.get(byte) for byte in range(256)]
         return Words(rows.byte, [code.name if code else None for code in codes])
+
+    def address() -> Column:
+        return Numbers(rows.wide.address, rows.wide.address >= 0) if rows.wide else NOTHING
 
     def octets() -> Column:
         if rows.wide:
@@ -140,6 +160,7 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
         return _words((record.reason for record in rows.samples(odd)), odd, len(rows))
 
     makers: Makers = {
+        "address": address,
         "hex": octets,
         "direction": lambda: _one("device"),
         "kind": lambda: _one("response"),
@@ -151,8 +172,10 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
         "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
         "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
     }
+    data = rows.wide.data if rows.wide else NO_DATA
+    fields = _of_fields(protocol, partial(_answers, protocol, rows), data, len(rows))
     both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
-    return Columns(len(rows), makers, *both)
+    return Columns(len(rows), makers, fields if rows.wide else {}, *both)
 
 
 def line_columns(lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | None) -> Columns:
@@ -178,8 +201,9 @@ def _of_side(protocol: Protocol, rows: HostRows | DeviceRows) -> Makers:
     """What the rows of both sides have."""
 
     def judgement() -> Column:
-        codes = [protocol.answers[outcome].code for outcome in OUTCOMES]
-        return Numbers(np.array([*codes, 0]).take(rows.verdict), rows.verdict != NO_VERDICT)
+        codes = np.array([*(protocol.answers[outcome].code for outcome in OUTCOMES), -1])
+        code = codes.take(rows.verdict)
+        return Numbers(code, code >= 0)
 
     def faults() -> Column:
         return Words(rows.faults.code, list(map(frozenset, rows.faults.kinds)))
@@ -218,27 +242,108 @@ def _of_state(states: StateColumns) -> Makers:
     return {**makers, "state.moving": lambda: _truth(states.moving)}
 
 
-@lru_cache(maxsize=8)
-def _fields(protocol: Protocol) -> list[tuple[str, str]]:
-    """The keys and the names of the instructions' fields."""
-    names = {part.name for spec in protocol.instructions for part in spec.fields}
-    return [(f"fields.{name}", name) for name in names]
+def _part_of(protocol: Protocol, rows: HostRows, role: Literal["id", "address"]) -> Column:
+    """A part of frames whose header is more than one byte, where the header is whole."""
+    layout = protocol.layout
+    part = layout.part(role)
+    there = (rows.kind != GARBAGE) & (rows.size >= layout.head)
+    if part is None or part.size > WIDEST:
+        return NOTHING
+    found = np.flatnonzero(there)
+    value = np.zeros(len(rows), np.int64)
+    start = rows.offset[found]
+    value[found] = part_values(part, rows.data, start, start + rows.size[found])
+    return Numbers(value, there)
 
 
-def _field(protocol: Protocol, rows: HostRows, name: str) -> Column:
-    """A field of the instructions."""
-    value, present = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.bool_)
+class _Carried(NamedTuple):
+    """Which rows carry fields: the rows, and where their data begin and how many bytes they are."""
+
+    rows: NDArray[np.int64]
+    at: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+
+def _requests(protocol: Protocol, rows: HostRows) -> Iterator[tuple[DataSpec, _Carried]]:
+    """The data of each instruction that has some, and the rows with it."""
+    head, tail = protocol.layout.head, protocol.layout.tail
+    judged = rows.kind == INSTRUCTION
+    if not protocol.plain:
+        judged &= (rows.verdict == VALID) | (rows.verdict == BAD_DATA)
     for spec in protocol.instructions:
-        header = protocol.header_bytes[spec.id, spec.length]
-        for part in spec.fields:
-            if part.name == name:
-                found = (rows.header == header) & (rows.kind == INSTRUCTION)
-                values = field_values(part, rows.data, rows.offset[found])
-                if values.dtype.kind != "i":  # wider than 64 bits with a sign
-                    value = value.astype(object)
-                value[found] = values
-                present |= found
+        if spec.fields:
+            key = (
+                protocol.header_bytes[spec.id, spec.length]
+                if protocol.plain
+                else protocol.key_of(spec.id)
+            )
+            found = np.flatnonzero(judged & (rows.header == key))
+            size = rows.size[found] - head - tail
+            yield spec.data, _Carried(found, rows.offset[found] + head, size)
+
+
+def _answers(protocol: Protocol, rows: DeviceRows) -> Iterator[tuple[DataSpec, _Carried]]:
+    """The data of the answers to each instruction, and the rows with them."""
+    if rows.wide is None:
+        return
+    there = rows.answering & (rows.wide.fields_size >= 0)
+    for spec in protocol.instructions:
+        if spec.answer and spec.answer.fields:
+            found = np.flatnonzero(there & (rows.header == protocol.key_of(spec.id)))
+            at, size = rows.wide.fields_at[found], rows.wide.fields_size[found]
+            yield spec.answer, _Carried(found, at, size)
+
+
+def _of_fields(
+    protocol: Protocol,
+    carried: Callable[[], Iterable[tuple[DataSpec, _Carried]]],
+    data: NDArray[np.uint8],
+    count: int,
+) -> Makers:
+    """The fields of the rows of one side, by their keys."""
+
+    def made(name: str, *, as_bytes: bool) -> Column:
+        parts = [
+            (part, part is spec.fields[-1] and spec.counted is not None, these)
+            for spec, these in carried()
+            for part in spec.fields
+            if part.name == name and part.constant is None
+        ]
+        return (_octets if as_bytes else _numbers)(parts, data, count)
+
+    known = {name: field for name, field in fields_of(protocol).items() if name == field.key}
+    return {
+        key: partial(made, key.removeprefix("fields."), as_bytes=field.kind is Kind.BYTES)
+        for key, field in known.items()
+        if key.startswith("fields.")
+    }
+
+
+_Parts: TypeAlias = Sequence[tuple[FieldSpec, bool, _Carried]]
+"""A field with its rows, and whether it goes to the end of the data."""
+
+
+def _numbers(parts: _Parts, data: NDArray[np.uint8], count: int) -> Column:
+    """A field that is a number wherever it is one."""
+    value, present = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    for part, _, carried in parts:
+        values = field_values(part, data, carried.at)
+        if values.dtype.kind != "i":  # wider than 64 bits with a sign
+            value = value.astype(object)
+        value[carried.rows] = values
+        present[carried.rows] = True
     return Numbers(value, present)
+
+
+def _octets(parts: _Parts, data: NDArray[np.uint8], count: int) -> Column:
+    """The bytes of a field that is bytes, or several numbers, somewhere."""
+    start, size = np.zeros(count, np.int64), np.full(count, -1, np.int64)
+    for part, to_end, carried in parts:
+        before = part.many.prefix.size if part.many and part.many.prefix else 0
+        start[carried.rows] = carried.at + part.offset + before
+        whole = carried.size - part.offset if to_end else part.size
+        size[carried.rows] = np.maximum(whole - before, 0)
+    return Octets(data, start, size)
 
 
 def _listed(values: Sequence[Any]) -> Column:

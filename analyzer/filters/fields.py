@@ -12,7 +12,7 @@ from typing import TypeAlias, get_args
 from bilprov.analyzer.decode.anomalies import KINDS, LINE_SEVERITY
 from bilprov.captures.schemas import Direction, FrameKind
 from bilprov.spec.data import FieldSpec
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
 
 Value: TypeAlias = "bool | int | str"
 
@@ -89,8 +89,9 @@ def fields_of(protocol: Protocol) -> Mapping[str, Field]:
 
     A field of an instruction that is named like another one is reached as `fields.NAME` only.
     """
-    own = {each.name: each for each in (*_of_rows(protocol), *_of_state(protocol))}
-    parts = {part.name: _part(protocol, part.name) for part in _parts(protocol)}
+    rows = (*_of_rows(protocol), *_of_address(protocol), *_of_state(protocol))
+    own = {each.name: each for each in rows}
+    parts = {part.name: _part(protocol, part.name) for _, part in _parts(protocol)}
     return {**parts, **own, **{part.key: part for part in parts.values()}}
 
 
@@ -111,15 +112,16 @@ def _of_rows(protocol: Protocol) -> list[Field]:
     number, seconds, word, truth = Kind.NUMBER, Kind.SECONDS, Kind.WORD, Kind.TRUTH
     ids = {spec.name: spec.id for spec in protocol.instructions}
     codes = {spec.name: spec.code for spec in protocol.responses}
-    names = _itself([*protocol.by_name, *codes, *_ROWS_OF_THEIR_OWN])
+    names = _itself([*protocol.by_name, *_answer_names(protocol), *_ROWS_OF_THEIR_OWN])
     kinds = _itself([*get_args(FrameKind), "fault"])
     longest = protocol.data_lengths[-1]
     right = "the response that a conforming device gives to the instruction"
     named = "the name of the instruction, the response or the anomaly"
+    length = "the data bytes that the header announces" if protocol.plain else "its data bytes"
     odd = "a faulty instruction or its answer, or anything else odd"
     return [
         Field("id", number, "the ID in the header", "", 0, protocol.ids[-1], ids),
-        Field("len", number, "the data bytes that the header announces", "", 0, longest),
+        Field("len", number, length, "", 0, longest),
         Field("data", Kind.BYTES, "the bytes behind the header; data[0] is the first"),
         Field("sequence", number, "the instruction's number, from 0", low=0),
         Field("response", number, "the response code that the device sent", "", 0, 255, codes),
@@ -139,6 +141,18 @@ def _of_rows(protocol: Protocol) -> list[Field]:
     ]
 
 
+def _answer_names(protocol: Protocol) -> list[str]:
+    """The names that answers can have; of flags, each by itself."""
+    named = [spec.name for spec in protocol.responses]
+    return named if protocol.reply.part("code") else [*named, PLAIN_ANSWER.name]
+
+
+def _of_address(protocol: Protocol) -> Iterator[Field]:
+    part = protocol.layout.part("address")
+    if part is not None:
+        yield Field("address", Kind.NUMBER, "who is meant, or who answers", "", 0, part.most)
+
+
 def _of_state(protocol: Protocol) -> Iterator[Field]:
     for variable, spec in protocol.variables.items():
         name, says = f"state.{variable}", f"the predicted {variable}"
@@ -152,18 +166,25 @@ def _of_state(protocol: Protocol) -> Iterator[Field]:
 
 
 def _part(protocol: Protocol, name: str) -> Field:
-    """The field of that name in any instruction that has it."""
-    parts = [part for part in _parts(protocol) if part.name == name]
+    """The field of that name in any instruction, or its answer, that has it."""
+    owned = [(owner, part) for owner, part in _parts(protocol) if part.name == name]
+    owners = ", ".join(dict.fromkeys(owner for owner, _ in owned))
+    says = f"of {owners}: {owned[0][1].prose}"
+    parts = [part for _, part in owned]
+    if any(part.many for part in parts):
+        return Field(name, Kind.BYTES, says, f"fields.{name}")
     carried = [end for part in parts for end in _carried(part)]
-    owners = dict.fromkeys(
-        spec.name for spec in protocol.instructions for part in spec.fields if part.name == name
-    )
-    says = f"of {', '.join(owners)}: {parts[0].prose}"
-    return Field(name, Kind.NUMBER, says, f"fields.{name}", min(carried), max(carried))
+    words = {word: value for part in parts for word, value in (*part.names, *part.flags)}
+    return Field(name, Kind.NUMBER, says, f"fields.{name}", min(carried), max(carried), words)
 
 
-def _parts(protocol: Protocol) -> Iterator[FieldSpec]:
-    return (part for spec in protocol.instructions for part in spec.fields)
+def _parts(protocol: Protocol) -> Iterator[tuple[str, FieldSpec]]:
+    """The fields with values, each with the name of its instruction."""
+    for spec in protocol.instructions:
+        answered = spec.answer.fields if spec.answer else ()
+        for part in (*spec.fields, *answered):
+            if part.constant is None:
+                yield spec.name, part
 
 
 def _carried(part: FieldSpec) -> tuple[int, int]:

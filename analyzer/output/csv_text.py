@@ -44,7 +44,8 @@ def usual_columns(protocol: Protocol, *, time: bool = False) -> tuple[Column, ..
     known = columns_of(protocol)
     fields = [name for name in known if name.startswith("fields.")]
     states = [name for name in known if name.startswith("state.")]
-    names = [*_FRONT, *fields, "judgement", "reason", "latency", *states, *_BACK]
+    address = ["address"] if protocol.layout.part("address") else []
+    names = [*_FRONT, *address, *fields, "judgement", "reason", "latency", *states, *_BACK]
     return tuple(known[name] for name in (["time", *names] if time else names))
 
 

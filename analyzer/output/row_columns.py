@@ -15,6 +15,8 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import Any, TypeAlias, TypeVar
 
+from msgspec import UNSET
+
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record, severity_of
 from bilprov.analyzer.output.text_lines import painted
@@ -138,13 +140,41 @@ def _latency_ns(line: JsonLine) -> int | None:
     return None if line.latency is None else nanoseconds(line.latency)
 
 
-def _header(line: JsonLine) -> int | None:
-    """The header byte of a row with an instruction, whole or truncated."""
-    return int(line.hex[:2], 16) if line.kind in ("instruction", "truncated") else None
+def _frame(line: JsonLine) -> bytes | None:
+    """The bytes of a row with an instruction, whole or truncated."""
+    return bytes.fromhex(line.hex) if line.kind in ("instruction", "truncated") else None
 
 
-def _data(line: JsonLine) -> str | None:
-    return None if _header(line) is None else line.hex[3:]
+def _about_frames(protocol: Protocol) -> tuple[Column, Column, Column]:
+    """The columns of what is in a frame: its ID, the number of its data bytes, and these."""
+    layout = protocol.layout
+
+    def data_of(line: JsonLine) -> bytes | None:
+        frame = _frame(line)
+        if frame is None:
+            return None
+        return frame[layout.head :] if line.kind == "truncated" else layout.data_of(frame)
+
+    def identity(line: JsonLine) -> Value:
+        frame = _frame(line)
+        return None if frame is None or len(frame) < layout.head else layout.id_of(frame)
+
+    def length(line: JsonLine) -> Value:
+        data, frame = data_of(line), _frame(line)
+        if data is None or frame is None:
+            return None
+        return layout.length_of(frame) if protocol.plain else len(data)
+
+    def data(line: JsonLine) -> Value:
+        found = data_of(line)
+        return None if found is None else found.hex(" ")
+
+    said = "the data bytes that its header announces" if protocol.plain else "its data bytes"
+    return (
+        Column("id", "id", 3, "the instruction's ID", identity, right=True),
+        Column("len", "len", 3, said, length, right=True),
+        Column("data", "data", 8, "an instruction's bytes behind its header", data),
+    )
 
 
 def _response(line: JsonLine) -> str | None:
@@ -189,7 +219,6 @@ COLUMNS: Mapping[str, Column] = {
         _key("kind", "kind", 11, "instruction, response, ..."),
         _key("hex", "hex", 11, "the bytes"),
         Column("bytes", "bytes", 11, "the same; in Parquet the bytes themselves", lambda r: r.hex),
-        Column("data", "data", 8, "an instruction's bytes behind its header", _data),
         _key("name", "name", 13, "of the instruction or response"),
         Column("fields", "fields", 14, "the instruction's fields and values", _described),
         _key("judgement", "judgement", 13, "the expected response"),
@@ -211,51 +240,63 @@ COLUMNS: Mapping[str, Column] = {
         _key("reason", "reason", 40, "why, in words"),
     )
 }
-"""The columns of every grammar but `id`, `len`, the fields and the variables of the state."""
+"""The columns of every grammar but `id`, `len`, `data`, the fields and the variables of the state.
+"""
 
 TIME = COLUMNS["time"]
 
 
 def columns_of(protocol: Protocol) -> dict[str, Column]:
     """All columns of a grammar by the names under which they can be asked for."""
-    headers = protocol.headers
-
-    def part(place: int) -> Callable[[JsonLine], Value]:
-        def value(line: JsonLine) -> Value:
-            header = _header(line)
-            return None if header is None else headers[header][place]
-
-        return value
-
-    about_header = (
-        Column("id", "id", 3, "the instruction's ID", part(0), right=True),
-        Column("len", "len", 3, "the data bytes that its header announces", part(1), right=True),
-    )
+    identity, length, data = _about_frames(protocol)
     fields = {f"fields.{column.name}": column for column in _fields(protocol)}
     common = list(COLUMNS.items())
-    at = list(COLUMNS).index("state") + 1
+    common.insert(list(COLUMNS).index("bytes") + 1, ("data", data))
+    at = [name for name, _ in common].index("state") + 1
     states = [(column.name, column) for column in _states(protocol)]
     return {
         **{column.name: column for column in fields.values()},
         **dict([*common[:at], *states, *common[at:]]),
-        **{column.name: column for column in about_header},
+        **{column.name: column for column in (identity, length, *_address(protocol))},
         **{name: replace(column, name=name) for name, column in fields.items()},
     }
 
 
+def _address(protocol: Protocol) -> Iterator[Column]:
+    """The column of the address, where frames have one."""
+
+    def address(line: JsonLine) -> Value:
+        return None if line.address is UNSET else line.address
+
+    if protocol.layout.part("address"):
+        yield Column("address", "to", 4, "who is meant, or who answers", address, right=True)
+
+
+def bytes_fields(protocol: Protocol) -> frozenset[str]:
+    """The names of the fields that are bytes or several numbers, which are text in a row."""
+    data = [spec.data for spec in protocol.instructions]
+    data += [spec.answer for spec in protocol.instructions if spec.answer]
+    return frozenset(part.name for spec in data for part in spec.fields if part.many)
+
+
 def _fields(protocol: Protocol) -> list[Column]:
-    """A column for each field of the instructions; fields of one name share one."""
-    names = dict.fromkeys(part.name for spec in protocol.instructions for part in spec.fields)
+    """A column for each field of the instructions and answers; fields of one name share one."""
+    answered = [spec.answer.fields for spec in protocol.instructions if spec.answer]
+    parts = [part for spec in protocol.instructions for part in spec.fields]
+    parts += [part for fields in answered for part in fields]
+    names = dict.fromkeys(part.name for part in parts if part.constant is None)
+    several = bytes_fields(protocol)
 
     def field(name: str) -> Column:
-        return Column(
-            name,
-            name,
-            max(5, len(name)),
-            "a field of instructions",
-            lambda line: line.fields.get(name),
-            right=True,
-        )
+        def value(line: JsonLine) -> Value:
+            found = line.fields.get(name)
+            if name not in several or found is None:
+                return found
+            return " ".join(map(str, found)) if isinstance(found, list) else str(found)
+
+        says = "a field of instructions or answers" if answered else "a field of instructions"
+        width = max(5, len(name))
+        return Column(name, name, width, says, value, right=name not in several)
 
     return [field(name) for name in names]
 

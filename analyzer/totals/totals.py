@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -24,11 +25,20 @@ from bilprov.analyzer.decode.records import LineRecord, serious_faults
 from bilprov.analyzer.totals.latencies import Latencies, Spread
 from bilprov.analyzer.totals.moving import MovingTime
 from bilprov.analyzer.totals.rates import SECOND, Rates
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
 from bilprov.spec.tables import OUTCOMES
+
+DAMAGED = "damaged"
+"""Stands for the name of an answer that has none, since it is damaged."""
 
 SERIES = ("frames", "faults", "host_bytes", "device_bytes")
 """What is counted by time, each frame when it ended."""
+
+
+def _numbered(name: str) -> tuple[int, str]:
+    """Orders the names of unused codes by their numbers."""
+    number = name.removeprefix("unused ")
+    return (int(number) if number.isdecimal() else 256, name)
 
 
 class Instruction(NamedTuple):
@@ -58,12 +68,18 @@ class Totals:
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        self._ids = np.array([identity for identity, _ in protocol.headers], np.int64)
+        # By key of a frame: its ID, and the group of its latencies. Unused IDs share one where they
+        # are many.
+        self._ids = np.array(protocol.keys, np.int64)
+        apart = sorted(protocol.keys if protocol.plain else protocol.by_id)
+        places = {identity: place for place, identity in enumerate(dict.fromkeys(apart))}
+        groups = [places.get(identity, len(places)) for identity in protocol.keys]
+        self._groups = np.array(groups, np.int64)
         self._headers = np.zeros(256, np.int64)
         self._verdicts = np.zeros(len(OUTCOMES), np.int64)
-        self._answers = np.zeros(256, np.int64)
-        self._paired = np.zeros((len(protocol.ids), 256), np.int64)  # by ID and byte of the answer
-        self.latencies = Latencies(protocol.timing, len(protocol.ids))
+        self._answers: Counter[str] = Counter()
+        self._paired: Counter[tuple[int, str]] = Counter()  # by ID and name of the answer
+        self.latencies = Latencies(protocol.timing, len(places) + 1)
         self._faults: Counter[tuple[str, int | None, str]] = Counter()  # direction, ID, kind
         self._moving = MovingTime(protocol.power_on.moving)
         self._moved_before: int | None = None  # ns that the wheels had turned at `first`
@@ -71,6 +87,7 @@ class Totals:
         self.rates = Rates(*SERIES)
         self.kinds: Counter[str] = Counter()
         self.host_bytes = 0
+        self.device_bytes = 0
         self.agreeing = 0
         self.disagreeing = 0
         self.first: int | None = None
@@ -97,6 +114,7 @@ class Totals:
         self._faults += other._faults
         self.kinds += other.kinds
         self.host_bytes += other.host_bytes
+        self.device_bytes += other.device_bytes
         self.agreeing += other.agreeing
         self.disagreeing += other.disagreeing
         self.moving += other.moving
@@ -106,11 +124,6 @@ class Totals:
     def frames(self) -> int:
         """How many host frames there are, whole and truncated ones."""
         return int(self._verdicts.sum())
-
-    @property
-    def device_bytes(self) -> int:
-        """How many bytes the device has sent."""
-        return int(self._answers.sum())
 
     @property
     def faults(self) -> Counter[str]:
@@ -131,37 +144,46 @@ class Totals:
 
     def expected(self) -> dict[str, int]:
         """How often each response is the one that a conforming device gives."""
-        answers = self._protocol.answers
-        counts = dict(zip(OUTCOMES, self._verdicts.tolist(), strict=True))
-        return {spec.name: counts[outcome] for outcome, spec in answers.items() if spec.outcomes}
+        found: dict[str, int] = {}
+        for outcome, count in zip(OUTCOMES, self._verdicts.tolist(), strict=True):
+            spec = self._protocol.answers[outcome]
+            if spec.outcomes:
+                found[spec.name] = found.get(spec.name, 0) + count
+        return found
 
     def responses(self) -> dict[str, int]:
         """How often the device has given each response, and each unused code."""
-        codes = self._protocol.codes
-        known = dict.fromkeys((spec.name for spec in codes.values()), 0)
-        return {**known, **self._by_response(self._answers)}
+        return {**dict.fromkeys(self._names, 0), **self._by_name(self._answers)}
 
-    def _by_response(self, counts: NDArray[np.int64]) -> dict[str, int]:
-        """Those that are not 0 of some counts by byte, the codes of the grammar first."""
-        codes = self._protocol.codes
-        used = [code for code in codes if counts[code]]
-        unused = [code for code in np.flatnonzero(counts).tolist() if code not in codes]
-        named = {codes[code].name: int(counts[code]) for code in used}
-        return {**named, **{f"unused {code}": int(counts[code]) for code in unused}}
+    @cached_property
+    def _names(self) -> list[str]:
+        """The names of the responses, that of answers without a code in front."""
+        named = [spec.name for spec in self._protocol.responses]
+        coded = self._protocol.reply.part("code") is not None
+        return named if coded else [PLAIN_ANSWER.name, *named]
+
+    def _by_name(self, counts: Mapping[str, int]) -> dict[str, int]:
+        """Some counts, those of the grammar's responses first."""
+        used = [name for name in self._names if name in counts]
+        others = sorted((name for name in counts if name not in self._names), key=_numbered)
+        return {name: counts[name] for name in (*used, *others)}
 
     def _named_ids(self) -> Iterator[tuple[int, str]]:
         for spec in self._protocol.instructions:
             yield spec.id, spec.name
-        for identity in self._protocol.unused_ids:
-            if self._headers[self._ids == identity].any():
-                yield identity, f"unused {identity}"
+        known = self._protocol.by_id
+        for identity in np.unique(self._ids[self._headers > 0]).tolist():
+            if identity not in known:
+                yield identity, f"unused {identity}" if identity >= 0 else "unreadable"
 
     def _instruction(self, identity: int) -> Instruction:
+        group = self._groups[self._ids == identity]
+        paired = {name: count for (one, name), count in self._paired.items() if one == identity}
         return Instruction(
             frames=int(self._headers[self._ids == identity].sum()),
-            responses=self._by_response(self._paired[identity]),
+            responses=self._by_name(paired),
             faults=dict(self.faults_of(identity=identity).most_common()),
-            latencies=self.latencies.spread(identity),
+            latencies=self.latencies.spread(int(group[0])) if len(group) else None,
         )
 
     def _add_hosts(self, hosts: HostRows, mask: Mask | None) -> list[int]:
@@ -191,23 +213,42 @@ class Totals:
     def _add_devices(self, devices: DeviceRows, mask: Mask | None) -> list[int]:
         """Count rows of the device; returns the times (ns) of the first and the last."""
         rows = slice(None) if mask is None else mask
-        byte, t, agrees = devices.byte[rows], devices.t[rows], devices.agrees[rows]
-        if not len(byte):
+        t, agrees = devices.t[rows], devices.agrees[rows]
+        if not len(t):
             return []
-        self.rates.count("device_bytes", t)
+        if devices.wide:
+            size = devices.wide.size[rows]
+            self.device_bytes += int(size.sum())
+            self.rates.count("device_bytes", t, size)
+        else:
+            self.device_bytes += len(t)
+            self.rates.count("device_bytes", t)
         self.agreeing += int(np.count_nonzero(agrees == 1))
         self.disagreeing += int(np.count_nonzero(agrees == 0))
-        self._answers += np.bincount(byte, minlength=256)
+        name, names = self._named(devices)
+        name = name[rows]
+        given = np.bincount(name)
+        for place in np.flatnonzero(given).tolist():
+            self._answers[names[place]] += int(given[place])
         answering = devices.answering[rows]
         header, latency = devices.header[rows], devices.latency[rows]
         self._add_kinds("device", devices.faults.of(mask), t, header, answering)
         if not answering.all():
-            header, byte, latency = header[answering], byte[answering], latency[answering]
-        answered = self._ids.take(header)
-        pairs = np.bincount(answered << 8 | byte, minlength=self._paired.size)
-        self._paired += pairs.reshape(self._paired.shape)
-        self.latencies.add(latency, answered)
+            header, name, latency = header[answering], name[answering], latency[answering]
+        counts = np.bincount(header.astype(np.int64) * len(names) + name)
+        for pair in np.flatnonzero(counts).tolist():
+            key, place = divmod(pair, len(names))
+            self._paired[int(self._ids[key]), names[place]] += int(counts[pair])
+        self.latencies.add(latency, self._groups.take(header))
         return [int(t.min()), int(t.max())]
+
+    def _named(self, devices: DeviceRows) -> tuple[NDArray[np.integer], Sequence[str]]:
+        """The name of each answer, as its place in some names."""
+        if devices.wide:
+            return devices.wide.name, [name or DAMAGED for name in devices.wide.names]
+        codes = self._protocol.codes
+        named = [codes[byte].name if byte in codes else f"unused {byte}" for byte in range(256)]
+        return devices.byte, named
 
     def _add_others(self, others: OtherRows, mask: Mask | None) -> None:
         for place, record in enumerate(others.listed):
@@ -235,16 +276,17 @@ class Totals:
             return
         code = found.code[rows].astype(np.int64)
         self.rates.count("faults", t[rows], amounts[code])
-        many = len(self._protocol.ids) + 1  # the last stands for no instruction
-        identity = self._ids.take(header[rows])
+        many = len(self._ids) + 1  # the last stands for no instruction
+        key = header[rows].astype(np.int64)
         if about is not None:
-            identity = np.where(about[rows], identity, many - 1)
-        counts = np.bincount(code * many + identity)
+            key = np.where(about[rows], key, many - 1)
+        counts = np.bincount(code * many + key)
         for pair in np.flatnonzero(counts).tolist():
-            one: int | None = pair % many
+            place = pair % many
             for kind in found.kinds[pair // many]:
-                key = direction, None if one == many - 1 or kind == "garbage" else one, kind
-                self._faults[key] += int(counts[pair])
+                nobody = place == many - 1 or kind == "garbage"
+                identity = None if nobody else int(self._ids[place])
+                self._faults[direction, identity, kind] += int(counts[pair])
 
     def _ended(self, end: NDArray[np.int64]) -> None:
         """Count frames that ended at these times, which increase."""

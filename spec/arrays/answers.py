@@ -25,6 +25,7 @@ from bilprov.spec.arrays.layouts import (
 )
 from bilprov.spec.arrays.requests import Requests, RequestTables
 from bilprov.spec.codec import judge
+from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
@@ -112,6 +113,32 @@ class AnswerTables:
             regular = self._is_open(raw[end:], self._request(asked, requests, rows))
         found = Answers(offset[:rows], size[:rows], code[:rows])
         return CutAnswers(found, int(found.end[-1]) if rows else 0, regular)
+
+    def fields(self, kind: Places, answers: Answers) -> tuple[Places, Places]:
+        """Where the fields of answers to requests of these kinds are: their places and bytes.
+
+        The size is -1 where an answer has no fields.
+        """
+        around = np.array([(way.layout.head, way.layout.tail) for way in self._ways], np.int64)
+        least = [way.data.length if way.data and way.data.fields else -1 for way in self._ways]
+        head, tail = around.take(kind, axis=0).T
+        size = answers.size - head - tail
+        needed = np.array(least, np.int64).take(kind)
+        by_request = [bool(way.data and _by_request(way.data)) for way in self._ways]
+        refused = self._fails.take(answers.code, mode="clip") & (answers.code >= 0) & (size == 0)
+        lacking = refused & np.array(by_request, np.bool_).take(kind)
+        there = (needed >= 0) & (size >= needed) & ~lacking
+        return answers.offset + head, np.where(there, size, -1)
+
+    def addresses(self, kind: Places, data: Bytes, answers: Answers) -> Places:
+        """Whose the answers in `data` to requests of these kinds are; -1 where they do not say."""
+        found = np.full(len(kind), -1, np.int64)
+        for layout, kinds in self._layouts:
+            part = layout.part("address")
+            if part is not None:
+                rows = np.flatnonzero(kinds.take(kind))
+                found[rows] = part_values(part, data, answers.offset[rows], answers.end[rows])
+        return found
 
     @staticmethod
     def _request(asked: Bytes, requests: Requests, row: int) -> bytes:
@@ -272,3 +299,8 @@ class AnswerTables:
         at = start + way.layout.head
         begun = data[at : at + way.data.length].tobytes()
         return way.data.measure(begun, asked_values(self._protocol, judged)) or 0
+
+
+def _by_request(spec: DataSpec) -> bool:
+    """Whether the request tells how many data an answer has."""
+    return spec.counted is not None and spec.counted.how == "expression"

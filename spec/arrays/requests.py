@@ -86,7 +86,7 @@ class RequestTables:
         require_narrow(layout)
         for spec in self.specs:
             _require_numbers(spec.data)
-        self.keys = np.array([min(spec.id, 255) for spec in self.specs], np.uint8)
+        self.keys = np.array([protocol.key_of(spec.id) for spec in self.specs], np.uint8)
         self._ids = np.array([spec.id for spec in self.specs], np.int64)
         answered = protocol.answers[Outcome.VALID] is not NO_ANSWER
         self._answered = np.array(
