@@ -91,7 +91,7 @@ TIMING = Timing(
     truncation_timeout=10,
     truncation_shortest=5,
     truncation_longest=100,
-    answer_deadline=10,
+    answer_deadline=100,
     answer_longest=1000,
     stop_longest=100,
 )

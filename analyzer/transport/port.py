@@ -39,7 +39,7 @@ class Port(Closing):
         self.settings = settings
         self._handle = handle
         self._fd = _descriptor(handle)
-        self._instant = "://" in name or _is_pty(name)
+        self._instant = "://" in name or is_pty(name)
         # spy:// prints the traffic, so its bytes have to go through pyserial's own calls.
         self._direct = self._fd is not None and not name.lower().startswith("spy://")
 
@@ -152,7 +152,7 @@ class Port(Closing):
         """
         self._require_open()
         with contextlib.suppress(*FAULTS):
-            if _is_pty(self.name):
+            if is_pty(self.name):
                 os.close(os.open(self.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK))
             else:
                 self._handle.dtr = False
@@ -225,7 +225,7 @@ class Port(Closing):
             select.select([], [self._fd], [], 0.02)
 
 
-def _is_pty(name: str) -> bool:
+def is_pty(name: str) -> bool:
     try:
         return os.path.realpath(name).startswith("/dev/pts/")
     except OSError:  # a link that was just removed

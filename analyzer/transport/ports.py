@@ -19,7 +19,7 @@ from serial.tools import list_ports as serial_list_ports
 from bilprov.analyzer.transport.errors import LinkError, opening_failed
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.machine import Machine, Process
-from bilprov.analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port
+from bilprov.analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port, is_pty
 
 _POLL_STEP = 0.001  # s between looks at a port that select cannot wait for
 
@@ -40,7 +40,8 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
             handle: Any = serial.serial_for_url(
                 name,
                 baudrate=settings.baud,
-                parity=settings.parity,
+                # A pty has no parity: asked for it again, the kernel refuses it.
+                parity="N" if is_pty(name) else settings.parity,
                 stopbits=settings.stopbits,
                 timeout=0,
                 # rfc2217 knows no write time-out; its socket has one (below).

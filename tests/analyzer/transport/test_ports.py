@@ -428,3 +428,11 @@ def test_numbers_of_a_device_that_is_not_there_mean_one_thing(number: int) -> No
     error = OSError(number, "x")
     assert "no device behind it" in str(opening_failed("/dev/ttyUSB0", error, "", []))
     assert "/dev/ttyUSB0 disappeared" in str(link_lost("/dev/ttyUSB0", error))
+
+
+@pytest.mark.parametrize("parity", ["E", "O"])
+def test_a_pty_is_opened_again_and_again_with_the_parity_of_a_line(parity: str) -> None:
+    with open_pty() as pty:
+        for _ in range(3):
+            with open_port(pty.name, LineSettings(19200, parity, 1)) as port:
+                assert str(port.settings) == f"19200 8{parity}1"
