@@ -47,7 +47,9 @@ CUT = "cut short"
 MOST_PAUSES = 4
 # The levels that hold nothing but tours and sweeps; `test_proof` is about the other.
 TOURS = ("smoke", "standard", "deep")
-EACH_TOUR = [*TOURS[:2], pytest.param(TOURS[2], marks=[pytest.mark.slow, pytest.mark.sample(0)])]
+# Its cases take seconds to make.
+DEEP = [pytest.mark.slow, pytest.mark.sample(0)]
+EACH_TOUR = [*TOURS[:2], pytest.param(TOURS[2], marks=DEEP)]
 
 
 def sequences_of(protocol: Protocol, level: str = "standard", seed: int = 1) -> list[SequenceCase]:
@@ -219,7 +221,7 @@ def test_each_level_delivers_in_each_way(protocol: Protocol, level: str) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", ["standard", "deep"])
+@pytest.mark.parametrize("level", EACH_TOUR[1:])
 def test_every_kind_is_left_alone_in_each_kind_of_motion(protocol: Protocol, level: str) -> None:
     met = {
         (kind_of(protocol, step), visible_motion(state))
@@ -236,7 +238,10 @@ def test_every_kind_is_left_alone_in_each_kind_of_motion(protocol: Protocol, lev
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("level", "count"), [("smoke", 30), ("standard", 300), ("deep", 1100)])
+@pytest.mark.parametrize(
+    ("level", "count"),
+    [("smoke", 30), ("standard", 300), pytest.param("deep", 1100, marks=DEEP)],
+)
 def test_so_many_faults_come_in_a_row_each_while_the_robot_moves(
     protocol: Protocol, level: str, count: int
 ) -> None:
@@ -362,12 +367,15 @@ def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
 
 
 @pytest.mark.slow
-def test_each_level_holds_the_ids_of_the_one_before(protocol: Protocol) -> None:
-    smoke, standard, deep = (
-        {case.id for case in level_cases(protocol, level, 1)} for level in TOURS
-    )
+@pytest.mark.parametrize(
+    ("less", "more"), [TOURS[:2], pytest.param(*TOURS[1:], marks=DEEP)], ids=str
+)
+def test_each_level_holds_the_ids_of_the_one_before(
+    protocol: Protocol, less: str, more: str
+) -> None:
+    fewer, many = ({case.id for case in level_cases(protocol, name, 1)} for name in (less, more))
 
-    assert smoke < standard < deep
+    assert fewer < many
 
 
 def test_the_level_complete_holds_what_standard_does_and_the_proofs() -> None:
@@ -393,14 +401,16 @@ def test_a_group_that_is_independent_is_the_same_without_the_others(protocol: Pr
 
 
 @pytest.mark.slow
-def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(protocol: Protocol) -> None:
-    for level in TOURS:
-        cases, singles = level_cases(protocol, level, 1), single_cases(protocol, level, 1)
+@pytest.mark.parametrize("level", EACH_TOUR)
+def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(
+    protocol: Protocol, level: str
+) -> None:
+    cases, singles = level_cases(protocol, level, 1), single_cases(protocol, level, 1)
 
-        assert cases[: len(singles)] == singles
-        assert all(isinstance(case, SequenceCase) for case in cases[len(singles) :])
-        ids = [case.id for case in cases if case.id.startswith(SEQUENCE_PREFIXES)]
-        assert ids == [case.id for case in cases[len(singles) :]]
+    assert cases[: len(singles)] == singles
+    assert all(isinstance(case, SequenceCase) for case in cases[len(singles) :])
+    ids = [case.id for case in cases if case.id.startswith(SEQUENCE_PREFIXES)]
+    assert ids == [case.id for case in cases[len(singles) :]]
 
 
 @pytest.mark.sample(3)
