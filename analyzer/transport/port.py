@@ -226,9 +226,10 @@ class Port(Closing):
 
 
 def is_pty(name: str) -> bool:
+    """Whether a path is a pty, also through a link; false for one that was just removed."""
     try:
         return os.path.realpath(name).startswith("/dev/pts/")
-    except OSError:  # a link that was just removed
+    except OSError:
         return False
 
 
