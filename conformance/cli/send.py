@@ -67,8 +67,8 @@ def send(options: SendOptions) -> int:
       bilprov send /dev/ttyUSB0 Forward pause=500 "Speed 80" "81 05"
       bilprov send sim
 
-    Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5"), bytes in hex ("93 00"), or
-    pause=MS; they are sent one after the other. The device is homed first, and again however the
+    Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5", "ReadCoils 0 8 address=17"),
+    bytes in hex ("93 00"), or pause=MS; they are sent one after the other. The device is homed first, and again however the
     command ends. sim is the built-in simulator.
 
     Without ITEMs you type them, and see each answer and the state. A line holds ITEMs or words
@@ -102,9 +102,13 @@ def send(options: SendOptions) -> int:
             typed = probe if asked_here("probe") else None
             if typed not in (None, SIM):
                 raise click.UsageError(f"sim brings its own probe; --probe {probe} is for ports")
+            if typed and not protocol.wheels:
+                raise click.UsageError(
+                    f"the probe of sim sees a car, and {protocol.name} has none: leave out --probe"
+                )
             port, own = stack.enter_context(_simulator(protocol))
             # Items are shown with looks only where these are asked for, as at a port.
-            probe = own if typed or not items else None
+            probe = own if protocol.wheels and (typed or not items) else None
             yes = True  # it moves nothing
         if items:
             from bilprov.conformance.cli.shell.items import send_items

@@ -79,6 +79,15 @@ def test_lines_that_are_typed_are_sent() -> None:
     ]
 
 
+def test_nothing_looks_at_a_simulated_device_that_is_no_car() -> None:
+    done = sent(stdin=b"look\n")
+    asked = sent("ReportServerId address=1", "--probe", "sim")
+
+    assert done.stdout == b"nothing sees the Modbus device: begin with --probe\n"
+    assert asked.returncode == 2
+    assert b"the probe of sim sees a car, and modbus-rtu has none" in asked.stderr
+
+
 def test_help_of_the_shell_names_the_address() -> None:
     done = sent(stdin=b"help\n")
 

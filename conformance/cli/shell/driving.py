@@ -193,7 +193,7 @@ class Driving(Closing):
 
     def _tell_look(self) -> None:
         if self._probe is None:
-            write_out("nothing sees the robot: begin with --probe\n")
+            write_out(f"nothing sees the {self._protocol.device}: begin with --probe\n")
             return
         self._look(self._probe)
         if self._style == "jsonl" and self.look is not None:
