@@ -17,7 +17,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import process
+from tests.support.commands import command, process
 from tests.support.robots import sentence, served_here
 
 pytestmark = pytest.mark.waits
@@ -134,7 +134,7 @@ def test_it_is_refused_where_nothing_can_be_found_again(
 ) -> None:
     with served_here(Simulator(protocol), pty=True) as (port, _):
         words = ("conform", port if target == "PTY" else target, "--reconnect", "5", "--yes")
-        result = process(*words)
+        result = command(*words)
 
     assert result.returncode == 2
     assert why in sentence(result)
