@@ -133,7 +133,8 @@ def test_it_is_refused_where_nothing_can_be_found_again(
     target: str, why: str, protocol: Protocol
 ) -> None:
     with served_here(Simulator(protocol), pty=True) as (port, _):
-        words = ("conform", port if target == "PTY" else target, "--reconnect", "5", "--yes")
+        device = port if target == "PTY" else target
+        words = ("conform", device, "--reconnect", "5", "--yes", "--level", "smoke")
         result = command(*words)
 
     assert result.returncode == 2
