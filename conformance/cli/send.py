@@ -68,8 +68,8 @@ def send(options: SendOptions) -> int:
       bilprov send sim
 
     Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5", "ReadCoils 0 8 address=17"),
-    bytes in hex ("93 00"), or pause=MS; they are sent one after the other. The device is homed first, and again however the
-    command ends. sim is the built-in simulator.
+    bytes in hex ("93 00"), or pause=MS; they are sent one after the other. The device is homed
+    first, and again however the command ends. sim is the built-in simulator.
 
     Without ITEMs you type them, and see each answer and the state. A line holds ITEMs or words
     (help lists them), with ; between them. Tab completes, the arrows recall earlier lines. Ctrl-C
