@@ -346,7 +346,7 @@ class Decoder:
             if self._paired and not waiting:
                 return  # the request may be delayed in the other adapter
             heard = (
-                self._replies.take(waiting, self._pairing.late)
+                self._replies.take(waiting, self._pairing.gives_up)
                 if self._paired
                 else self._replies.take_unasked()
             )

@@ -2,8 +2,8 @@
 
 Regular is what needs no decision: every frame is whole, valid and without a pause that could cut it
 short, no bytes are lost, and each answer is the usual one to the oldest request that waits, comes
-before that is given up, or is overdue while others wait, and has no long pause in it. An answer may
-come before its request, as two taps stamp it.
+before that is given up, and has no long pause in it. No two requests wait between which the host
+has paused. An answer may come before its request, as two taps stamp it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bilprov.analyzer.decode.bus_state import BusState
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.framed_batch import FramedBatch, FramedDecoding
-from bilprov.analyzer.decode.pairing import MOST
+from bilprov.analyzer.decode.pairing import GIVES_UP, MOST
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.arrays.answers import AnswerTables
@@ -237,8 +237,9 @@ class FramedDecoder:
         falls_due |= _paused(device, heard, t, self._reply_timeout)
         expires = np.append(asked_end, 0)[answered[:-1]] + self._longest
         falls_due |= (asked_by[:-1] > answered[:-1]) & (t >= expires)
-        overdue = np.append(asked_end, 0)[answered[:-1]] + self._decoding.late
-        falls_due |= (asked_by[:-1] > answered[:-1] + 1) & (t > overdue)
+        paused = np.diff(asked_end, prepend=asked_end[:1]) >= self._decoding.late // GIVES_UP
+        pauses = np.append(0, np.cumsum(paused))
+        falls_due |= pauses[asked_by[:-1]] > pauses[np.minimum(answered + 1, asked_by)[:-1]]
         falls_due |= asked_by[1:] - answered[:-1] > MOST
         if falls_due.any():
             cut = min(cut, int(np.argmax(falls_due)))

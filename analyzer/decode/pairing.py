@@ -27,6 +27,10 @@ given up before its time.
 """
 
 
+GIVES_UP: Final = 5
+"""The part of an answer's deadline after which a host that sends another request has given up."""
+
+
 class Waiting(msgspec.Struct, frozen=True, gc=False):
     """An instruction that waits for its answer.
 
@@ -63,6 +67,7 @@ class Pairing:
         self._skew = skew
         self.most = MOST
         self.late = round(timing.answer_deadline * MS)
+        self.gives_up = self.late // GIVES_UP
         self.longest = round(timing.answer_longest * MS)
         # A device may take longer than we do to give up on a frame (R-truncation-timeout).
         self._truncation_longest = round(timing.truncation_longest * MS)

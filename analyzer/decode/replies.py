@@ -12,6 +12,8 @@ from bilprov.analyzer.decode.pairing import Waiting
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_reply, reply_size
 
+_LOOKED_AT = 64  # requests at most for a pause among them; hosts send few without an answer
+
 
 class Heard(NamedTuple):
     """An answer, the times (ns) of its first and last byte, and how many requests it passes over.
@@ -58,16 +60,24 @@ class ReplyFramer:
         """Let what is held have come so much (ns) later."""
         self._times = [t + pause for t in self._times]
 
-    def take(self, waiting: Iterable[Waiting], late: int) -> Heard | None:
+    def take(self, waiting: Iterable[Waiting], gives_up: int) -> Heard | None:
         """Take the next answer to the requests that wait, the oldest first; None if none is whole.
 
-        A right answer to a later one passes over those before it. So does one that comes later than
-        `late` (ns) after the older one: a host that repeats a request has given up the first.
+        A right answer to a later one passes over those before it. Where it is right for several it
+        is that to the first after the last pause of `gives_up` (ns): a host that pauses so long
+        without an answer, and then sends another request, does not wait for the first any more.
         """
         held = bytes(self._held)
-        overdue: Heard | None = None
+        right: Heard | None = None
         damaged: Heard | None = None
+        paused, before = False, None
         for passed, one in enumerate(waiting):
+            paused = paused or (before is not None and one.end - before >= gives_up)
+            before = one.end
+            if right and not paused:
+                if passed < _LOOKED_AT:
+                    continue
+                break
             size = reply_size(self._protocol, held, one.judgement)
             if size is None or size > len(held):
                 break
@@ -75,13 +85,10 @@ class ReplyFramer:
                 continue
             reply = read_reply(self._protocol, held[:size], one.judgement)
             heard = Heard(reply, self._times[0], self._times[size - 1], passed)
-            if reply.reason:
-                damaged = damaged or heard
-            elif heard.start - one.end > late:
-                overdue = overdue or heard
-            else:
-                return self._taken(heard)
-        best = overdue or damaged
+            if not reply.reason:
+                right, paused = heard, False
+            damaged = damaged or heard
+        best = right or damaged
         return best and self._taken(best)
 
     def take_unasked(self) -> Heard | None:
