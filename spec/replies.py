@@ -76,12 +76,12 @@ def reply_size(protocol: Protocol, held: bytes, asked: Judgement | None) -> int 
     """
     values = asked_values(protocol, asked) if asked else {}
     for way in _ways(protocol, asked):
-        size = _size(way, held, asked, values)
+        size = _size(protocol, way, held, asked, values)
         if size is None or size > len(held):
             return size if size is not None and size > 0 else None
         if size > 0 and _is_right(protocol, way, held[:size], asked):
             return size
-    sizes = [_size(way, held, asked, values) for way in _ways(protocol, asked)]
+    sizes = [_size(protocol, way, held, asked, values) for way in _ways(protocol, asked)]
     return next((size for size in sizes if size is not None and size > 0), -1)
 
 
@@ -89,7 +89,7 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
     """Read one answer, whole or damaged, to a request (None if there is none)."""
     values = asked_values(protocol, asked) if asked else {}
     ways = list(_ways(protocol, asked))
-    sized = [way for way in ways if _size(way, frame, asked, values) == len(frame)]
+    sized = [way for way in ways if _size(protocol, way, frame, asked, values) == len(frame)]
     right = [way for way in sized if _is_right(protocol, way, frame, asked)]
     if not sized:
         return Reply(frame, None, (), reason=f"the bytes {spaced(frame)} are not an answer")
@@ -98,7 +98,8 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
     names, response = meaning(protocol, layout.code_of(frame))
     reason = "" if right else _damage(protocol, layout, frame, asked)
     fields: tuple[tuple[str, Any], ...] = ()
-    if layout.has_data and way.data is not None and not reason:
+    unknown = asked is not None and asked.instruction is None  # so is what its answer has
+    if layout.has_data and way.data is not None and not reason and not unknown:
         data = layout.data_of(frame)
         needed = way.data.measure(data, values)
         if needed == len(data) or _takes_rest(way.data):
@@ -185,13 +186,27 @@ def _way_of(protocol: Protocol, asked: Judgement, response: ResponseSpec) -> Way
     return coded[0] if coded else ways[0]
 
 
-def _size(way: Way, held: bytes, asked: Judgement | None, values: Mapping[str, Any]) -> int | None:
+def _size(
+    protocol: Protocol, way: Way, held: bytes, asked: Judgement | None, values: Mapping[str, Any]
+) -> int | None:
     """As `reply_size`, for one way."""
     if asked is not None and not way.layout.repeats(held, values):
         return -1
-    if asked is None and way.layout.has_data and way.layout.part("length") is None:
-        return None  # only the request tells
+    if way.layout.has_data and way.layout.part("length") is None:
+        if asked is None:
+            return None  # only the request tells
+        if asked.instruction is None and way.layout.check:
+            return _checked_size(protocol, way.layout, held, covered(protocol, asked.frame))
     return way.layout.size(held, way.data, values)
+
+
+def _checked_size(protocol: Protocol, layout: Layout, held: bytes, before: bytes) -> int | None:
+    """The size of an answer to an unused ID, which only its check tells; as `reply_size`."""
+    check = layout.check
+    most = min(len(held), protocol.longest_frame)
+    sizes = range(layout.head + layout.tail, most + 1)
+    size = next((size for size in sizes if check and check.holds(held[:size], before)), None)
+    return -1 if size is None and most < len(held) else size
 
 
 def _is_right(protocol: Protocol, way: Way, frame: bytes, asked: Judgement | None) -> bool:

@@ -1,4 +1,4 @@
-"""The real avrdude and the real Optiboot, which is emulated, with `sniff --bridge` between them."""
+"""The real avrdude and real bootloaders, which are emulated, with `sniff --bridge` between them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from tests.support.firmware import needs
 from tests.support.robots import PATIENCE, emulate
 
 OPTIBOOT = Path("/usr/share/arduino/hardware/arduino/avr/bootloaders/optiboot")
+ATMEGABOOT = OPTIBOOT.parent / "atmega" / "ATmegaBOOT_168_atmega328.hex"  # as Debian builds it
 PROGRAMS = needs(
     "avr-gcc",
     "avrdude",
-    files=[OPTIBOOT / "optiboot.c"],
+    files=[OPTIBOOT / "optiboot.c", ATMEGABOOT],
     simavr=True,
     package="gcc-avr avr-libc simavr avrdude arduino-core-avr",
 )
@@ -44,15 +45,17 @@ def optiboot(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.parametrize("start", [["--start", "0x7c00"], []], ids=["Optiboot", "ATmegaBOOT"])
 def test_avrdude_writes_a_program_and_every_byte_of_it_is_decoded(
-    optiboot: Path, tmp_path: Path
+    optiboot: Path, tmp_path: Path, start: list[str]
 ) -> None:
     program, capture = tmp_path / "program.bin", tmp_path / "flashing.mcap"
+    firmware = optiboot if start else ATMEGABOOT
     written = WAITS + Random(1).randbytes(398)
     program.write_bytes(written)
 
     with (
-        emulate(optiboot, "--start", "0x7c00", grammar="stk500v1") as board,
+        emulate(firmware, *start, grammar="stk500v1") as board,
         bridged("stk500v1", board.port, capture) as port,
     ):
         words = ["avrdude", "-c", "arduino", "-p", "m328p", "-P", port, "-b", "115200"]

@@ -126,3 +126,19 @@ def test_an_answer_is_that_to_the_request_that_was_repeated_after_a_pause(
     assert [one.instruction for one in devices(records)] == [answered, 1 + answered]
     given_up = [one.faults[0].kind for one in records if isinstance(one, FaultRecord)]
     assert given_up == ["unanswered"] * answered
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_the_answer_of_a_function_that_the_grammar_lacks_ends_where_its_check_is_right(
+    single: bool,
+) -> None:
+    """What pymodbus answers to a function of the document that few devices have."""
+    answer = bytes.fromhex("112b0e01830000000ea3")
+    events = [Chunk(0, "host", bytes.fromhex("112b0e0100b1b4"))]
+    parts = [bytes([byte]) for byte in answer] if single else [answer]
+    events += [Chunk(MS, "device", part) for part in parts]
+
+    (found,) = devices(decoded(Session(protocol_of("modbus-rtu")), events))
+
+    assert found.data == answer
+    assert [fault.kind for fault in found.faults] == ["disagreeing"]
