@@ -188,6 +188,7 @@ def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
         fields = tuple(spec.decode(data).items())
     address = layout.address_of(frame) if begun else None
     valid = outcome is Outcome.VALID
+    heard = whole or layout.check is None  # what is cut short has no right check
     return Judgement(
         frame=frame,
         id=identity if identity is not None else -1,
@@ -195,7 +196,7 @@ def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
         instruction=spec,
         fields=fields,
         outcome=outcome,
-        response=_response(protocol, outcome, spec, address, code),
+        response=_response(protocol, outcome, spec, address, code) if heard else NO_ANSWER,
         reason=reason,
         clause=protocol.clauses.instructions if valid else protocol.clauses.responses,
         truncated=not whole,
