@@ -58,7 +58,7 @@ def test_expectations_name_answers_and_errors(expected: str, code: int) -> None:
 def test_bytes_that_begin_no_frame_are_no_instruction() -> None:
     done = sent("Ping address=1", "55 aa", grammar="dynamixel1")
 
-    assert lines(done)[-1].split() == "→ 55 aa garbage no frame begins so".split()
+    assert lines(done)[-1].split() == ["→", "55", "aa", "garbage", "no", "frame", "begins", "so"]
     assert done.returncode == 0, done.stderr
 
 
