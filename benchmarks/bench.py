@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from fnmatch import fnmatch
 from pathlib import Path
 
-from benchmarks import browse, captures, decoding, first_lines, latency, live
+from benchmarks import browse, captures, decoding, first_lines, framed, latency, live
 from benchmarks.commands import ROOT, Skipped
 from benchmarks.plot import as_svg
 from benchmarks.report import (
@@ -39,6 +39,8 @@ _FOREIGN = "another program's capture, 64 frames a message,"
 WORKS = (
     Work("columns", "bytes to verdict and state columns", decoding.columns),
     Work("records", "the same to Python records, one by one, cold", decoding.records),
+    Work("modbus-rtu", "Modbus RTU to columns, both directions", framed.modbus_rtu),
+    Work("dynamixel1", "DYNAMIXEL to columns, both directions", framed.dynamixel1),
     Work("capture-4k", f"{_SNIFF}, reads of 4 KiB", captures.sniffed_pages),
     Work("capture-16", f"{_SNIFF}, reads of 16 bytes", captures.sniffed_bytes),
     Work("replay-statistics", "capture to statistics", captures.to_statistics),

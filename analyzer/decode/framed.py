@@ -43,7 +43,14 @@ class Reads(NamedTuple):
     event: NDArray[np.int64]
 
     def of(self, byte: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The read of each of these bytes."""
+        """The read of each of these bytes, which increase."""
+        if len(byte) and len(byte) <= len(self.upto):  # mostly, each is in a read of its own
+            first = int(np.searchsorted(self.upto, byte[0], "right"))
+            read = np.arange(first, first + len(byte))
+            if read[-1] < len(self.upto):
+                begin = np.append(0, self.upto).take(read)
+                if ((begin <= byte) & (byte < self.upto.take(read))).all():
+                    return read
         return np.searchsorted(self.upto, byte, "right")
 
     def event_of(self, byte: int) -> int:
@@ -203,7 +210,7 @@ class FramedDecoder:
             cut = int(line_event[turns.index(True)])
 
         # Requests, and those of them that wait for an answer.
-        found = self._requests.cut(host.data, before.begun)
+        found = self._requests.cut(host.data, before.begun, host.upto)
         requests = found.requests
         if not found.regular:
             cut = min(cut, host.event_of(found.end))
@@ -217,7 +224,7 @@ class FramedDecoder:
         sequence = np.concatenate([before.sequence, rest.sequence + np.flatnonzero(due)])
 
         # Answers: answer j is to request j of those.
-        given = self._answers.cut(host.data, asked, device.data)
+        given = self._answers.cut(host.data, asked, device.data, device.upto)
         answers = given.answers
         if not given.regular:
             cut = min(cut, device.event_of(given.end))
@@ -228,10 +235,9 @@ class FramedDecoder:
         paired = np.maximum.accumulate(np.maximum(whole, asked_come[: len(whole)]))
 
         # What there is after 0, 1, 2 ... events; what falls due before the next event ends it.
-        events_before = np.arange(-1, len(events))
-        frames = np.searchsorted(come, events_before, "right")
-        asked_by = np.searchsorted(asked_come, events_before, "right")
-        answered = np.searchsorted(paired, events_before, "right")
+        frames, asked_by, answered = (
+            _counted(each, len(events)) for each in (come, asked_come, paired)
+        )
         falls_due = _paused(host, np.append(before.begun, requests.end)[frames], t, self._timeout)
         heard = np.append(0, answers.end)[answered]
         falls_due |= _paused(device, heard, t, self._reply_timeout)
@@ -314,6 +320,11 @@ class FramedDecoder:
         return states, replace(rest, state=states[-1], by_address=bus.saved)
 
 
+def _counted(event: NDArray[np.int64], events: int) -> NDArray[np.int64]:
+    """How many there are after 0, 1, 2 ... events, of what comes with these events (or before)."""
+    return np.cumsum(np.bincount(event + 1, minlength=events + 1))
+
+
 def _paused(
     reads: Reads, taken: NDArray[np.int64], t: NDArray[np.int64], timeout: int
 ) -> NDArray[np.bool_]:
@@ -321,7 +332,7 @@ def _paused(
 
     `taken` counts the bytes that are in whole frames after 0, 1, 2 ... events.
     """
-    count = np.searchsorted(reads.event, np.arange(-1, len(t)), "right")[:-1]
+    count = _counted(reads.event, len(t))[:-1]
     come = np.append(0, reads.upto)[count]
     last = np.append(0, reads.t)[count]
     paused: NDArray[np.bool_] = (come > taken[:-1]) & (t - last >= timeout)

@@ -97,13 +97,18 @@ class AnswerTables:
             [one is not None and Outcome.VALID not in one.outcomes for one in known], np.bool_
         )
 
-    def cut(self, asked: Bytes, requests: Requests, data: Bytes) -> CutAnswers:
-        """The answers in `data` to the requests of `asked`, as far as they are right."""
+    def cut(self, asked: Bytes, requests: Requests, data: Bytes, reads: Places) -> CutAnswers:
+        """The answers in `data` to the requests of `asked`, as far as they are right.
+
+        `reads` are where the reads end in which the bytes came: mostly, each is one answer.
+        """
         raw = data.tobytes()
         sizes = self._sizes(asked, requests)
-        *walked, end = self._walk(raw, sizes, asked, requests)
-        offset = np.array(walked, np.int64)
-        size = np.diff(offset, append=end)
+        bounds = self._whole_reads(data, sizes, requests.kind, reads)
+        walked = self._walk(raw, int(bounds[-1]), len(bounds) - 1, sizes, asked, requests)
+        bounds = np.concatenate([bounds[:-1], walked])
+        offset, end = bounds[:-1], int(bounds[-1])
+        size = np.diff(bounds)
         given = requests.rows(slice(len(offset)))
         code = np.full(len(offset), PLAIN_ANSWER.code, np.int64)
         good = self._right(asked, given, data, offset, offset + size, code)
@@ -165,22 +170,35 @@ class AnswerTables:
                     sizes[rows] = way.layout.head + found + way.layout.tail
         return sizes
 
-    def _walk(self, data: bytes, sizes: Places, asked: Bytes, requests: Requests) -> list[int]:
-        """Where the answers begin that are whole, and where the next one begins."""
-        if sizes.all():
-            end = np.cumsum(sizes)
-            whole = int(np.searchsorted(end, len(data), "right"))
-            return [0, *end[:whole].tolist()]
-        walked, at, last = [0], 0, len(data)
-        rows = zip(sizes.tolist(), map(self._told.__getitem__, requests.kind.tolist()), strict=True)
-        for row, (size, told) in enumerate(rows):
+    def _whole_reads(self, data: Bytes, sizes: Places, kind: Places, reads: Places) -> Places:
+        """Where the answers begin of which each is one read, and where the next one begins."""
+        bounds = np.append(0, reads[: len(kind)])
+        offset, size = bounds[:-1], sizes[: len(bounds) - 1].copy()
+        for told in {told for told in self._told if isinstance(told, Told)}:
+            of_it = np.array([one == told for one in self._told], np.bool_)
+            rows = np.flatnonzero(of_it.take(kind[: len(size)]))
+            size[rows] = told.at(data, offset[rows])
+        whole = size == np.diff(bounds)
+        return bounds[: 1 + (len(whole) if whole.all() else int(np.argmin(whole)))]
+
+    def _walk(
+        self, data: bytes, at: int, first: int, sizes: Places, asked: Bytes, requests: Requests
+    ) -> list[int]:
+        """Where the answers from `at` on begin that are whole, and where the next one begins.
+
+        The one at `at` is to the request of row `first`.
+        """
+        walked, last = [at], len(data)
+        kinds = requests.kind[first:].tolist() if at < last else []
+        rows = zip(sizes[first:].tolist(), kinds, strict=False)
+        for row, (size, kind) in enumerate(rows, first):
+            told = self._told[kind]
             if not size:
                 if isinstance(told, Told):
                     place = at + told.place
                     size = told.sizes[data[place]] if place < last else 0
                 else:
-                    request = self._request(asked, requests, row)
-                    way = self._ways[requests.kind[row]]
+                    request, way = self._request(asked, requests, row), self._ways[kind]
                     least = way.layout.head + (way.data.length if way.data else 0)
                     size = self._size(data[at : at + least], way, request)
             at += size

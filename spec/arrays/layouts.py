@@ -28,6 +28,10 @@ class Told(NamedTuple):
     place: int
     sizes: tuple[int, ...]
 
+    def at(self, data: Bytes, offset: Places) -> Places:
+        """The sizes of the frames at these places."""
+        return np.array(self.sizes, np.int64).take(data.take(offset + self.place, mode="clip"))
+
 
 def size_by_byte(layout: Layout, data: DataSpec | None) -> int | Told | None:
     """The size that all frames with such data have, or the byte that tells it; None otherwise."""

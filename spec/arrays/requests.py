@@ -121,12 +121,16 @@ class RequestTables:
         effects = [self._protocol.on_fault, *(spec.effect for spec in self.specs)]
         return any(effect.assignments for effect in effects)
 
-    def cut(self, data: Bytes, begun: int) -> CutRequests:
-        """The requests of `data` from byte `begun` on, as far as they are whole and valid."""
+    def cut(self, data: Bytes, begun: int, reads: Places | None = None) -> CutRequests:
+        """The requests of `data` from byte `begun` on, as far as they are whole and valid.
+
+        `reads` are where the reads end in which the bytes came: mostly, each is one frame.
+        """
         raw = data.tobytes()
-        *walked, end = self._walk(raw, begun)
-        offset = np.array(walked, np.int64)
-        size = np.diff(offset, append=end)
+        bounds = np.array([begun]) if reads is None else self._whole_reads(data, begun, reads)
+        bounds = np.concatenate([bounds[:-1], self._walk(raw, int(bounds[-1]))])
+        offset, end = bounds[:-1], int(bounds[-1])
+        size = np.diff(bounds)
         kind = self._kinds(data, offset)
         good = self._valid(data, offset, offset + size, kind)
         rows = len(good) if good.all() else int(np.argmin(good))
@@ -134,6 +138,25 @@ class RequestTables:
         offset, size, kind = offset[:rows], size[:rows], kind[:rows]
         found = Requests(offset, size, kind, self._due(data, offset, kind))
         return CutRequests(found, int(offset[-1] + size[-1]) if rows else begun, regular)
+
+    def _whole_reads(self, data: Bytes, begun: int, reads: Places) -> Places:
+        """Where the frames begin of which each is one read, and where the next one begins."""
+        bounds = np.append(begun, reads[np.searchsorted(reads, begun, "right") :])
+        whole = self._sizes_at(data, bounds[:-1]) == np.diff(bounds)
+        return bounds[: 1 + (len(whole) if whole.all() else int(np.argmin(whole)))]
+
+    def _sizes_at(self, data: Bytes, offset: Places) -> Places:
+        """The sizes of the frames at these places; 0 for what only all their fields tell.
+
+        A size that reaches beyond the data may be wrong.
+        """
+        byte = data.take(offset + self._place, mode="clip")
+        size = np.array(self._sizes, np.int64).take(byte)
+        for known, told in self._counted.items():
+            if isinstance(told, Told):
+                rows = np.flatnonzero(byte == known)
+                size[rows] = told.at(data, offset[rows])
+        return size
 
     def _walk(self, data: bytes, at: int) -> list[int]:
         """Where the frames from `at` on begin that are whole, and where the next one begins."""

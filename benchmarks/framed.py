@@ -1,0 +1,162 @@
+"""Exchanges of published protocols to columns, both directions, beside construct alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+from typing import Any, NamedTuple
+
+from benchmarks.commands import medians, timed
+from benchmarks.decoding import Disagree
+from benchmarks.report import CONSTRUCT, Goal, Row
+from benchmarks.setting import Setting, Work
+from bilprov.analyzer.decode.batch import Batch
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.captures.events import Events
+from bilprov.captures.schemas import Chunk
+from bilprov.spec.codec import build, judge
+from bilprov.spec.frame_words import question
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import build_reply
+
+_DRAWN = 5000  # different exchanges
+_PERIOD, _LATENCY = 20_000_000, 5_000_000  # ns
+_GOAL = 150  # times construct
+
+
+class Exchange(NamedTuple):
+    """A request and its answer."""
+
+    asked: bytes
+    told: bytes
+
+
+def modbus_rtu(setting: Setting, work: Work) -> Row:
+    """Registers that are read and written."""
+    return _measured(setting, work, "modbus-rtu", _modbus)
+
+
+def dynamixel1(setting: Setting, work: Work) -> Row:
+    """Servos that are asked for their positions and sent to others."""
+    return _measured(setting, work, "dynamixel1", _dynamixel)
+
+
+def _modbus(random: Random) -> tuple[str, dict[str, Any], dict[str, Any]]:
+    """A request's name, and the values of the request and of its answer."""
+    count = random.randint(1, 10)
+    words = [random.randrange(1 << 16) for _ in range(count)]
+    asked: dict[str, Any] = {"address": random.randint(1, 247), "start": random.randrange(1000)}
+    match random.choices(("read", "write", "write many"), (8, 1, 1))[0]:
+        case "read":
+            name = random.choice(("ReadHoldingRegisters", "ReadInputRegisters"))
+            return name, {**asked, "quantity": count}, {"values": words}
+        case "write":
+            asked = {"address": asked["address"], "register": asked["start"], "value": words[0]}
+            return "WriteSingleRegister", asked, {}
+    return "WriteMultipleRegisters", {**asked, "quantity": count, "values": words}, {}
+
+
+def _dynamixel(random: Random) -> tuple[str, dict[str, Any], dict[str, Any]]:
+    """A request's name, and the values of the request and of its answer."""
+    count = random.randint(1, 8)
+    data = random.randbytes(count)
+    asked: dict[str, Any] = {"address": random.randint(0, 253), "register": random.randrange(50)}
+    if random.random() < 0.5:
+        return "Read", {**asked, "size": count}, {"values": data}
+    return "Write", {**asked, "values": data}, {}
+
+
+def _measured(
+    setting: Setting,
+    work: Work,
+    name: str,
+    draw: Callable[[Random], tuple[str, dict[str, Any], dict[str, Any]]],
+) -> Row:
+    protocol, random = load_protocol(name), Random(1)
+    drawn: list[Exchange] = []
+    for _ in range(_DRAWN):
+        instruction, asked, told = draw(random)
+        request = build(protocol, instruction, asked)
+        drawn.append(Exchange(request, build_reply(protocol, judge(protocol, request), told)))
+    size = sum(len(data) for one in drawn for data in one) / _DRAWN
+    count = max(200, round(setting.sizes.columns / size))
+    said = [drawn[place % _DRAWN] for place in range(count)]
+    events = _events(said)
+    sample = drawn[: max(50, round(setting.sizes.sample / size))]
+    construct = _parser(protocol)
+    _require_same(protocol, sample, construct)
+    works = {
+        "bilprov": lambda: count / timed(lambda: _columns(protocol, events, count)),
+        CONSTRUCT: lambda: len(sample) / timed(lambda: [construct(one) for one in sample]),
+    }
+    rates = medians(setting.sizes.rounds, works)
+    ours = rates.pop("bilprov")
+    return Row(
+        work.name,
+        f"{work.words}, {size * count / 1e6:.3g} MB",
+        "exchanges/s",
+        ours,
+        rates,
+        goals=(Goal(f"{_GOAL} x {CONSTRUCT}", ours / rates[CONSTRUCT], _GOAL),),
+    )
+
+
+def _events(said: list[Exchange]) -> Events:
+    """A host that waits for each answer."""
+    events: list[Chunk] = []
+    for number, one in enumerate(said):
+        t = number * _PERIOD
+        events += [Chunk(t, "host", one.asked), Chunk(t + _LATENCY, "device", one.told)]
+    return Events.of(events)
+
+
+def _columns(protocol: Protocol, events: Events, count: int) -> None:
+    """Decode both sides to the end: verdicts, answers and latencies. Raises Disagree for less."""
+    decoder = StreamDecoder(protocol)
+    batches: list[Batch] = [*decoder.decode(events), *decoder.finish()]
+    right = sum(int((batch.hosts.verdict == 0).sum()) for batch in batches)
+    agreeing = sum(int((batch.devices.agrees == 1).sum()) for batch in batches)
+    least = min(int(batch.devices.latency.min()) for batch in batches if len(batch.devices))
+    if (right, agreeing, least) != (count, count, _LATENCY):
+        raise Disagree(f"of {count} exchanges {right} requests and {agreeing} answers are right")
+
+
+def _parser(protocol: Protocol) -> Callable[[Exchange], tuple[Any, Any]]:
+    """The grammar's own construct objects: a request and an answer, each parsed once."""
+    space: dict[str, Any] = {"__name__": "grammar"}
+    exec(compile(protocol.source, protocol.origin, "exec", dont_inherit=True), space)
+    frame, reply = space["FRAME"], space["REPLY"]
+
+    def parse(exchange: Exchange) -> tuple[Any, Any]:
+        asked = question(frame, exchange.asked)
+        return asked, reply.parse(exchange.told, asked=asked)
+
+    return parse
+
+
+def _require_same(
+    protocol: Protocol, sample: list[Exchange], parse: Callable[[Exchange], tuple[Any, Any]]
+) -> None:
+    """Raise Disagree unless the records of both sides have the values that construct parses."""
+    decoder = StreamDecoder(protocol)
+    batches = [*decoder.decode(_events(sample)), *decoder.finish()]
+    records = [record for batch in batches for record in batch.records()]
+    parsed = [parse(one) for one in sample]
+    for record, (asked, _) in zip(records[::2], parsed, strict=True):
+        if not isinstance(record, HostRecord) or not record.judgement:
+            raise Disagree(f"{record} is no request")
+        if any(_plain(asked[name]) != value for name, value in record.judgement.fields):
+            raise Disagree(f"{record.words} is {asked} to construct")
+    for record, (_, told) in zip(records[1::2], parsed, strict=True):
+        if not isinstance(record, DeviceRecord) or not record.reply:
+            raise Disagree(f"{record} is no answer")
+        data = told.covered.value.data
+        if any(_plain(data[name]) != value for name, value in record.reply.fields):
+            raise Disagree(f"{record.words} is {told} to construct")
+
+
+def _plain(value: Any) -> Any:
+    """A value of construct as records have it."""
+    return tuple(value) if isinstance(value, list) else value
