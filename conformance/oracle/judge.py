@@ -197,7 +197,9 @@ def _wheels(
     model: Model, expected: State, left: int, right: int, unknown: Container[str]
 ) -> tuple[str, str]:
     """Words for how the wheels must turn and how they do, equal if they fit."""
-    want_left, want_right = WHEELS[visible_motion(expected)]
+    # A speed below 0, which a grammar may allow, turns both wheels the other way.
+    forward = -1 if expected.speed < 0 else 1
+    want_left, want_right = (forward * turn for turn in WHEELS[visible_motion(expected)])
     seen = f"left {left}, right {right}"
     if not expected.moving:
         return "both still", "both still" if left == right == 0 else seen

@@ -51,7 +51,6 @@ def lines(records: list[Record]) -> list[dict[str, Any]]:
     return [json.loads(line) for line in JsonText().text(records).splitlines()]
 
 
-@pytest.mark.xfail(reason="the declared state bounds what this grammar sets", strict=False)
 @pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(max_examples=100)
