@@ -88,7 +88,7 @@ def test_the_simulator_of_each_drawn_grammar_conforms(seeds: range) -> None:
         protocol = loaded(one)
         if isinstance(protocol, str):
             assert one.refused, protocol
-            assert f": {one.refused} " in protocol or f" {one.refused} are" in protocol
+            assert f": {one.refused}" in protocol
             continue
         assert not one.refused, seed
         report = smoke(protocol)
