@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -68,7 +69,7 @@ class Answer:
     latency: float
 
 
-class InstructionMethods:
+class InstructionMethods(ABC):
     """What drives a device on a link: each instruction of `protocol` is a method.
 
     A subclass tells what a method does, and what it returns. `timeout` (ms) is how long an answer
@@ -89,9 +90,9 @@ class InstructionMethods:
         """How long (ms) an answer may take at most."""
         return timing.answer_longest
 
+    @abstractmethod
     def home(self) -> None:
         """Bring the device to rest, and the line to the boundary of a frame."""
-        raise NotImplementedError
 
     def wait(self, milliseconds: float) -> None:
         """Wait for the given time. Raises RobotError if the robot sends an unsolicited byte."""
@@ -135,13 +136,13 @@ class InstructionMethods:
         method.__signature__ = signature  # type: ignore[attr-defined]  # functions take any
         return method
 
+    @abstractmethod
     def _signature(self, spec: InstructionSpec) -> inspect.Signature:
         """The signature of an instruction's method."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _call(self, spec: InstructionSpec, values: Mapping[str, Any]) -> Any:
         """Do what a method does that is called with these values of its parameters."""
-        raise NotImplementedError
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from copy import copy
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -15,18 +13,15 @@ from numpy.typing import NDArray
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.batch import (
     INSTRUCTION,
-    Batch,
     DeviceRows,
     HostRows,
-    OtherRows,
-    Selection,
     StateColumns,
     WideAnswers,
     sliced,
 )
+from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.pairing import Held, Waiting
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
-from bilprov.analyzer.decode.regular import objects
+from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.captures.schemas import Line
 from bilprov.spec.arrays.answers import NO_CODE, Answers, AnswerTables
 from bilprov.spec.arrays.requests import Requests, RequestTables
@@ -51,7 +46,7 @@ class FramedDecoding:
 
 
 @dataclass(frozen=True, eq=False)
-class FramedBatch(Batch):
+class FramedBatch(ColumnBatch):
     """Regular traffic: every frame is whole and valid, and every answer is right and in turn.
 
     `data` are the host's bytes and `heard` the device's. The `requests` are the new frames, which
@@ -82,17 +77,10 @@ class FramedBatch(Batch):
     line_after: NDArray[np.int64]
     line_heard: NDArray[np.int64]
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        kept = [getattr(self, field.name) for field in fields(self)]
-        return FramedBatch, tuple(kept)  # without what is worked out from them
-
-    def __len__(self) -> int:
-        return len(self.start) + len(self.t) + len(self.lines)
-
     @cached_property
     def hosts(self) -> HostRows:
         """The host's rows."""
-        count, alone = len(self.start), copy(self)
+        count, alone = len(self.start), self._alone
         return HostRows(
             t=self.start,
             end=self.end,
@@ -111,7 +99,7 @@ class FramedBatch(Batch):
     @cached_property
     def devices(self) -> DeviceRows:
         """The device's rows."""
-        count, alone = len(self.t), copy(self)
+        count, alone = len(self.t), self._alone
         latency = self.t - self.asked_end
         late = latency > self.decoding.late
         code = np.where(self.answers.code < 0, NO_CODE, self.answers.code)
@@ -145,57 +133,14 @@ class FramedBatch(Batch):
             address=tables.addresses(self.asked.kind, self.heard, answers),
         )
 
-    @cached_property
-    def others(self) -> OtherRows:
-        """The other rows."""
-        states = self._states_after(self.line_after) if len(self.lines) else []
-        listed = [
-            LineRecord(line, False, state, anomalies.of_line(line, lost=False))
-            for line, state in zip(self.lines, states, strict=True)
-        ]
-        return OtherRows(listed, self.line_after, self.line_heard)
-
-    @property
-    def after(self) -> NDArray[np.int64]:
-        """How many of the host's rows come before each of the device's."""
-        return self.device_after
-
-    def records(self, chosen: Selection | None = None) -> Sequence[Record]:
-        """The rows in order as records; the chosen ones, None for all."""
-        hosts, devices, others = (
-            np.arange(len(places)) if chosen is None else np.flatnonzero(mask)
-            for places, mask in zip(self.places, chosen or self.places, strict=True)
-        )
-        made: list[Record] = [*self._host_records(hosts)]
-        made += self._answers(devices, self._states_after(self.after[devices]))
-        made += [self.others.listed[row] for row in others.tolist()]
-        rows = (hosts, devices, others)
-        places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
-        return list(map(made.__getitem__, np.argsort(places, kind="stable").tolist()))
-
-    def _host_records(self, rows: NDArray[np.int64]) -> Iterator[HostRecord]:
-        end = objects(self.end[rows])
-        judged = self._judged(self.requests.rows(rows))
-        return map(
-            HostRecord,
-            objects(self.start[rows]),
-            end,
-            end,
-            repeat("instruction"),
-            [judgement.frame for judgement in judged],
-            judged,
-            (self.first + rows).tolist(),
-            self._states_after(rows + 1),
-        )
+    def _host_judgements(self, rows: NDArray[np.int64]) -> Sequence[Judgement]:
+        return self._judged(self.requests.rows(rows))
 
     def _judged(self, requests: Requests) -> list[Judgement]:
         steps = self.decoding.steps
         return [
             steps[frame].judgement for frame in sliced(self.data, requests.offset, requests.end)
         ]
-
-    def _samples(self, rows: NDArray[np.int64]) -> list[DeviceRecord]:
-        return self._answers(rows, [self.before] * len(rows))
 
     def _answers(self, rows: NDArray[np.int64], states: list[State]) -> list[DeviceRecord]:
         """The records of some of the device's rows, in these states."""
@@ -239,7 +184,3 @@ class FramedBatch(Batch):
         """The state before the new frames, and after each of them."""
         new = [self.before] * len(self.start) if self.new_states is None else self.new_states
         return np.fromiter([self.before, *new], object, 1 + len(new))
-
-    def _states_after(self, after: NDArray[np.int64]) -> list[State]:
-        states: list[State] = self._states.take(after).tolist()
-        return states

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from copy import copy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise, repeat
 from typing import Any, NamedTuple
@@ -23,19 +22,16 @@ from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.batch import (
     INSTRUCTION,
     NO_VERDICT,
-    Batch,
     DeviceRows,
     HostRows,
-    OtherRows,
-    Selection,
     StateColumns,
-    repeated,
     sliced,
 )
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
+from bilprov.analyzer.decode.column_batch import ColumnBatch, objects
 from bilprov.analyzer.decode.decoder import TURNS, unpaired_record
 from bilprov.analyzer.decode.pairing import MOST, Held, Waiting
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import Judgement
@@ -78,7 +74,7 @@ class _Checked(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class RegularBatch(Batch):
+class RegularBatch(ColumnBatch):
     """Regular traffic: every frame is whole, and every answer came while it was waited for.
 
     `data` are the host's bytes. Of the `frames` the first `carried` came in batches before and only
@@ -103,13 +99,6 @@ class RegularBatch(Batch):
     lines: Sequence[Line]
     line_after: NDArray[np.int64]
     line_heard: NDArray[np.int64]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        kept = [getattr(self, field.name) for field in fields(self)]
-        return RegularBatch, tuple(kept)  # without what is worked out from them
-
-    def __len__(self) -> int:
-        return len(self.start) + len(self.t) + len(self.lines)
 
     @cached_property
     def hosts(self) -> HostRows:
@@ -175,64 +164,8 @@ class RegularBatch(Batch):
             sort=sort,
         )
 
-    @cached_property
-    def others(self) -> OtherRows:
-        """The other rows."""
-        after = self.line_after
-        states = self._states_after(after) if len(after) else []
-        listed = [
-            LineRecord(line, False, state, anomalies.of_line(line, lost=False))
-            for line, state in zip(self.lines, states, strict=True)
-        ]
-        return OtherRows(listed, after, self.line_heard)
-
-    @property
-    def after(self) -> NDArray[np.int64]:
-        """How many of the host's rows come before each of the device's."""
-        return self.device_after
-
-    def records(self, chosen: Selection | None = None) -> Sequence[Record]:
-        """The rows in order as records; the chosen ones, None for all."""
-        hosts, devices, others = (
-            np.arange(len(places)) if chosen is None else np.flatnonzero(mask)
-            for places, mask in zip(self.places, chosen or self.places, strict=True)
-        )
-        made: list[Record] = [*self._host_records(hosts), *self._device_records(devices)]
-        made += [self.others.listed[row] for row in others.tolist()]
-        rows = (hosts, devices, others)
-        places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
-        return list(map(made.__getitem__, np.argsort(places, kind="stable").tolist()))
-
-    @property
-    def _alone(self) -> RegularBatch:
-        """The batch without its rows, for what they call.
-
-        If they held the batch that holds them, all would stay in memory until the garbage collector
-        runs, which it hardly ever does among arrays.
-        """
-        return copy(self)
-
-    def _host_records(self, rows: NDArray[np.int64]) -> Iterator[HostRecord]:
-        hosts = self.hosts
-        end = objects(hosts.end[rows])
-        judged = self._judgements(self.carried + rows)
-        return map(
-            HostRecord,
-            objects(hosts.t[rows]),
-            end,
-            end,
-            repeat("instruction"),
-            [judgement.frame for judgement in judged],
-            judged,
-            hosts.sequence[rows].tolist(),
-            self._states_after(rows + 1),
-        )
-
-    def _device_records(self, rows: NDArray[np.int64]) -> list[DeviceRecord]:
-        return self._answers(rows, self._states_after(self.after[rows]))
-
-    def _samples(self, rows: NDArray[np.int64]) -> list[DeviceRecord]:
-        return self._answers(rows, [self.before] * len(rows))
+    def _host_judgements(self, rows: NDArray[np.int64]) -> Sequence[Judgement]:
+        return self._judgements(self.carried + rows)
 
     def _answers(self, rows: NDArray[np.int64], states: list[State]) -> list[DeviceRecord]:
         """The records of some of the device's rows, in these states."""
@@ -308,18 +241,6 @@ class RegularBatch(Batch):
         """The state before the new frames, and after each of them."""
         states = [self.before, *self.hosts.states.states()]
         return np.fromiter(states, object, len(states))
-
-    def _states_after(self, after: NDArray[np.int64]) -> list[State]:
-        states: list[State] = self._states.take(after).tolist()
-        return states
-
-
-def objects(values: NDArray[np.int64]) -> list[int]:
-    """Numbers as a list, in which neighbours that are equal are one object."""
-    if not len(values):
-        return []
-    first = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
-    return repeated(values[first].tolist(), np.diff(first, append=len(values)))
 
 
 class Carry(NamedTuple):

@@ -372,7 +372,7 @@ def test_a_port_without_permission_says_who_may_and_which_group_to_join(
     if os.geteuid() == 0:
         shutil.chown(pty.name, group=group)
     elif group:
-        pytest.skip("only root can give a pty to another group")
+        pytest.skip("only root can give a pty to another group: sudo make test brings it")
     Path(pty.name).chmod(mode if os.geteuid() == 0 else 0)
     python = [sys.executable, "-c", AS_NOBODY, pty.name]
     done = subprocess.run(python, capture_output=True, text=True, check=True, cwd=ROOT)
