@@ -188,29 +188,43 @@ class LayoutFramer(Framer):
     def _cut(self, known: int) -> list[Framed]:
         """Take the frames that are complete."""
         records: list[Framed] = []
-        while self._held:
-            size = frame_size(self._protocol, bytes(self._held))
-            if size is None or size > len(self._held):
+        held, at = bytes(self._held), 0
+        while at < len(held):
+            size = self._size(held, at)
+            if size is None or size > len(held) - at:
                 break
-            if size < 0 or self._misread(size):
-                self._skip(1)
+            if size < 0 or self._misread(held, at, size):
+                self._skip(at, 1)
+                at += 1
                 continue
             records += self._flush(known)
-            records.append(self._frame("instruction", size, known))
+            times = self._times[at], self._times[at + size - 1]
+            records.append(Framed("instruction", *times, known, held[at : at + size]))
+            at += size
+        self._forget(at)
         return records
+
+    def _size(self, held: bytes, at: int) -> int | None:
+        """The size of the frame that begins at a place; mostly its first bytes tell it."""
+        size = frame_size(self._protocol, held[at : at + _AHEAD])
+        if size is None and len(held) - at > _AHEAD:
+            size = frame_size(self._protocol, held[at:])
+        return size
 
     def _take_all(self, known: int, kind: Kind) -> list[Framed]:
         """Take all that is held: the right frames within, and the rest as one frame of a kind."""
         records: list[Framed] = []
         while self._held:
-            begun = self._right_frame(1, len(self._held))
+            begun = self._right_frame(bytes(self._held), 1, len(self._held))
             if begun is not None:
-                self._skip(begun)
+                self._skip(0, begun)
+                self._forget(begun)
                 records += self._cut(known)
                 continue
             records += self._flush(known)
             whole: Kind = "instruction" if kind == "truncated" and self._is_unknown() else kind
-            records.append(self._frame(whole, len(self._held), known))
+            records.append(Framed(whole, *self.span, known, bytes(self._held)))
+            self._forget(len(self._held))
         records += self._flush(known)
         return records
 
@@ -221,33 +235,35 @@ class LayoutFramer(Framer):
             return False
         return layout.id_of(bytes(self._held)) not in self._protocol.by_id
 
-    def _misread(self, size: int) -> bool:
-        """Whether the frame that seems to be held is wrong, and a right one begins within it."""
+    def _misread(self, held: bytes, at: int, size: int) -> bool:
+        """Whether the frame that seems to be there is wrong, and a right one begins within it."""
         check = self._protocol.layout.check
-        if check is None or check.holds(bytes(self._held[:size])):
+        if check is None or check.holds(held[at : at + size]):
             return False
-        return self._right_frame(1, size) is not None
+        return self._right_frame(held, at + 1, at + size) is not None
 
-    def _right_frame(self, first: int, after: int) -> int | None:
+    def _right_frame(self, held: bytes, first: int, after: int) -> int | None:
         """The first place in `first`..`after` at which a frame begins whose check is right."""
         layout = self._protocol.layout
         if layout.check is None:
             return None
         for at in range(first, after):
-            frame = bytes(self._held[at:])
-            size = frame_size(self._protocol, frame)
-            if size is None or not 0 < size <= len(frame):
+            size = self._size(held, at)
+            if size is None or not 0 < size <= len(held) - at:
                 continue
-            right = layout.check.holds(frame[:size]) and not layout.wrong_constant(frame[:size])
-            if right:
+            frame = held[at : at + size]
+            if layout.check.holds(frame) and not layout.wrong_constant(frame):
                 return at
         return None
 
-    def _skip(self, count: int) -> None:
-        """Make the first held bytes garbage."""
-        start = self._garbage_span[0] if self._garbage else self._times[0]
-        self._garbage_span = start, self._times[count - 1]
-        self._garbage += self._held[:count]
+    def _skip(self, at: int, count: int) -> None:
+        """Make some held bytes garbage, which follows what is garbage already."""
+        start = self._garbage_span[0] if self._garbage else self._times[at]
+        self._garbage_span = start, self._times[at + count - 1]
+        self._garbage += self._held[at : at + count]
+
+    def _forget(self, count: int) -> None:
+        """Hold the first bytes no longer."""
         del self._held[:count], self._times[:count]
 
     def _flush(self, known: int) -> list[Framed]:
@@ -256,12 +272,6 @@ class LayoutFramer(Framer):
         record = Framed("garbage", *self._garbage_span, known, bytes(self._garbage))
         self._garbage.clear()
         return [record]
-
-    def _frame(self, kind: Kind, size: int, known: int) -> Framed:
-        times = self._times[0], self._times[size - 1]
-        record = Framed(kind, *times, known, bytes(self._held[:size]))
-        del self._held[:size], self._times[:size]
-        return record
 
 
 def framer(protocol: Protocol, timeout: int | None) -> Framer:
@@ -298,4 +308,5 @@ def _unknown_size(layout: Layout, held: bytes) -> int | None:
     return None
 
 
+_AHEAD = 1024  # bytes that tell the size of nearly every frame
 _MOST_UNKNOWN = 512  # bytes within which the end of a frame with an unused ID is looked for
