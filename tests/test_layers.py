@@ -95,6 +95,7 @@ HOMES = {
         "analyzer/decode/batch.py",
         "analyzer/decode/regular.py",
         "analyzer/decode/framed.py",
+        "analyzer/decode/column_batch.py",
         "analyzer/decode/framed_batch.py",
         "analyzer/totals/",
         "analyzer/filters/columns.py",
