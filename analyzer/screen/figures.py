@@ -26,7 +26,7 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
     load = max(rates.bytes) * byte_time / 1e9
     lines = [
         Text(_levels(totals.rates.series("frames"), width)),
-        Text(f"{quantity(totals.frames, 'frame')}, {quantity(totals.device_bytes, 'answer')}"),
+        Text(f"{quantity(totals.frames, 'frame')}, {quantity(totals.answers, 'answer')}"),
         Text(f"{rates.frames:,.0f} frames/s, {load:.0%} full"),
     ]
     spread = totals.latencies.spread()

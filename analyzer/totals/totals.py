@@ -126,6 +126,11 @@ class Totals:
         return int(self._verdicts.sum())
 
     @property
+    def answers(self) -> int:
+        """How many answers the device has given, whatever their length."""
+        return self._answers.total()
+
+    @property
     def faults(self) -> Counter[str]:
         """Anomalies by kind."""
         return self.faults_of()
