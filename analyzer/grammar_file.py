@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from os import PathLike
 from pathlib import Path
 
 import bilprov.spec
@@ -20,6 +21,13 @@ SHIPPED = {
 }
 """The grammars of the kit by name: the file of each, below the package `spec`."""
 _MOST = 1 << 20  # bytes of a grammar file
+
+
+def given_protocol(grammar: str | PathLike[str] | Protocol | None) -> Protocol:
+    """The protocol itself, or that of a grammar as `load_protocol` loads it."""
+    if isinstance(grammar, Protocol):
+        return grammar
+    return load_protocol(None if grammar is None else str(grammar))
 
 
 @cache

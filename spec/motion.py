@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from bilprov.spec.state import CAR, CAR_AT_REST, CAR_WHEELS, Effect, State, Wheels, state_class
+from bilprov.spec import grammar
+from bilprov.spec.state import Effect, State, Wheels, state_class
+
+# What the built-in grammar declares stands for the car's in texts that do not declare it.
+CAR, CAR_AT_REST, CAR_WHEELS = grammar.STATE, grammar.AT_REST, grammar.WHEELS
+CAR_NOUN = grammar.DEVICE
 
 
 class Motion(StrEnum):

@@ -33,11 +33,9 @@ from bilprov.spec.fields import (
     Timing,
 )
 from bilprov.spec.layout import Layout, read_layout
+from bilprov.spec.motion import CAR, CAR_AT_REST, CAR_NOUN, CAR_WHEELS
 from bilprov.spec.numbers import LayoutError
 from bilprov.spec.state import (
-    CAR,
-    CAR_AT_REST,
-    CAR_WHEELS,
     Changed,
     Condition,
     Effect,
@@ -594,7 +592,7 @@ def _with_state(space: dict[str, Any], effects: Iterable[Sets]) -> dict[str, Any
     others = [space[name] for name in ("FAULTY", "POWER_ON") if name in space]
     if "STATE" in space or not any(getattr(one, "values", {}) for one in (*effects, *others)):
         return {"STATE": Variables(), **space}
-    car = {"STATE": CAR, "AT_REST": CAR_AT_REST, "WHEELS": CAR_WHEELS, "DEVICE": "robot"}
+    car = {"STATE": CAR, "AT_REST": CAR_AT_REST, "WHEELS": CAR_WHEELS, "DEVICE": CAR_NOUN}
     return {**car, **space, "STATE": None}
 
 

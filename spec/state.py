@@ -423,24 +423,3 @@ def _class(made_of: tuple[_Made, ...], at_rest: Condition | None) -> type[State]
 def plain(value: Any) -> Any:
     """A word as a plain text: a grammar may use an enumeration's."""
     return str(value) if isinstance(value, str) else value
-
-
-# The car's, for the texts that do not say it.
-CAR = Variables(
-    motion=Word("stopped", "forward", "backward", "rotate_right", "rotate_left"),
-    speed=Whole(0, 255),
-    steering=Whole(-255, 255),
-    led=Bits("RGB"),
-)
-CAR_AT_REST = AnyOf(motion="stopped", speed=0)
-CAR_WHEELS = Wheels(
-    by="motion",
-    speed="speed",
-    steering="steering",
-    turns={
-        "forward": (1, 1),
-        "backward": (-1, -1),
-        "rotate_right": (1, -1),
-        "rotate_left": (-1, 1),
-    },
-)

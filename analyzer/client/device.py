@@ -18,7 +18,7 @@ from bilprov.analyzer.client.driver import (
 from bilprov.analyzer.client.exchange import exchange
 from bilprov.analyzer.client.operations import listen
 from bilprov.analyzer.client.port_driver import OnPort
-from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.grammar_file import given_protocol
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import Judgement, build, judge, spaced
 from bilprov.spec.data import DataSpec
@@ -198,8 +198,7 @@ class Device(DeviceDriver, OnPort):
         parity: str | None = None,
         stopbits: float | None = None,
     ) -> None:
-        if not isinstance(grammar, Protocol):
-            grammar = load_protocol(None if grammar is None else str(grammar))
+        grammar = given_protocol(grammar)
         if address is not None:
             require_address(grammar, address)
         self._address = address

@@ -22,7 +22,7 @@ from bilprov.analyzer.client.link import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.client.turns import Turns
-from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.grammar_file import given_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import Port
@@ -178,8 +178,7 @@ class OnPort(InstructionMethods):
         parity: str | None = None,
         stopbits: float | None = None,
     ) -> None:
-        if not isinstance(grammar, Protocol):
-            grammar = load_protocol(None if grammar is None else str(grammar))
+        grammar = given_protocol(grammar)
         if timeout is not None and not 0 < timeout < math.inf:
             raise ValueError(f"timeout is {timeout:g}, allowed are milliseconds above 0")
         _handle_signals()
