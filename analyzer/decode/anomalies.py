@@ -13,7 +13,6 @@ from bilprov.analyzer.decode.records import Anomaly, Severity
 from bilprov.captures.schemas import MS, Line
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement, spaced
-from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, agrees
 
@@ -173,6 +172,9 @@ def _unused_code(protocol: Protocol, byte: int) -> Cause:
 
 def _disagreeing(protocol: Protocol, held: Held, waiting: Waiting) -> Cause:
     """The cause where the answer is not the expected one: a warning if a reading allows it."""
+    # Traffic without such an answer does not load the readings: they take milliseconds to start.
+    from bilprov.spec.open_points import other_choices
+
     judgement, said = waiting.judgement, protocol.codes[held.byte]
     because = f": {judgement.reason}" if judgement.reason else ", it is valid"
     choices = {choice.code: choice.reading for choice in other_choices(protocol, judgement)}
