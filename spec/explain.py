@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from bilprov.spec.codec import Judgement, judge, nearest, spaced
-from bilprov.spec.data import FieldSpec
+from bilprov.spec.data import FieldSpec, Many
 from bilprov.spec.errata import Finding, check
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import Framer, framer
+from bilprov.spec.framing import framer
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import READINGS, Erratum, Reading
@@ -90,13 +90,16 @@ def explain(protocol: Protocol, data: bytes) -> Explanation:
     An incomplete last frame counts as truncated by the time-out. Raises ValueError for bytes that
     begin no frame.
     """
-    if not protocol.plain:
-        return Explanation(data, frames=tuple(_framed(protocol, data)))
-    cutter = Framer(protocol.lengths, timeout=None)
-    findings = check(protocol)
+    cutter = framer(protocol, None)
+    findings = check(protocol) if protocol.plain else ()
     frames, offset = [], 0
     for framed in (*cutter.feed(data, 0), *cutter.drop(0, "truncated")):
-        frames.append(_frame(protocol, data, offset, framed.data, findings))
+        if framed.kind == "garbage":
+            sync = protocol.layout.sync
+            begin = f"; a frame begins with {spaced(sync)}" if sync else ""
+            raise ValueError(f"the bytes {spaced(framed.data)} belong to no frame{begin}")
+        rest = data[offset:]
+        frames.append(_frame(protocol, judge(protocol, framed.data), offset, rest, findings))
         offset += len(framed.data)
     return Explanation(data, frames=tuple(frames))
 
@@ -129,44 +132,65 @@ def _response(protocol: Protocol, offset: int, byte: int) -> ResponseExplanation
 
 
 def _frame(
-    protocol: Protocol, data: bytes, offset: int, frame: bytes, findings: Iterable[Finding]
+    protocol: Protocol,
+    judgement: Judgement,
+    offset: int,
+    rest: bytes,
+    findings: Iterable[Finding],
 ) -> FrameExplanation:
-    judgement = judge(protocol, frame)
-    rest = data[offset:]
-    effect, instruction = protocol.on_fault, judgement.instruction
-    does = "stops at once" if protocol.stops(effect) else "changes nothing"
-    if effect.assignments and not protocol.stops(effect):
-        does = "changes its state"
-    action = f"{does}, as after any faulty instruction ({protocol.clauses.safety})"
-    if judgement.valid and instruction:
-        effect, action = instruction.effect, instruction.prose
-    answer = f"{judgement.response.name}, code {judgement.response.code:02x}"
-    if judgement.truncated:
-        answer += f", once {protocol.timing.truncation_timeout:g} ms have passed without a byte"
+    """Explain a frame with which the `rest` of the bytes begins."""
+    effect, action = protocol.on_fault, _on_fault(protocol)
+    if judgement.valid and judgement.instruction:
+        effect, action = judgement.instruction.effect, judgement.instruction.prose
+    size, following = len(judgement.frame), rest[len(judgement.frame) :]
     errata = tuple(
         finding.erratum
         for finding in findings
-        if finding.erratum and rest.startswith(finding.sent) and len(frame) <= len(finding.sent)
+        if finding.erratum and rest.startswith(finding.sent) and size <= len(finding.sent)
     )
-    meant = (
-        None if judgement.valid else judge(protocol, nearest(protocol, frame, rest[len(frame) :]))
-    )
+    meant = None
+    if protocol.plain and not judgement.valid:
+        meant = judge(protocol, nearest(protocol, judgement.frame, following))
+    due = judgement.head + judgement.length + protocol.layout.tail
     return FrameExplanation(
         offset=offset,
         judgement=judgement,
         groups=bit_groups(protocol, judgement),
-        missing=1 + judgement.length - len(frame),
-        answer=answer,
+        missing=max(0, due - size) if judgement.truncated else 0,
+        answer=_answer(protocol, judgement),
         device=protocol.device,
         action=action,
         stops=protocol.stops(effect),
         changes=tuple(_changes(effect, dict(judgement.fields))),
         keeps=tuple(name for name in protocol.variables if not effect.sets(name)),
-        readings=_readings(judgement, errata),
+        readings=_readings(judgement, errata) if protocol.plain else (),
         errata=errata,
         nearest=meant,
-        differences=tuple(_differences(judgement, meant, rest[len(frame) :])) if meant else (),
+        differences=tuple(_differences(judgement, meant, following)) if meant else (),
     )
+
+
+def _on_fault(protocol: Protocol) -> str:
+    """What the device does after a faulty instruction, in words."""
+    if not protocol.plain:
+        return "takes it as a fault"
+    does = "changes its state" if protocol.on_fault.assignments else "changes nothing"
+    if protocol.stops(protocol.on_fault):
+        does = "stops at once"
+    return f"{does}, as after any faulty instruction ({protocol.clauses.safety})"
+
+
+def _answer(protocol: Protocol, judgement: Judgement) -> str:
+    """The answer that is due, in words."""
+    instruction, response = judgement.instruction, judgement.response
+    data = instruction.answer if instruction else None
+    names = [part.name for part in data.fields if part.name] if data else []
+    holds = f" with {', '.join(names)}" if names and Outcome.VALID in response.outcomes else ""
+    if response.code < 0:
+        return f"an answer{holds or ' without data'}" if response.outcomes else "none"
+    timeout = f"{protocol.timing.truncation_timeout:g} ms"
+    waits = f", once {timeout} have passed without a byte" if judgement.truncated else ""
+    return f"{response.name}, code {response.code:02x}{holds}{waits if protocol.plain else ''}"
 
 
 def _changes(effect: Effect, fields: dict[str, int]) -> Iterator[tuple[str, str]]:
@@ -207,25 +231,36 @@ def _differences(judgement: Judgement, meant: Judgement, following: bytes) -> It
 
 def bit_groups(protocol: Protocol, judgement: Judgement) -> tuple[BitGroup, ...]:
     """Return groups that hold every bit of the frame exactly once, in order."""
-    return *_header_groups(protocol, judgement), *_data_groups(judgement)
+    return tuple(_groups(protocol, judgement))
 
 
-def _header_groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
-    instruction = judgement.instruction
-    bits, at = f"{judgement.frame[0]:08b}", 0
-    for name, width, _ in protocol.header_bits:
-        if name == "id":
-            value, fault = judgement.id, instruction is None
-            meaning = _instruction(instruction) if instruction else "unused: no instruction has it"
-        else:
-            value, meaning = judgement.length, f"{_bytes(judgement.length)} announced"
-            fault = instruction is not None and instruction.length != value
-            if instruction and fault:
-                meaning += f"; {instruction.name} takes {_bytes(instruction.length)}"
-        yield BitGroup(
-            0, 1, 7 - at, 8 - at - width, bits[at : at + width], name, value, meaning, fault
-        )
-        at += width
+def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
+    frame, layout = judgement.frame, protocol.layout
+    whole = not judgement.truncated
+    for part in layout.parts:
+        if part.offset >= 0 and part.offset + part.size <= len(frame):
+            yield from _part_groups(layout, judgement, part, part.offset)
+    begun = [p.offset + p.size for p in layout.parts if p.offset + p.size <= len(frame)]
+    at = max((end for end in begun if end <= layout.head), default=0)
+    end = len(frame) - (layout.tail if whole else 0)
+    if judgement.instruction and judgement.fields:
+        yield from _data_groups(judgement, judgement.instruction)
+    else:
+        for place in range(at, end):
+            yield _byte_group(frame, place, "data", _no_fields(judgement))
+    if whole:
+        for part in layout.parts:
+            if part.offset < 0:
+                yield from _part_groups(layout, judgement, part, len(frame) + part.offset)
+
+
+def _no_fields(judgement: Judgement) -> str:
+    """Why data are not read as fields."""
+    if judgement.framed:
+        return "not complete" if judgement.truncated else "means nothing"
+    if judgement.truncated:
+        return "means nothing while other data are missing"
+    return "taken because the header announces it, means nothing"
 
 
 def _instruction(spec: InstructionSpec) -> str:
@@ -236,121 +271,12 @@ def _bytes(count: int) -> str:
     return "no data byte" if not count else "1 data byte" if count == 1 else f"{count} data bytes"
 
 
-def _data_groups(judgement: Judgement) -> Iterator[BitGroup]:
-    if judgement.instruction and judgement.fields:
-        for spec, (_, value) in zip(judgement.instruction.fields, judgement.fields, strict=True):
-            yield from _field_groups(spec, value, judgement.frame)
-        return
-    meaning = "taken because the header announces it, means nothing"
-    if judgement.truncated:
-        meaning = "means nothing while other data are missing"
-    for index, byte in enumerate(judgement.frame[1:], 1):
-        yield BitGroup(index, 1, 7, 0, f"{byte:08b}", "data", byte, meaning)
+def _byte_group(frame: bytes, at: int, name: str, meaning: str, fault: bool = False) -> BitGroup:
+    return BitGroup(at, 1, 7, 0, f"{frame[at]:08b}", name, frame[at], meaning, fault)
 
 
-def _field_groups(spec: FieldSpec, value: int, frame: bytes) -> Iterator[BitGroup]:
-    byte, width = 1 + spec.offset, 8 * spec.size
-    raw = int.from_bytes(frame[byte : byte + spec.size], "big")
-    bits = f"{raw:0{width}b}"
-    fault = not spec.low <= value <= spec.high
-    if not spec.bits:
-        limits = f"{'; allowed are' if fault else ','} {spec.low} to {spec.high}"
-        meaning = f"{spec.prose or spec.name}{limits}"
-        yield BitGroup(byte, spec.size, width - 1, 0, bits, spec.name, value, meaning, fault)
-        return
-    named = len(spec.bits)
-    upper = raw >> named
-    if width > named:
-        meaning = "must be 0" if spec.high < 1 << named else "without a name"
-        yield BitGroup(
-            byte,
-            spec.size,
-            width - 1,
-            named,
-            bits[: width - named],
-            spec.name,
-            upper,
-            f"upper bits, {meaning}",
-            fault and upper > 0,
-        )
-    for place, name in enumerate(spec.bits):
-        at = named - 1 - place
-        value = raw >> at & 1
-        meaning = "on" if value else "off"
-        yield BitGroup(
-            byte, spec.size, at, at, str(value), name, value, meaning, fault and not upper
-        )
-
-
-def _framed(protocol: Protocol, data: bytes) -> Iterator[FrameExplanation]:
-    """Explain frames that have a layout of their own. Raises ValueError for bytes of no frame."""
-    cutter, offset = framer(protocol, None), 0
-    for framed in (*cutter.feed(data, 0), *cutter.drop(0, "truncated")):
-        if framed.kind == "garbage":
-            sync = protocol.layout.sync
-            begin = f"; a frame begins with {spaced(sync)}" if sync else ""
-            raise ValueError(f"the bytes {spaced(framed.data)} belong to no frame{begin}")
-        yield _layout_frame(protocol, judge(protocol, framed.data), offset)
-        offset += len(framed.data)
-
-
-def _layout_frame(protocol: Protocol, judgement: Judgement, offset: int) -> FrameExplanation:
-    instruction = judgement.instruction
-    valid = judgement.valid and instruction is not None
-    effect = instruction.effect if valid and instruction else protocol.on_fault
-    action = instruction.prose if valid and instruction else "takes it as a fault"
-    due = judgement.head + judgement.length + protocol.layout.tail
-    return FrameExplanation(
-        offset=offset,
-        judgement=judgement,
-        groups=tuple(_layout_groups(protocol, judgement)),
-        missing=max(0, due - len(judgement.frame)) if judgement.truncated else 0,
-        answer=_answer(instruction, judgement.response),
-        device=protocol.device,
-        action=action,
-        stops=protocol.stops(effect),
-        changes=tuple(_changes(effect, dict(judgement.fields))),
-        keeps=tuple(name for name in protocol.variables if not effect.sets(name)),
-        readings=(),
-        errata=(),
-        nearest=None,
-        differences=(),
-    )
-
-
-def _answer(instruction: InstructionSpec | None, response: ResponseSpec) -> str:
-    """The answer that is due, in words."""
-    data = instruction.answer if instruction else None
-    names = [part.name for part in data.fields if part.name] if data else []
-    holds = f" with {', '.join(names)}" if names and Outcome.VALID in response.outcomes else ""
-    if response.code >= 0:
-        return f"{response.name}, code {response.code:02x}{holds}"
-    return f"an answer{holds or ' without data'}" if response.outcomes else "none"
-
-
-def _layout_groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
-    """Groups that hold every bit of the frame once, in order: its parts, and its data."""
-    frame, layout = judgement.frame, protocol.layout
-    whole = not judgement.truncated
-    for part in layout.parts:
-        if part.offset >= 0 and part.offset + part.size <= len(frame):
-            yield from _part_groups(layout, judgement, part, part.offset)
-    begun = [p.offset + p.size for p in layout.parts if p.offset + p.size <= len(frame)]
-    at = max((end for end in begun if end <= layout.head), default=0)
-    end = len(frame) - (layout.tail if whole else 0)
-    if judgement.instruction and judgement.fields:
-        yield from _framed_fields(judgement, layout.head)
-    else:
-        for place in range(at, end):
-            yield _byte_group(frame, place, "data", "not complete" if not whole else "")
-    if whole:
-        for part in layout.parts:
-            if part.offset < 0:
-                yield from _part_groups(layout, judgement, part, len(frame) + part.offset)
-
-
-def _byte_group(frame: bytes, at: int, name: str, meaning: str) -> BitGroup:
-    return BitGroup(at, 1, 7, 0, f"{frame[at]:08b}", name, frame[at], meaning or "means nothing")
+def _bits(raw: bytes) -> str:
+    return f"{int.from_bytes(raw, 'big'):0{8 * len(raw)}b}"
 
 
 def _part_groups(layout: Layout, judgement: Judgement, part: Part, at: int) -> Iterator[BitGroup]:
@@ -360,11 +286,11 @@ def _part_groups(layout: Layout, judgement: Judgement, part: Part, at: int) -> I
         for place, right in enumerate(part.constant, at):
             wrong = frame[place] != right
             meaning = f"must be {right:02x}" if wrong else part.prose or "fixed"
-            yield replace(_byte_group(frame, place, part.name, meaning), fault=wrong)
+            yield _byte_group(frame, place, part.name, meaning, wrong)
         return
     raw = frame[at : at + size]
     high = part.shift + part.width - 1 if part.width else 8 * size - 1
-    bits = f"{int.from_bytes(raw, 'big'):0{8 * size}b}"[8 * size - 1 - high : 8 * size - part.shift]
+    bits = _bits(raw)[8 * size - 1 - high : 8 * size - part.shift]
     meaning, fault = _part_meaning(layout, judgement, part, raw)
     value = int(bits, 2) if part.width else part.number.parse(raw)
     yield BitGroup(at, size, high, part.shift, bits, part.name, value, meaning, fault)
@@ -372,13 +298,17 @@ def _part_groups(layout: Layout, judgement: Judgement, part: Part, at: int) -> I
 
 def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) -> tuple[str, bool]:
     """What a part means in a frame, and whether it is wrong."""
+    spec = judgement.instruction
     if part.role == "id":
-        spec = judgement.instruction
         return (_instruction(spec) if spec else "unused: no instruction has it"), spec is None
     if part.role == "length":
         announced = max(0, part.read(judgement.frame))
-        wrong = judgement.outcome in (Outcome.TOO_MANY, Outcome.TOO_FEW)
-        return f"{_bytes(announced)} announced", wrong and not judgement.truncated
+        meaning = f"{_bytes(announced)} announced"
+        if judgement.framed or spec is None:
+            wrong = judgement.outcome in (Outcome.TOO_MANY, Outcome.TOO_FEW)
+            return meaning, wrong and not judgement.truncated
+        takes = f"; {spec.name} takes {_bytes(spec.length)}"
+        return (meaning + takes, True) if announced != spec.length else (meaning, False)
     if part.role == "check" and layout.check:
         right = part.number.build(layout.check.due(judgement.frame))
         return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
@@ -388,49 +318,61 @@ def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) 
     return part.prose or "a number", False
 
 
-def _framed_fields(judgement: Judgement, head: int) -> Iterator[BitGroup]:
-    """The groups of the data: a field each, or an element of one that has several."""
-    assert judgement.instruction is not None
-    frame = judgement.frame
-    values = dict(judgement.fields)
-    wrong = judgement.instruction.data.wrong(frame[head:])
-    for spec in judgement.instruction.fields:
-        at = head + spec.offset
-        if spec.many is None:
-            yield _whole_group(frame, at, spec, values.get(spec.name, 0), spec is wrong)
-            continue
-        if spec.many.prefix:
-            count = spec.many.prefix
-            value = count.parse(frame[at : at + count.size])
-            bits = f"{int.from_bytes(frame[at : at + count.size], 'big'):0{8 * count.size}b}"
-            yield BitGroup(
-                at,
-                count.size,
-                8 * count.size - 1,
-                0,
-                bits,
-                f"{spec.name} count",
-                value,
-                spec.many.how,
-            )
-            at += count.size
-        width, value = spec.many.width, values[spec.name]
-        for number, one in enumerate(value):
-            raw = frame[at : at + width]
-            bits = f"{int.from_bytes(raw, 'big'):0{8 * width}b}"
-            name = f"{spec.name}[{number}]"
-            yield BitGroup(at, width, 8 * width - 1, 0, bits, name, one, spec.prose or spec.name)
-            at += width
+def _data_groups(judgement: Judgement, instruction: InstructionSpec) -> Iterator[BitGroup]:
+    """The groups of the data: a field each, its named bits, or the elements that it has."""
+    frame, values = judgement.frame, dict(judgement.fields)
+    for spec in instruction.fields:
+        at = judgement.head + spec.offset
+        if spec.many:
+            yield from _elements(spec, spec.many, at, frame, values[spec.name])
+        elif spec.bits:
+            yield from _named_bits(spec, at, frame, values[spec.name])
+        else:
+            yield _whole_group(judgement, at, spec, values.get(spec.name))
 
 
-def _whole_group(frame: bytes, at: int, spec: FieldSpec, value: int, wrong: bool) -> BitGroup:
+def _elements(
+    spec: FieldSpec, many: Many, at: int, frame: bytes, values: Iterable[int]
+) -> Iterator[BitGroup]:
+    if many.prefix:
+        raw = frame[at : at + many.prefix.size]
+        value, name = many.prefix.parse(raw), f"{spec.name} count"
+        yield BitGroup(at, len(raw), 8 * len(raw) - 1, 0, _bits(raw), name, value, many.how)
+        at += len(raw)
+    width, meaning = many.width, spec.prose or spec.name
+    for number, value in enumerate(values):
+        bits, name = _bits(frame[at : at + width]), f"{spec.name}[{number}]"
+        yield BitGroup(at, width, 8 * width - 1, 0, bits, name, value, meaning)
+        at += width
+
+
+def _named_bits(spec: FieldSpec, at: int, frame: bytes, value: int) -> Iterator[BitGroup]:
+    """A group for each bit with a name, and one for those above them."""
+    bits, named, width = _bits(frame[at : at + spec.size]), len(spec.bits), 8 * spec.size
+    fault = not spec.in_range(value)
+    upper = int(bits[: width - named] or "0", 2)
+    if width > named:
+        must = "must be 0" if spec.high < 1 << named else "without a name"
+        wrong = fault and upper > 0
+        meaning, above = f"upper bits, {must}", bits[: width - named]
+        yield BitGroup(at, spec.size, width - 1, named, above, spec.name, upper, meaning, wrong)
+    for place, (name, bit) in enumerate(zip(spec.bits, bits[width - named :], strict=True), 1):
+        low, meaning = named - place, "on" if bit == "1" else "off"
+        wrong = fault and not upper
+        yield BitGroup(at, spec.size, low, low, bit, name, int(bit), meaning, wrong)
+
+
+def _whole_group(judgement: Judgement, at: int, spec: FieldSpec, value: int | None) -> BitGroup:
     """The group of a field that is one number, or constant bytes."""
-    raw = frame[at : at + spec.size]
-    bits = f"{int.from_bytes(raw, 'big'):0{8 * spec.size}b}"
+    raw = judgement.frame[at : at + spec.size]
+    fault = not spec.in_range(raw if value is None else value)
     named = next((name for name, number in spec.names if number == value), "")
     meaning = named or spec.prose or spec.name
-    if spec.constant is not None:
-        value = int.from_bytes(raw, "big")
-    if wrong:
+    if fault:
         meaning += f"; allowed are {spec.allowed}"
-    return BitGroup(at, spec.size, 8 * spec.size - 1, 0, bits, spec.name, value, meaning, wrong)
+    elif not judgement.framed:
+        meaning += f", {spec.allowed}"
+    shown = int.from_bytes(raw, "big") if value is None else value
+    return BitGroup(
+        at, spec.size, 8 * spec.size - 1, 0, _bits(raw), spec.name, shown, meaning, fault
+    )
