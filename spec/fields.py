@@ -8,7 +8,7 @@ WrongValue, in one sentence, for an argument of a wrong type or size.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -168,11 +168,16 @@ class Memory:
     one bit, eight to a byte and the first in bit 0. Each value of the field `of` has cells of its
     own. `by` names the instructions that use them, where others have these fields too; `only` is
     "reads" or "writes" where they do not do both.
+
+    Without `at` the first cell is 0. A cell is 0 until it is written, or what `power_on` has for
+    its place. Bits that are set in the field `keep` stay as they are in a cell. What is written
+    takes effect with the next instruction `until`. With `blocks` the value is for several devices:
+    for each its address and `count` cells.
     """
 
     name: str
-    at: str
-    value: str
+    at: str = ""
+    value: str = ""
     count: str = ""
     factor: int = 1
     bits: bool = False
@@ -180,15 +185,28 @@ class Memory:
     latest: bool = False
     by: tuple[str, ...] = ()
     only: str = ""
+    power_on: Mapping[int, int] = field(default_factory=dict)
+    keep: str = ""
+    until: str = ""
+    blocks: bool = False
 
     def __post_init__(self) -> None:
         require_text("the name of a Memory", self.name)
-        for name in (self.at, self.value, *filter(None, (self.count, self.of))):
+        for name in (self.value, *filter(None, (self.at, self.count, self.of, self.keep))):
             require_name("a field of a Memory", name)
         require_whole("the factor of a Memory", self.factor, 1)
         require_kind("the bits of a Memory", self.bits, bool)
         require_kind("the latest of a Memory", self.latest, bool)
         require_kind("the instructions of a Memory", self.by, tuple)
+        require_text("the until of a Memory", self.until)
+        require_kind("the power_on of a Memory", self.power_on, dict)
+        for number in (*self.power_on, *self.power_on.values()):
+            require_whole("a number in the power_on of a Memory", number, 0)
+        require_kind("the blocks of a Memory", self.blocks, bool)
+        if self.blocks and not self.count:
+            raise WrongValue(
+                "a Memory with blocks needs a count, the number of cells in each block"
+            )
         if self.only not in ("", "reads", "writes"):
             raise WrongValue(f"a Memory is only {shown(self.only)}, allowed are reads and writes")
 
@@ -212,8 +230,8 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
         answer: Construct | None = NO_DATA,
         changes: str = "",
     ) -> None:
-        for field in fields:
-            require_kind("a field of an Instruction", field, Construct)
+        for one in fields:
+            require_kind("a field of an Instruction", one, Construct)
         require_text("the document of an Instruction", document)
         if effect is not None:
             require_kind("the effect of an Instruction", effect, Sets)

@@ -826,6 +826,10 @@ def _with_memory(
                 f"MEMORY has {memory.name} at {memory.at}, and no instruction writes or reads "
                 f"{memory.value} there"
             )
+        if memory.until and memory.until not in {spec.name for spec in instructions}:
+            raise GrammarError(
+                f"MEMORY has {memory.name} until {memory.until}, and there is no such instruction"
+            )
     return tuple(
         replace(
             spec,
@@ -853,7 +857,7 @@ def _reads(spec: InstructionSpec, memory: Memory) -> bool:
 def _addresses(spec: InstructionSpec, memory: Memory, how: str) -> bool:
     """Whether an instruction may use a memory in this way, and tells the place."""
     named = not memory.by or spec.name in memory.by
-    placed = memory.latest or memory.at in spec.names
+    placed = memory.latest or not memory.at or memory.at in spec.names
     of = not memory.of or memory.of in spec.names
     return memory.only in ("", how) and named and placed and of
 

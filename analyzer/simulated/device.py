@@ -8,13 +8,14 @@ can misbehave.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator
+from copy import deepcopy
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
-from bilprov.analyzer.simulated.memory import Cells
+from bilprov.analyzer.simulated.memory import Cells, blocks
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import FRAMING_FAULTS, Judgement, judge
 from bilprov.spec.framing import Framed, framer
@@ -27,7 +28,7 @@ class _Device:
     """What the device at one address knows."""
 
     state: Any
-    cells: Cells = field(default_factory=Cells)
+    cells: Cells
 
 
 class SimulatedDevice:
@@ -48,7 +49,8 @@ class SimulatedDevice:
         """Switch the devices off and on: they forget everything."""
         timeout = int(self.protocol.timing.truncation_timeout * MS)
         self._framer = framer(self.protocol, timeout)
-        self._untold = _Device(self.protocol.power_on)  # a device that nobody has addressed yet
+        # A device that nobody has addressed yet.
+        self._untold = _Device(self.protocol.power_on, Cells(self.protocol))
         self._devices: dict[int | None, _Device] = {}
         self._answers: deque[tuple[int, bytes]] = deque()
 
@@ -87,8 +89,8 @@ class SimulatedDevice:
         if judgement.outcome in FRAMING_FAULTS:  # whom such a frame is for is not known
             self._answer(judgement, {}, known)
             return
-        for device in self._meant(judgement):
-            self._do(device, judgement)
+        for device, fields in self._meant(judgement):
+            self._do(device, judgement, fields)
         values = self._told(judgement) if judgement.valid and judgement.answer_due else {}
         self._answer(judgement, values, known)
 
@@ -97,32 +99,33 @@ class SimulatedDevice:
         if answer:
             self._answers.append((known + self._latency, answer))
 
-    def _meant(self, judgement: Judgement) -> list[_Device]:
-        """The devices that a frame is for; those that do not know of themselves yet are one."""
+    def _meant(self, judgement: Judgement) -> Iterator[tuple[_Device, dict[str, Any]]]:
+        """The devices that a frame is for, and the fields for each; those unaddressed are one."""
         part = self.protocol.layout.part("address")
-        address = judgement.address
-        if part is not None and address == part.broadcast:
-            return [self._untold, *self._devices.values()]
-        if part is not None and address is not None and not part.low <= address <= part.high:
-            return []
-        return [self._device(address)]
+        spec, fields = judgement.instruction, dict(judgement.fields)
+        parts = [(judgement.address, fields)]
+        if judgement.valid and spec and spec.writes and spec.writes.blocks:
+            parts = [*blocks(spec.writes, fields)]
+        elif part is not None and judgement.address == part.broadcast:
+            yield from ((device, fields) for device in (self._untold, *self._devices.values()))
+            return
+        for address, its_fields in parts:
+            if part is None or address is None or part.low <= address <= part.high:
+                yield self._device(address), its_fields
 
     def _device(self, address: int | None) -> _Device:
         if address not in self._devices:
-            self._devices[address] = replace(self._untold, cells=self._untold.cells.copy())
+            self._devices[address] = deepcopy(self._untold)
         return self._devices[address]
 
-    def _do(self, device: _Device, judgement: Judgement) -> None:
+    def _do(self, device: _Device, judgement: Judgement, fields: dict[str, Any]) -> None:
         """Change a device as a frame asks."""
         spec = judgement.instruction
         if not judgement.valid or spec is None:
             device.state = self.protocol.on_fault.apply(device.state)
             return
-        fields = dict(judgement.fields)
         device.state = spec.effect.apply(device.state, fields)
-        device.cells.note(fields)
-        if spec.writes:
-            device.cells.write(spec.writes, fields)
+        device.cells.take(spec, fields)
 
     def _told(self, judgement: Judgement) -> dict[str, Any]:
         """The values of an answer's fields that the device remembers."""

@@ -76,7 +76,11 @@ INSTRUCTIONS = {
     * "Writes the same registers of several servos, which may move.",
 }
 
-MEMORY = (Memory("registers", at="register", value="values", count="size", by=("Read", "Write")),)
+MEMORY = (
+    Memory("registers", at="register", value="values", count="size", by=("Read", "Write")),
+    Memory("registers", at="register", value="values", by=("RegWrite",), until="Action"),
+    Memory("registers", at="register", value="blocks", count="size", blocks=True),
+)
 RESPONSE = Answers(
     Byte,
     {

@@ -60,7 +60,7 @@ AND_MASK = "and_mask" / Int16ub * "the bits that are kept"
 OR_MASK = "or_mask" / Int16ub * "what the other bits become"
 WORDS = "registers"
 SWITCHED = Struct(COIL, SWITCH)
-SINGLE = Struct(REGISTER, VALUE)
+ONE = Struct(REGISTER, VALUE)
 MANY = Struct(START, "quantity" / Int16ub * "how many were written")
 
 INSTRUCTIONS = {
@@ -80,9 +80,7 @@ INSTRUCTIONS = {
     / Instruction(COIL, SWITCH, document="6.5 Write Single Coil", answer=SWITCHED, changes="coils")
     * "Switches one coil on or off.",
     0x06: "WriteSingleRegister"
-    / Instruction(
-        REGISTER, VALUE, document="6.6 Write Single Register", answer=SINGLE, changes=WORDS
-    )
+    / Instruction(REGISTER, VALUE, document="6.6 Write Single Register", answer=ONE, changes=WORDS)
     * "Writes one holding register.",
     0x07: "ReadExceptionStatus"
     / Instruction(document="6.7 Read Exception Status", answer=Struct("status" / Byte * "outputs"))
@@ -146,6 +144,7 @@ MEMORY = (
     Memory("coils", at="start", value="coils", count="quantity", bits=True),
     Memory("inputs", at="start", value="inputs", count="quantity", bits=True),
     Memory("registers", at="register", value="value"),
+    Memory("registers", at="register", value="or_mask", keep="and_mask"),
     Memory("registers", at="start", value="values", count="quantity"),
     Memory("registers", at="read_start", value="values", count="read_quantity", only="reads"),
     Memory("registers", at="write_start", value="values", count="write_quantity"),

@@ -150,8 +150,11 @@ INSTRUCTIONS = {
     * "Reads the fuses, the extended ones too.",
 }
 
-# Pages of words of flash, or of bytes of EEPROM, at the address that was loaded.
+# Pages of words of flash, or of bytes of EEPROM, at the address that was loaded. A simulated
+# device is an ATmega328P whose firmware has the version 1.16.
 MEMORY = (
+    Memory("parameters", at="parameter", value="value", power_on={0x81: 1, 0x82: 16}),
+    Memory("signature", value="signature", power_on={0: 0x1E, 1: 0x95, 2: 0x0F}),
     Memory("p", at="address", value="content", count="size", factor=2, of="memory", latest=True),
 )
 RESPONSE = Answers(

@@ -1,4 +1,4 @@
-"""The real avrdude and real bootloaders, which are emulated, with `sniff --bridge` between them."""
+"""The real avrdude with the simulated bootloader, and with emulated real ones over a bridge."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.bridges import Traffic, bridged
 from tests.support.firmware import needs
-from tests.support.robots import PATIENCE, emulate
+from tests.support.robots import PATIENCE, emulate, simulate
 
 OPTIBOOT = Path("/usr/share/arduino/hardware/arduino/avr/bootloaders/optiboot")
 ATMEGABOOT = OPTIBOOT.parent / "atmega" / "ATmegaBOOT_168_atmega328.hex"  # as Debian builds it
@@ -22,7 +22,7 @@ PROGRAMS = needs(
     package="gcc-avr avr-libc simavr avrdude arduino-core-avr",
 )
 
-pytestmark = [pytest.mark.waits, PROGRAMS]
+pytestmark = pytest.mark.waits
 
 SIGNATURE = "1e950f"  # of an ATmega328P
 WAITS = b"\xff\xcf"  # a program that jumps to itself; what follows is never run
@@ -45,6 +45,27 @@ def optiboot(tmp_path: Path) -> Path:
     return file
 
 
+def avrdude(port: str, *words: str) -> str:
+    """What avrdude tells while it programs an ATmega328P so."""
+    whole = ["avrdude", "-c", "arduino", "-p", "m328p", "-P", port, "-b", "115200", *words]
+    done = subprocess.run(whole, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+@needs("avrdude", package="avrdude")
+def test_avrdude_writes_a_program_to_the_simulated_bootloader(tmp_path: Path) -> None:
+    program = tmp_path / "program.bin"
+    program.write_bytes(Random(2).randbytes(300))
+
+    with simulate(pty=True, grammar="stk500v1") as simulated:
+        told = avrdude(simulated.port, "-U", f"flash:w:{program}:r")
+
+    assert f"device signature = 0x{SIGNATURE}" in told
+    assert "300 bytes of flash verified" in told
+
+
+@PROGRAMS
 @pytest.mark.parametrize("start", [["--start", "0x7c00"], []], ids=["Optiboot", "ATmegaBOOT"])
 def test_avrdude_writes_a_program_and_every_byte_of_it_is_decoded(
     optiboot: Path, tmp_path: Path, start: list[str]
@@ -58,12 +79,9 @@ def test_avrdude_writes_a_program_and_every_byte_of_it_is_decoded(
         emulate(firmware, *start, grammar="stk500v1") as board,
         bridged("stk500v1", board.port, capture) as port,
     ):
-        words = ["avrdude", "-c", "arduino", "-p", "m328p", "-P", port, "-b", "115200"]
-        words += ["-D", "-U", f"flash:w:{program}:r"]  # -D: it is told to erase nothing
-        done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE, check=False)
+        # -D: it is told to erase nothing
+        assert "400 bytes of flash verified" in avrdude(port, "-D", "-U", f"flash:w:{program}:r")
 
-    assert done.returncode == 0, done.stderr
-    assert "400 bytes of flash verified" in done.stderr
     traffic = Traffic(capture)
     traffic.require_nothing_odd()
     names = [one["name"] for one in traffic.requests]

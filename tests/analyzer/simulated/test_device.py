@@ -7,12 +7,14 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
 from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.simulated.requests import drawn_request, with_wrong_end
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge
+from bilprov.spec.protocol import GrammarError, load
 from bilprov.spec.replies import agrees, read_reply
+from tests.support import ROOT
 
 NAMES = ["modbus-rtu", "stk500v1", "dynamixel1"]
 
@@ -102,6 +104,46 @@ def test_servo_registers_are_read_back() -> None:
     assert line.do("Read", address=4, register=30, size=1) == {"values": b"\x00"}
 
 
+def test_a_mask_changes_the_bits_that_it_names() -> None:
+    """The example of the document's clause 6.16."""
+    line = Line("modbus-rtu")
+    line.do("WriteSingleRegister", address=17, register=4, value=0x12)
+    masks = {"and_mask": 0xF2, "or_mask": 0x25}
+    assert line.do("MaskWriteRegister", address=17, register=4, **masks) == {"register": 4, **masks}
+    assert line.do("ReadHoldingRegisters", address=17, start=4, quantity=1) == {"values": (0x17,)}
+
+
+def test_what_a_servo_registers_is_written_by_the_next_action_alone() -> None:
+    line = Line("dynamixel1")
+    for address in (1, 2):
+        line.do("RegWrite", address=address, register=30, values="05")
+        assert line.do("Read", address=address, register=30, size=1) == {"values": b"\x00"}
+    assert line.ask(build(line.protocol, "Action", {"address": 254})) == b""
+    for address in (1, 2):
+        assert line.do("Read", address=address, register=30, size=1) == {"values": b"\x05"}
+    line.do("Write", address=1, register=30, values="06")
+    line.do("Action", address=1)
+    assert line.do("Read", address=1, register=30, size=1) == {"values": b"\x06"}
+
+
+def test_a_write_to_several_servos_gives_each_its_own_bytes() -> None:
+    line = Line("dynamixel1")
+    sent = {"address": 254, "register": 30, "size": 2, "blocks": "01 aa bb 02 cc dd"}
+    assert line.ask(build(line.protocol, "SyncWrite", sent)) == b""
+    told = [line.do("Read", address=one, register=30, size=3)["values"] for one in (1, 2, 3)]
+    assert told == [b"\xaa\xbb\x00", b"\xcc\xdd\x00", bytes(3)]
+
+
+def test_a_bootloader_tells_its_signature_and_the_parameters_that_were_set() -> None:
+    line = Line("stk500v1")
+    assert line.do("ReadSign") == {"signature": b"\x1e\x95\x0f"}
+    assert line.do("GetParameter", parameter=0x82) == {"value": 16}
+    line.do("SetParameter", parameter=0x82, value=17)
+    assert line.do("GetParameter", parameter=0x82) == {"value": 17}
+    line.device.power_cycle(line.now)
+    assert line.do("GetParameter", parameter=0x82) == {"value": 16}
+
+
 def test_bootloader_pages_are_read_back_at_the_loaded_address() -> None:
     line = Line("stk500v1")
     for address, content in ((0x10, "01020304"), (0x12, "05060708")):  # in words of flash
@@ -120,6 +162,24 @@ def test_bootloader_pages_are_read_back_at_the_loaded_address() -> None:
 )
 def test_bootloader_answers_what_it_does_not_know(sent: str, answer: str) -> None:
     assert Line("stk500v1").ask(bytes.fromhex(sent)) == bytes.fromhex(answer)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ('value="blocks", count="size"', 'value="blocks"', "with blocks needs a count"),
+        ('until="Action"', 'until="Acton"', "until Acton, and there is no such instruction"),
+        ('value="blocks"', 'value="block"', "no instruction writes or reads block there"),
+        ("blocks=True", "power_on=[1]", "the power_on of a Memory is [1]"),
+        ("blocks=True", "power_on={0: -1}", "a number in the power_on of a Memory is -1"),
+    ],
+)
+def test_a_memory_that_cannot_be_used_is_refused(old: str, new: str, why: str) -> None:
+    text = (ROOT / "spec" / SHIPPED["dynamixel1"]).read_text(encoding="utf-8")
+    assert old in text
+    with pytest.raises(GrammarError) as raised:
+        load(text.replace(old, new), "servo.py")
+    assert why in str(raised.value)
 
 
 @pytest.mark.parametrize("name", NAMES)
