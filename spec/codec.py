@@ -303,8 +303,6 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
             ", ".join([*parts, *(part.name for part in spec.fields if part.name)]) or "no fields"
         )
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")
-    if protocol.plain:
-        return raw_frame(protocol, spec.id, len(data), data)
     return protocol.layout.build({**parts, "id": spec.id}, data)
 
 

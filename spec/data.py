@@ -93,26 +93,33 @@ class FieldSpec:
     it, and `code` the name of the answer that it gets, "" for that of any bad data. `names` are
     named values (no other is in the range), `flags` named masks. A field with `constant` bytes has
     no value of its own. `many` is set for a field of bytes or of several numbers; `size` then
-    counts the bytes that it has in any case. `parse` and `build` convert between bytes and value;
-    `number` is how a single number is written.
+    counts the bytes that it has in any case. `number` is how a single number is written.
     """
 
     name: str
     prose: str
     offset: int
     size: int
-    low: int
-    high: int
-    bits: str
-    reading: str
-    parse: Callable[[bytes], Any] = field(repr=False, compare=False)
-    build: Callable[[Any], bytes] = field(repr=False, compare=False)
+    low: int = 0
+    high: int = 0
+    bits: str = ""
+    reading: str = ""
     code: str = ""
     names: tuple[tuple[str, int], ...] = ()
     flags: tuple[tuple[str, int], ...] = ()
     constant: bytes | None = None
     many: Many | None = None
     number: Number | None = None
+
+    def parse(self, raw: bytes) -> Any:
+        """The value in the field's bytes."""
+        form = self.many or self.number
+        return form.parse(raw) if form else raw
+
+    def build(self, value: Any) -> bytes:
+        """The field's bytes. Raises ValueError, TypeError or OverflowError for a wrong value."""
+        form = self.many or self.number
+        return form.build(value) if form else bytes(value)
 
     def in_range(self, value: Value) -> bool:
         """Whether a value is in the range; that of several numbers is the range of each."""
@@ -281,20 +288,14 @@ def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
     if isinstance(body, Const):
         raw = body.build(None)
         require_whole(f"the size of a constant of {owner} in bytes", len(raw), 1, 255)
-        return FieldSpec(
-            member.name or "", prose_of(member), offset, len(raw), 0, 0, "", "", bytes, bytes,
-            constant=raw,
-        )  # fmt: skip
+        return FieldSpec(member.name or "", prose_of(member), offset, len(raw), constant=raw)
     require_name(f"the name of a field of {owner}", member.name)
     name = f"{owner}.{member.name}"
     require_text(f"the prose of {name}", prose_of(member))
     many = _many(name, body)
     if many:
-        return FieldSpec(
-            member.name, prose_of(member), offset, many.least,
-            many.element.low if many.element else 0, many.element.high if many.element else 255,
-            "", "", many.parse, many.build, many=many,
-        )  # fmt: skip
+        low, high = (many.element.low, many.element.high) if many.element else (0, 255)
+        return FieldSpec(member.name, prose_of(member), offset, many.least, low, high, many=many)
     return _number_field(name, member, body, offset)
 
 
@@ -325,8 +326,6 @@ def _number_field(name: str, member: Construct, body: Construct, offset: int) ->
         high=high,
         bits=bits,
         reading=ranged.reading if ranged else "",
-        parse=number.parse,
-        build=number.build,
         code=ranged.code if ranged else "",
         names=names,
         flags=flags,

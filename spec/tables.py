@@ -263,8 +263,8 @@ VALID, BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA
 def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[Any]:
     """The value of a field in each of the data that begin `at` some places and carry it."""
     at = at + part.offset
-    if part.size == 1:
-        return np.take(_byte_values(part.parse), data.take(at))
+    if part.number and part.size == 1:
+        return np.take(_byte_values(part.number), data.take(at))
     if part.number and part.size <= WIDEST:
         return number_values(part.number, data, at)
     raw = data.take(at[:, None] + np.arange(part.size)).view(f"V{part.size}").ravel()
@@ -289,8 +289,8 @@ def number_values(
 
 
 @lru_cache(maxsize=256)
-def _byte_values(parse: Callable[[bytes], int]) -> NDArray[np.int64]:
-    return np.array([parse(bytes([byte])) for byte in range(256)], np.int64)
+def _byte_values(number: Number) -> NDArray[np.int64]:
+    return np.array([number.parse(bytes([byte])) for byte in range(256)], np.int64)
 
 
 def moving(kind: type[State], columns: Callable[[str], NDArray[Any]]) -> NDArray[np.bool_]:

@@ -173,7 +173,7 @@ def _part(protocol: Protocol, name: str) -> Field:
     parts = [part for _, part in owned]
     if any(part.many for part in parts):
         return Field(name, Kind.BYTES, says, f"fields.{name}")
-    carried = [end for part in parts for end in _carried(part)]
+    carried = [end for part in parts if part.number for end in (part.number.low, part.number.high)]
     words = {word: value for part in parts for word, value in (*part.names, *part.flags)}
     return Field(name, Kind.NUMBER, says, f"fields.{name}", min(carried), max(carried), words)
 
@@ -185,17 +185,6 @@ def _parts(protocol: Protocol) -> Iterator[tuple[str, FieldSpec]]:
         for part in (*spec.fields, *answered):
             if part.constant is None:
                 yield spec.name, part
-
-
-def _carried(part: FieldSpec) -> tuple[int, int]:
-    """The smallest and the largest value that a field's bytes can carry, good data or bad."""
-    rest = part.size - 1
-    # The ends of whole numbers, with a sign or without one, in either order of the bytes.
-    ends = [b"\0" * part.size, b"\xff" * part.size]
-    ends += [b"\x7f" + b"\xff" * rest, b"\x80" + b"\0" * rest]
-    ends += [b"\xff" * rest + b"\x7f", b"\0" * rest + b"\x80"]
-    values = [part.parse(end) for end in ends]
-    return min(part.low, *values), max(part.high, *values)
 
 
 def _itself(words: Iterable[str]) -> Mapping[str, Value]:

@@ -6,11 +6,10 @@ A value counts only by its range and its sign: too low, negative, zero, positive
 from __future__ import annotations
 
 from bilprov.spec.data import FieldSpec
-from bilprov.spec.errors import UserError
 
 
 class FieldPrefixes:
-    """The beginnings of one field, in classes. Raises UserError for a field that is no integer.
+    """The beginnings of one field, in classes.
 
     Each byte of an integer adds its part to the value, whatever the others are, and what the bytes
     still to come can add are evenly spaced numbers. Two beginnings are of one class if equally many
@@ -31,17 +30,10 @@ class FieldPrefixes:
         ]
         # What may follow the first n bytes: the least that they add, the step, and how many.
         self._rest = [self._following(done) for done in range(field.size + 1)]
-        values = (field.low, (field.low + field.high) // 2, field.high)
-        even = all(spans == step * (count - 1) for _, step, count, spans in self._rest)
-        if not even or any(self._value(field.build(value)) != value for value in values):
-            raise UserError(
-                f"the bytes of {field.name} are not those of an integer, of which alone the level "
-                "complete knows the classes; choose another level"
-            )
 
     def after(self, data: bytes) -> tuple[int, ...]:
         """The class of the field's first bytes."""
-        lowest, step, count, _ = self._rest[len(data)]
+        lowest, step, count = self._rest[len(data)]
         begun = self._value(data) + lowest
         return tuple(min(max(-((begun - bound) // step), 0), count) for bound in self._bounds)
 
@@ -50,8 +42,8 @@ class FieldPrefixes:
         parts = zip(self._parts, data, strict=False)
         return int(self._base + sum(part[byte] for part, byte in parts))
 
-    def _following(self, done: int) -> tuple[int, int, int, int]:
+    def _following(self, done: int) -> tuple[int, int, int]:
         left = self._parts[done:]
         count = int(256 ** len(left))
         spans = sum(max(part) - min(part) for part in left)
-        return sum(map(min, left)), max(1, spans // max(1, count - 1)), count, spans
+        return sum(map(min, left)), max(1, spans // max(1, count - 1)), count

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import operator
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from itertools import product
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.emit.wireshark_program import PROGRAM
 from bilprov.spec.errors import UserError
 from bilprov.spec.fields import OF_HEADERS
+from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.python_names import each_once, snake_case
 from bilprov.spec.state import AllOf, Effect
@@ -107,7 +106,8 @@ def _instruction(word: str, spec: InstructionSpec) -> dict[str, Any]:
 
 
 def _field(word: str, spec: InstructionSpec, part: FieldSpec) -> dict[str, Any]:
-    little, signed = _coding(spec, part)
+    number = _number(spec, part)
+    little, signed = number.order == "little", number.signed
     kind = f"{'INT' if signed else 'UINT'}{8 * part.size if part.size <= 4 else 64}"
     numbers = {name: getattr(part, name) for name in ("offset", "size", "low", "high")}
     bits = _by_word((bit, (bit, 1 << len(part.bits) - at)) for at, bit in enumerate(part.bits, 1))
@@ -122,19 +122,10 @@ def _field(word: str, spec: InstructionSpec, part: FieldSpec) -> dict[str, Any]:
     )
 
 
-def _coding(spec: InstructionSpec, part: FieldSpec) -> tuple[bool, bool]:
-    """Return whether a field is little-endian and whether it is signed, as its parser shows.
-
-    The data tried are all bits, and each value of each byte among zeros.
-    """
-    size = part.size
-    tried = [bytes([0xFF]) * size]
-    tried += [(one << 8 * at).to_bytes(size, "big") for at in range(size) for one in range(256)]
-    for little, signed in product((False, True), repeat=2):
-        order: Literal["big", "little"] = "little" if little else "big"
-        values = (int.from_bytes(data, order, signed=signed) for data in tried)
-        if 0 < size <= _WIDEST and all(map(operator.eq, map(part.parse, tried), values)):
-            return little, signed
+def _number(spec: InstructionSpec, part: FieldSpec) -> Number:
+    """Return how a field is written. Raises UserError for one that is too wide."""
+    if part.number and part.size <= _WIDEST:
+        return part.number
     raise UserError(
         f"{spec.name}.{part.name} is not a plain integer of 1 to {_WIDEST} bytes, and a dissector "
         "in Lua can hold nothing else: give it such a field in the grammar"
