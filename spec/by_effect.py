@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from bilprov.spec.codec import build, judge
 from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.state import Effect, State
+from bilprov.spec.state import Effect, FromField, FromOld, State
 
 
 def moves(spec: InstructionSpec) -> bool:
@@ -32,8 +32,8 @@ def fitted(protocol: Protocol, spec: InstructionSpec, state: State) -> bytes:
     values = {part.name: part.low for part in spec.fields}
     limits = {part.name: (part.low, part.high) for part in spec.fields}
     for variable, source in spec.effect.assignments:
-        if isinstance(source, tuple):
-            field, factor = source
+        if isinstance(source, FromField):
+            field, factor, _ = source
             values[field] = _nearest(getattr(state, variable), factor, *limits[field])
     return build(protocol, spec.name, values)
 
@@ -298,11 +298,11 @@ def _set_words(
     for effect, fields in effects:
         for name, value in effect.assignments:
             ends = found.setdefault(name, [])
-            if isinstance(value, tuple) and len(value) == 2 and fields is None:
-                ends += protocol.limits[name]
-            elif isinstance(value, tuple) and len(value) == 2:
-                ends.append(fields[value[0]] * value[1] if fields else 0)
-            elif isinstance(value, tuple) or value is None:
+            if isinstance(value, FromField) and fields is None:
+                ends += [word for word, _ in value.words] or protocol.limits[name]
+            elif isinstance(value, FromField):
+                ends.append(value.value(fields[value.field]) if fields else 0)
+            elif isinstance(value, FromOld) or value is None:
                 spec = protocol.variables[name]
                 ends += spec.words or (spec.low, spec.high)
             else:

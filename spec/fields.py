@@ -136,7 +136,10 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
 
 @dataclass(frozen=True, slots=True)
 class From:
-    """The value of a data field, times `factor`, as the new value of a state variable."""
+    """The value of a data field, times `factor`, as the new value of a state variable.
+
+    A Word is set to the name of the value, from an Enum whose names are words of it.
+    """
 
     field: str
     factor: int = 1

@@ -39,6 +39,8 @@ from bilprov.spec.state import (
     Changed,
     Condition,
     Effect,
+    FromField,
+    FromOld,
     Source,
     State,
     Unknown,
@@ -330,11 +332,11 @@ class Protocol:
         for spec in self.instructions:
             ranges = {f.name: (f.low, f.high) for f in spec.fields}
             for variable, value in spec.effect.assignments:
-                if isinstance(value, tuple) and len(value) == 2:
-                    ends = [end * value[1] for end in ranges[value[0]]]
+                if isinstance(value, FromField) and not value.words:
+                    ends = [end * value.factor for end in ranges[value.field]]
                     found.setdefault(variable, []).extend(ends)
-                elif isinstance(value, tuple):
-                    found.setdefault(variable, []).extend(value[2:])
+                elif isinstance(value, FromOld):
+                    found.setdefault(variable, []).extend((value.low, value.high))
                 elif value and isinstance(value, int):
                     found.setdefault(variable, []).append(value)
         return {variable: (min(ends), max(ends)) for variable, ends in found.items()}
@@ -524,7 +526,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     )
     variables = _variables(space, specs, effects, (faulty, at_power_on))
     instructions = tuple(
-        replace(spec, effect=_effect(effects[spec.id], variables, spec.fields)) for spec in specs
+        replace(spec, effect=_effect(effects[spec.id], variables, spec)) for spec in specs
     )
     instructions = _with_memory(instructions, space.get("MEMORY", ()))
     responses = _responses(space)
@@ -874,20 +876,19 @@ def _answer(name: str, declared: Construct | None, reply: Layout) -> DataSpec | 
 
 
 def _effect(
-    sets: Sets, variables: Mapping[str, VariableSpec], fields: Iterable[FieldSpec] = ()
+    sets: Sets, variables: Mapping[str, VariableSpec], of: InstructionSpec | None = None
 ) -> Effect:
-    """The effect of an instruction with these fields. Raises GrammarError if STATE lacks it."""
-    by_name = {part.name: part for part in fields}
+    """The effect of an instruction. Raises GrammarError for one that STATE does not allow."""
     assignments: list[tuple[str, Source]] = []
     for name, value in sets.values.items():
         spec = variables[name]
         source: Source
         if isinstance(value, From):
-            source = _from(value, spec, by_name)
+            source = _from(value, spec, of)
         elif isinstance(value, Changed):
             if spec.words:
                 raise GrammarError(f"an effect sets {name} to a number, allowed is {spec.allowed}")
-            source = value.factor, value.plus, spec.low, spec.high
+            source = FromOld(value.factor, value.plus, spec.low, spec.high)
         elif isinstance(value, Unknown):
             source = None
         else:
@@ -897,13 +898,19 @@ def _effect(
     return Effect(tuple(assignments))
 
 
-def _from(value: From, spec: VariableSpec, fields: Mapping[str, FieldSpec]) -> tuple[str, int]:
-    """The field that a variable is set from, with its factor."""
-    if value.field not in fields:
+def _from(value: From, spec: VariableSpec, of: InstructionSpec | None) -> FromField:
+    """The field of an instruction that a variable is set from."""
+    part = next((part for part in (of.fields if of else ()) if part.name == value.field), None)
+    if of is None or part is None:
         raise GrammarError(f"an effect names the field {value.field}, which is not there")
     if spec.words:
-        raise GrammarError(f"an effect sets {spec.name} to a number, allowed is {spec.allowed}")
-    part = fields[value.field]
+        if not part.names or not {word for word, _ in part.names} <= {*spec.words}:
+            raise GrammarError(
+                f"the effect of {of.name}.{part.name} sets {spec.name} to "
+                f"{', '.join(word for word, _ in part.names) or 'a number'}, allowed are the names "
+                f"of an Enum that are words of {spec.name}: {spec.allowed}"
+            )
+        return FromField(value.field, value.factor, part.names)
     if part.many or part.constant is not None:
         raise GrammarError(
             f"an effect sets {spec.name} from the field {value.field}, allowed is a field of one "
@@ -914,4 +921,4 @@ def _from(value: From, spec: VariableSpec, fields: Mapping[str, FieldSpec]) -> t
         raise GrammarError(
             f"an effect sets {spec.name} to {low} to {high}, allowed is {spec.allowed}"
         )
-    return value.field, value.factor
+    return FromField(value.field, value.factor)

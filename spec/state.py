@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
 
 import msgspec
 
@@ -221,9 +221,44 @@ class Unknown:
     """The new value of a variable that is not told by the instruction."""
 
 
-Source: TypeAlias = int | str | tuple[str, int] | tuple[int, int, int, int] | None
-"""What a variable is set to: a value, (field, factor), (factor, plus, low, high) applied to its old
-value, or None where it is not known."""
+class FromField(NamedTuple):
+    """A variable is set from a field: to its number times a factor, or to the word for it."""
+
+    field: str
+    factor: int = 1
+    words: tuple[tuple[str, int], ...] = ()
+
+    def value(self, number: int) -> int | str:
+        """The value of the variable where the field has this number."""
+        if self.words:
+            return next(word for word, known in self.words if known == number)
+        return number * self.factor
+
+    def number(self, value: int | str) -> int | None:
+        """The number that a field must have to set this value, None if there is none."""
+        if self.words or isinstance(value, str):
+            return dict(self.words).get(str(value))
+        number = value // self.factor if self.factor else value
+        return number if number * self.factor == value else None
+
+
+class FromOld(NamedTuple):
+    """A number is set to its old value times `factor`, and `plus`, held in `low`..`high`."""
+
+    factor: int
+    plus: int
+    low: int
+    high: int
+
+    def value(self, old: int | None) -> int | None:
+        """The new value; None: not known."""
+        if old is None:
+            return None
+        return min(max(old * self.factor + self.plus, self.low), self.high)
+
+
+Source: TypeAlias = int | str | FromField | FromOld | None
+"""What a variable is set to: a value, what it is made of, or None where it is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +281,7 @@ class Effect:
         return {
             name: value
             for name, value in self.assignments
-            if value is not None and not isinstance(value, tuple)
+            if value is not None and not isinstance(value, FromField | FromOld)
         }
 
     @property
@@ -256,15 +291,13 @@ class Effect:
 
 
 Assigned: TypeAlias = tuple[tuple[str, Any], ...]
-"""Variables with their new values; a tuple is applied to the old value (see `changed`)."""
+"""Variables with their new values, or the FromOld that is applied to the old one."""
 
 
 def assigned(effect: Effect, fields: Mapping[str, int]) -> Assigned:
     """The new value of each variable that the effect sets with these values of the fields."""
     return tuple(
-        (name, fields[value[0]] * value[1])
-        if isinstance(value, tuple) and len(value) == 2
-        else (name, value)
+        (name, value.value(fields[value.field]) if isinstance(value, FromField) else value)
         for name, value in effect.assignments
     )
 
@@ -273,18 +306,12 @@ def value_words(value: Any) -> str:
     """A new value in words."""
     if value is None:
         return "not known"
-    if not isinstance(value, tuple):
+    if not isinstance(value, FromOld):
         return str(value)
     factor, plus, low, high = value
     times = {1: "", -1: "-"}.get(factor, f"{factor} x ")
     added = f" {'-' if plus < 0 else '+'} {abs(plus)}" if plus else ""
     return f"{times}old value{added} ({low} to {high})"
-
-
-def changed(old: Any, change: tuple[int, int, int, int]) -> int | None:
-    """The value after a change (factor, plus, low, high) of an old one; None: not known."""
-    factor, plus, low, high = change
-    return None if old is None else min(max(old * factor + plus, low), high)
 
 
 def after(state: State, values: Assigned) -> State:
@@ -297,7 +324,7 @@ def after(state: State, values: Assigned) -> State:
 
 def _replaced(state: State, values: Assigned) -> State:
     new = {
-        name: changed(getattr(state, name), value) if type(value) is tuple else value
+        name: value.value(getattr(state, name)) if type(value) is FromOld else value
         for name, value in values
     }
     found = msgspec.structs.replace(state, **new)

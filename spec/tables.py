@@ -18,7 +18,7 @@ from bilprov.spec.data import FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.state import AnyOf, State, VariableSpec, changed
+from bilprov.spec.state import AnyOf, FromField, FromOld, State, VariableSpec
 from bilprov.spec.steps import Steps, data_decide
 
 OUTCOMES = tuple(Outcome)
@@ -52,7 +52,8 @@ class FrameColumns(NamedTuple):
 class FrameTables:
     """Tables by header byte and first data byte, for arrays of whole frames.
 
-    Raises OverflowError for a grammar whose fields or state variables do not fit into 64 bits.
+    Raises OverflowError for a grammar whose fields or state variables do not fit into 64 bits, or
+    in which instructions with more than one data byte change old values.
     """
 
     def __init__(self, protocol: Protocol) -> None:
@@ -79,7 +80,7 @@ class FrameTables:
         self._values = {v.name: np.zeros(1 << 16, self._type(v)) for v in self._variables}
         # The variables whose new value may depend on the old one, with the frames' place in a list
         # of changes, from 1 on.
-        self._changes: dict[str, tuple[NDArray[np.uint8], list[tuple[int, int, int, int]]]] = {}
+        self._changes: dict[str, tuple[NDArray[np.uint8], list[FromOld]]] = {}
         steps = Steps(protocol)
         for header in range(256):
             self._fill(header, steps)
@@ -94,7 +95,11 @@ class FrameTables:
         length = self._protocol.lengths[header]
         decided = data_decide(self._protocol, bytes([header]) + bytes(length))
         if decided and length > 1:
-            self._long[header] = self._protocol.by_id[self._protocol.headers[header][0]]
+            spec = self._protocol.by_id[self._protocol.headers[header][0]]
+            effects = (*spec.effect.assignments, *self._protocol.on_fault.assignments)
+            if any(isinstance(value, FromOld) for _, value in effects):
+                raise OverflowError("changes by longer instructions are not decoded by tables")
+            self._long[header] = spec
             return
         for first in range(256 if decided and length else 1):
             data = bytes([first]).ljust(length, b"\0")[:length]
@@ -110,10 +115,10 @@ class FrameTables:
                     self._fill_value(variable, rows, sets[variable.name])
 
     def _fill_value(self, variable: VariableSpec, rows: int | slice, value: Any) -> None:
-        if not isinstance(value, tuple):
+        if not isinstance(value, FromOld):
             self._values[variable.name][rows] = self._state.code(variable.name, value)
             return
-        made = np.zeros(1 << 16, np.uint8), list[tuple[int, int, int, int]]()
+        made = np.zeros(1 << 16, np.uint8), list[FromOld]()
         places, changes = self._changes.setdefault(variable.name, made)
         changes.append(value)
         places[rows] = len(changes)
@@ -231,7 +236,7 @@ class FrameTables:
         found: list[int] = []
         value = kind.value(variable, before)
         for place, code in zip(places.take(key).tolist(), values.tolist(), strict=True):
-            value = changed(value, changes[place - 1]) if place else kind.value(variable, code)
+            value = changes[place - 1].value(value) if place else kind.value(variable, code)
             found.append(kind.code(variable, value))
         return np.array(found, values.dtype)
 
@@ -245,9 +250,9 @@ class FrameTables:
             for good, effect in ((True, spec.effect), (False, self._protocol.on_fault)):
                 where = rows[valid == good]
                 for variable, value in effect.assignments:
-                    if isinstance(value, tuple) and len(value) == 2:
-                        part = next(part for part in spec.fields if part.name == value[0])
-                        set_to = field_values(part, data, frames.offset[where] + 1) * value[1]
+                    if isinstance(value, FromField):
+                        part = next(part for part in spec.fields if part.name == value.field)
+                        set_to = field_values(part, data, frames.offset[where] + 1) * value.factor
                     else:
                         set_to = np.full(len(where), self._state.code(variable, value))
                     yield variable, where, set_to

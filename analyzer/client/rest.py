@@ -11,7 +11,7 @@ from bilprov.captures.schemas import MS
 from bilprov.spec import protocol as spec_protocol
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import InstructionSpec
-from bilprov.spec.state import AnyOf, State
+from bilprov.spec.state import AnyOf, FromField, State
 
 
 class Rest(Protocol):
@@ -141,13 +141,10 @@ def _fields_for(spec: InstructionSpec, source: Any, value: str | int) -> dict[st
     fields: dict[str, Any] = {part.name: part.low for part in spec.fields if not part.many}
     if len(fields) < len(spec.fields):
         return None
-    if not isinstance(source, tuple):
+    if not isinstance(source, FromField):
         return fields if source == value else None
-    if len(source) != 2 or not isinstance(value, int):
+    number = source.number(value)
+    part = next(part for part in spec.fields if part.name == source.field)
+    if number is None or not part.in_range(number):
         return None
-    name, factor = source
-    given = value // factor if factor else value
-    part = next(part for part in spec.fields if part.name == name)
-    if given * factor != value or not part.in_range(given):
-        return None
-    return {**fields, name: given}
+    return {**fields, part.name: number}

@@ -18,7 +18,7 @@ from bilprov.spec.errata import Finding
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Reading
-from bilprov.spec.state import Effect, value_words
+from bilprov.spec.state import Effect, FromField, FromOld, value_words
 
 
 def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
@@ -114,8 +114,8 @@ def _power_on(protocol: Protocol) -> dict[str, Any]:
 
 def _effect(effect: Effect) -> str:
     words = [
-        f"{variable} = {'-' if value[1] < 0 else ''}{value[0]}"
-        if isinstance(value, tuple) and len(value) == 2
+        f"{variable} = {'-' if value.factor < 0 else ''}{value.field}"
+        if isinstance(value, FromField)
         else f"{variable} = {value_words(value)}"
         for variable, value in effect.assignments
     ]
@@ -215,10 +215,9 @@ def _fields_json(data: DataSpec) -> list[dict[str, Any]]:
 
 def _effect_json(effect: Effect) -> dict[str, Any]:
     def told(value: Any) -> Any:
-        if not isinstance(value, tuple):
-            return value
-        names = ("field", "factor") if len(value) == 2 else ("factor", "plus", "low", "high")
-        return dict(zip(names, value, strict=True))
+        if isinstance(value, FromField):
+            return {"field": value.field, "factor": value.factor}
+        return value._asdict() if isinstance(value, FromOld) else value
 
     return {variable: told(value) for variable, value in effect.assignments}
 

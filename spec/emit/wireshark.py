@@ -14,7 +14,7 @@ from bilprov.spec.fields import OF_HEADERS
 from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.python_names import each_once, snake_case
-from bilprov.spec.state import AllOf, Effect
+from bilprov.spec.state import AllOf, Effect, FromField, FromOld
 
 T = TypeVar("T")
 
@@ -139,10 +139,10 @@ def _sets(effect: Effect, fields: Iterable[FieldSpec]) -> dict[str, Any]:
     """
     places = {part.name: place for place, part in enumerate(fields, 1)}
     return {
-        variable: [places[value[0]], value[1]]
-        if isinstance(value, tuple) and len(value) == 2
+        variable: [places[value.field], value.factor]
+        if isinstance(value, FromField)
         else [0, *value]
-        if isinstance(value, tuple)
+        if isinstance(value, FromOld)
         else value
         for variable, value in effect.assignments
     }

@@ -8,7 +8,7 @@ import pytest
 
 from bilprov.spec.motion import Motion, car_state, visible_motion, wheels
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.state import Effect
+from bilprov.spec.state import Effect, FromField
 from tests.vectors import SEQUENCES, WHEELS, Sequence, WheelVector
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def test_a_robot_that_cannot_steer_drives_straight_on() -> None:
     [
         (Effect(), (10, 20)),
         (Effect((("speed", 7),)), (7, 20)),
-        (Effect((("steering", ("strength", -1)),)), (10, -30)),
+        (Effect((("steering", FromField("strength", -1)),)), (10, -30)),
     ],
 )
 def test_an_effect_changes_only_what_it_names(effect: Effect, after: tuple[int, int]) -> None:

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bilprov.analyzer.client.rest import rest_requests
 from bilprov.spec.by_effect import change_by, effect_words
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import GrammarError, Protocol, load
@@ -143,6 +144,71 @@ def test_all_that_a_grammar_may_change_is_told_in_words() -> None:
         "it may set relays to 0..15, set fan to high or off or low, set on to 0..1, "
         "set level to -5..5, write flash"
     )
+
+
+MODE = mutated(
+    TEXT,
+    {
+        "Byte, Struct": "Byte, Enum, Struct",
+        '7: "Store"': '8: "Fan" / Instruction("mode" / Enum(Byte, off=0, low=4, high=9), '
+        'document="fan", effect=Sets(fan=From("mode"))) * "Sets the fan.",\n    7: "Store"',
+    },
+)
+
+
+def test_a_word_is_set_from_the_names_of_an_enum(tmp_path: Path) -> None:
+    board = load(MODE)
+    state, words = board.power_on, []
+    for mode in (9, 0, 4):
+        judged = judge(board, bytes([0x81, mode]))
+        assert judged.instruction
+        state = judged.instruction.effect.apply(state, dict(judged.fields))
+        words.append(state.fan)
+    assert words == ["high", "off", "low"]
+    assert effect_words(board, [b"\x81\x09"]) == "it may set fan to high"
+    assert "set fan to high or off or low" in effect_words(board)
+    file = tmp_path / "fan.py"
+    file.write_text(MODE, encoding="utf-8")
+    lines = command(
+        "decode", "81 09 81 04 81 05", "--format", "jsonl", "--grammar", str(file)
+    ).stdout.splitlines()
+    assert [json.loads(line)["state"]["fan"] for line in lines] == ["high", "low", "low"]
+
+
+def test_a_device_is_brought_to_rest_by_the_name_of_an_enum() -> None:
+    changes = {
+        "HEADER =": 'AT_REST = AllOf(fan="off")\nHEADER =',
+        "    Answers,\n": "    AllOf,\n    Answers,\n",
+        '3: "Off"': '9: "High2"',
+        'Sets(fan="off")': 'Sets(fan="high")',
+    }
+    assert rest_requests(load(mutated(MODE, changes))) == (("Fan", {"mode": 0}),)
+
+
+@pytest.mark.parametrize(
+    ("changes", "wrong"),
+    [
+        ({"off=0": "calm=0"}, "Fan.mode sets fan to calm, low, high"),
+        ({"Enum(Byte, off=0, low=4, high=9)": "Byte"}, "Fan.mode sets fan to a number"),
+    ],
+)
+def test_a_name_that_is_no_word_is_refused_with_its_line(
+    changes: dict[str, str], wrong: str
+) -> None:
+    text = mutated(MODE, changes)
+    line = 1 + text[: text.index('"Fan"')].count("\n")
+    with pytest.raises(GrammarError) as found:
+        load(text)
+    assert str(found.value) == (
+        f"the grammar grammar cannot be used: the effect of {wrong}, allowed are the names of an "
+        f"Enum that are words of fan: off, low, high (line {line})"
+    )
+
+
+def test_tables_have_no_old_values_for_longer_instructions() -> None:
+    long = 'Instruction("by" / Byte, "at" / Byte, document="up"'
+    with pytest.raises(OverflowError):
+        frame_tables(load(mutated(TEXT, {'Instruction(document="up"': long})))
 
 
 GRAMMAR = ("--grammar", str(SWITCHES))
