@@ -23,6 +23,11 @@ SHIPPED = {
 _MOST = 1 << 20  # bytes of a grammar file
 
 
+def dissector_program() -> str:
+    """The program of the Wireshark dissector, which is the same for every grammar."""
+    return Path(bilprov.spec.__path__[0], "emit", "dissector.lua").read_text(encoding="utf-8")
+
+
 def given_protocol(grammar: str | PathLike[str] | Protocol | None) -> Protocol:
     """The protocol itself, or that of a grammar as `load_protocol` loads it."""
     if isinstance(grammar, Protocol):

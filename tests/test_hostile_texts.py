@@ -20,6 +20,7 @@ from typing import Any
 import pytest
 from mcap.writer import Writer
 
+from bilprov.analyzer.grammar_file import dissector_program
 from bilprov.captures.schemas import Chunk, Line, Log, Time
 from bilprov.captures.text import escape_controls, escape_json, printable
 from bilprov.captures.writer import CaptureWriter
@@ -241,7 +242,7 @@ def test_a_grammars_texts_stay_in_the_comments_of_c(
 
 
 def test_a_grammars_texts_stay_in_the_strings_of_lua(grammars: tuple[Protocol, Protocol]) -> None:
-    evil, tame = (lua_tokens(lua_dissector(one, 16)) for one in grammars)
+    evil, tame = (lua_tokens(lua_dissector(one, 16, dissector_program())) for one in grammars)
 
     assert evil == tame
 

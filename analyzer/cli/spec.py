@@ -17,7 +17,7 @@ from bilprov.analyzer.cli.command import (
 )
 from bilprov.analyzer.cli.options import text_format_option
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
-from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
+from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_protocol
 from bilprov.analyzer.output.console import show_as
 
 if TYPE_CHECKING:
@@ -176,7 +176,8 @@ def wireshark(options: EmitOption) -> None:
     from bilprov.captures.schemas import MS
     from bilprov.spec.emit.wireshark import lua_dissector
 
-    options.write(lua_dissector(family_protocol("the dissector", drives=False), SKEW / MS))
+    protocol = family_protocol("the dissector", drives=False)
+    options.write(lua_dissector(protocol, SKEW / MS, dissector_program()))
 
 
 @command(GrammarOptions)

@@ -1,4 +1,9 @@
-"""Generates a Wireshark dissector in Lua: a grammar as tables, and the program that reads them."""
+"""Generates a Wireshark dissector in Lua: a grammar as tables, and the program that reads them.
+
+The program, `dissector.lua`, is the same for every grammar: it takes all that it knows of the
+protocol from the table `GRAMMAR`. It runs in Lua 5.1 to 5.4: numbers are split by arithmetic, and
+written by string.format, since 5.4 shows 3.0 where the older ones show 3.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +13,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 from bilprov.spec.data import FieldSpec
-from bilprov.spec.emit.wireshark_program import PROGRAM
 from bilprov.spec.errors import UserError
 from bilprov.spec.fields import OF_HEADERS
 from bilprov.spec.numbers import Number
@@ -39,15 +43,16 @@ _HEAD = """\
 -- together over packets, and a pause longer than the truncation time-out ends one."""
 
 
-def lua_dissector(protocol: Protocol, skew: float) -> str:
+def lua_dissector(protocol: Protocol, skew: float, program: str) -> str:
     """Return the script's text, for Wireshark with Lua 5.1 to 5.4.
 
     `skew` is how long (ms) before its instruction an answer may be stamped, unless its user sets it
-    otherwise. Raises UserError for a field that is not a plain integer of 1 to 6 bytes.
+    otherwise; `program` is the text of `dissector.lua`. Raises UserError for a field that is not a
+    plain integer of 1 to 6 bytes.
     """
     grammar = _grammar(protocol) | {"skew": round(skew * 1000)}
     head = _HEAD.format_map({**grammar, "document": protocol.document, "sha256": protocol.sha256})
-    return f"{head}\n\nlocal GRAMMAR = {_lua(grammar)}\n{PROGRAM}"
+    return f"{head}\n\nlocal GRAMMAR = {_lua(grammar)}\n\n{program}"
 
 
 def _grammar(protocol: Protocol) -> dict[str, Any]:

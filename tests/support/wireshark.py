@@ -14,6 +14,7 @@ import pytest
 
 from bilprov.analyzer.export.pcapng import write_pcapng
 from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.grammar_file import dissector_program
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures.reader import open_capture
@@ -142,7 +143,7 @@ class Tshark:
             pytest.skip("no tshark: apt-get install tshark")
         self._folder = folder
         self._script = folder / "dissector.lua"
-        self._script.write_text(lua_dissector(protocol, skew=20), encoding="utf-8")
+        self._script.write_text(lua_dissector(protocol, 20, dissector_program()), encoding="utf-8")
 
     def __call__(self, data: bytes, *options: str) -> str:
         """What it prints about a pcapng file, in two passes."""

@@ -1,11 +1,3 @@
-"""The program of the Wireshark dissector, in Lua: the same for every grammar.
-
-It takes all that it knows of the protocol from the table `GRAMMAR`, which is written before it. It
-runs in Lua 5.1 to 5.4: numbers are split by arithmetic, and written by string.format, since 5.4
-shows 3.0 where the older ones show 3.
-"""
-
-PROGRAM = r"""
 local robot, format = Proto(GRAMMAR.word, GRAMMAR.title), string.format
 local US, MS = 1000, 1000000 -- ns
 robot.prefs.take = Pref.bool("Take every RTAC serial packet", true,
@@ -378,4 +370,3 @@ function robot.dissector(buffer, pinfo, tree)
 end
 
 link_types:set(RTAC_SERIAL, robot)
-"""
