@@ -26,7 +26,7 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     `response` is what its code means, None for an unused code; of several flags the first that
     stands for an outcome. `names` are those of all. `fields` are its data, `address` is whose it
     is. `reason` tells why the answer is damaged, "" for one that is not. Around the data stand
-    `head` bytes and `tail` bytes.
+    `head` bytes and `tail` bytes. With `open_end` nothing but silence tells where it ends.
     """
 
     frame: bytes
@@ -37,6 +37,7 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     reason: str = ""
     head: int = 0
     tail: int = 0
+    open_end: bool = False
 
     def describe(self) -> str:
         """The answer in words: its names and its fields."""

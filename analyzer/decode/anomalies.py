@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from bilprov.analyzer.decode.pairing import Held, Waiting
-from bilprov.analyzer.decode.records import Anomaly, Severity
+from bilprov.analyzer.decode.records import UNCERTAIN, Anomaly, Severity
 from bilprov.captures.schemas import MS, Line
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement, spaced
@@ -18,6 +18,7 @@ from bilprov.spec.replies import Reply, agrees
 
 MID_FRAME = "out of step: the device answered in mid-frame"
 UNCLEAR = "came before it was clear where frames begin"
+SILENT_END = "its end is uncertain: only silence marks it"
 LOST = "bytes were lost in mid-frame"
 NO_FRAME = "no frame begins so"
 
@@ -61,6 +62,7 @@ KINDS = (
     "slow",
     "early",
     "out of step",
+    UNCERTAIN,
     "lost bytes",
     *LINE_SEVERITY,
 )
@@ -70,6 +72,7 @@ ALONE = Cause("", Severity.INFO, "")
 OUT_OF_STEP = Cause("out of step", Severity.INFO, "answers a frame whose beginning was not seen")
 _EARLY = Cause("unsolicited", Severity.INFO, "no instruction was seen yet that it could answer")
 _NEAR_LOSS = Cause("unsolicited", Severity.INFO, "may answer an instruction around the lost bytes")
+_SILENT_END = Cause(UNCERTAIN, Severity.INFO, SILENT_END)
 _UNSOLICITED = Cause("unsolicited", Severity.ERROR, "no instruction waits for an answer")
 
 
@@ -82,6 +85,7 @@ def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> An
         agree, found = _of_reply(protocol, held.reply, waiting.judgement)
     else:
         agree, found = _of_code(protocol, held, waiting)
+    found += _open_end(held)
     latency = held.t - waiting.end
     late = protocol.timing.answer_deadline
     # How long a device takes to give up on a frame is its own choice (R-truncation-timeout).
@@ -120,13 +124,18 @@ def _of_reply(protocol: Protocol, reply: Reply, asked: Judgement) -> tuple[bool,
 
 def of_unpaired(protocol: Protocol, held: Held, why: Cause) -> AnswerCheck:
     """Check a device byte that answers no instruction; `why` is the cause."""
-    found = [why] if why.kind else []
+    found = [*([why] if why.kind else []), *_open_end(held)]
     if held.reply:
         return AnswerCheck(None, tuple(Anomaly(held.t, *one) for one in found))
     unused = held.byte not in protocol.codes
     if unused:
         found.append(_unused_code(protocol, held.byte))
     return AnswerCheck(False if unused else None, tuple(Anomaly(held.t, *one) for one in found))
+
+
+def _open_end(held: Held) -> list[Cause]:
+    """The cause where only silence tells the end of an answer."""
+    return [_SILENT_END] if held.reply and held.reply.open_end else []
 
 
 def unsolicited_because(instructions: int, near_loss: bool) -> Cause:

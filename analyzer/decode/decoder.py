@@ -26,8 +26,9 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.analyzer.decode.replies import Heard, ReplyFramer
 from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.spec.codec import FRAMING_FAULTS, Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import Framed, Kind, LayoutFramer, framer
+from bilprov.spec.framing import Framed, Kind, LayoutFramer, frame_size, framer
 from bilprov.spec.protocol import Protocol, ResponseSpec
 from bilprov.spec.state import State, after
 from bilprov.spec.steps import Steps
@@ -67,6 +68,9 @@ class Decoder:
         self._out_of_step: int | None = None  # when the open frame is given up
         self._lost_at: int | None = None  # when bytes were last known to be missing
         self._unread_from: int | None = None  # since when nothing was read, until the next event
+        self._timeout = timeout
+        self._in_doubt = False  # whether it is not confirmed that the host's frames begin as taken
+        self._host_until = 0  # when the host's last byte came, while that is in doubt
         # Whether nothing falls due in the moment in which a frame or its answer has come.
         self._unhurried = min(timeout, self._pairing.longest) > 0
 
@@ -111,6 +115,9 @@ class Decoder:
         """Decode host bytes; each frame is handled as if it had arrived by itself."""
         self._out_of_step = None
         if not self._protocol.plain:
+            if now - self._host_until >= self._timeout:
+                self._in_doubt = False  # no frame can be open
+            self._host_until = now
             for framed in self._framer.feed(data, now):
                 self._framed(framed, out)
             self._read_replies(out)
@@ -204,10 +211,20 @@ class Decoder:
         while self._replies.held:
             self._give_up_reply(now, out)
 
+    def doubt(self, now: int) -> None:
+        """Let the frames from `now` (ns) on be uncertain, until they are confirmed.
+
+        A right sync or check confirms them, else an answer that agrees, or silence of the host.
+        """
+        self._in_doubt, self._host_until = True, now
+
     @property
     def settled(self) -> bool:
-        """Whether nothing is held that a checkpoint cannot hold: a part of an answer, garbage."""
-        return not self._replies.held and self._framer.settled
+        """Whether all is known that a checkpoint cannot hold.
+
+        That is a part of an answer, garbage, and whether frames begin as taken.
+        """
+        return not self._in_doubt and not self._replies.held and self._framer.settled
 
     @property
     def regular(self) -> bool:
@@ -218,6 +235,7 @@ class Decoder:
         longest = self._pairing.longest
         return (
             self._unhurried
+            and not self._in_doubt
             and max(len(self._pairing.waiting), len(self._pairing.held)) < self._pairing.most
             and not self._away
             and not any(
@@ -395,7 +413,8 @@ class Decoder:
             state = self._state = after(self._state, step.sets)
         else:
             state = self._state = self._bus.after(judgement.address, step.sets)
-        out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state))
+        note = self._note(kind, judgement) if judgement.framed else ""
+        out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state, note))
         if self._paired and judgement.answer_due:
             pairing = self._pairing
             waiting = pairing.wait(sequence, end, judgement)
@@ -407,6 +426,16 @@ class Decoder:
                     early = anomalies.unanswered(oldest, known, pairing.most)
                     out.append(FaultRecord(early, state))
                 pairing.waiting.append(waiting)
+
+    def _note(self, kind: Kind, judgement: Judgement) -> str:
+        """Why a frame is uncertain, in words; "" if it is not."""
+        layout, frame = self._protocol.layout, judgement.frame
+        known = judgement.instruction is not None or kind != "instruction"
+        if not known and frame_size(self._protocol, frame) != len(frame):
+            return anomalies.SILENT_END
+        if self._in_doubt and (layout.check or layout.sync):
+            self._in_doubt = judgement.truncated or judgement.outcome in FRAMING_FAULTS
+        return anomalies.UNCLEAR if self._in_doubt else ""
 
     def _answer(self, byte: int, now: int, out: list[Record]) -> None:
         held = Held(now, byte)
@@ -440,6 +469,8 @@ class Decoder:
 
     def _pair(self, held: Held, waiting: Waiting, out: list[Record]) -> None:
         verdict = anomalies.of_answer(self._protocol, held, waiting, self._skew)
+        if verdict.agrees and waiting.judgement.valid:
+            self._in_doubt = False
         out.append(
             DeviceRecord(
                 held.t,

@@ -24,13 +24,16 @@ Each line is one object, always with these keys in this order. A key that does n
 - `faults`: the kinds of the line's anomalies: `faulty instruction`, `truncated`, `garbage`,
   `disagreeing`, `unused code`, `unsolicited`, `unanswered`, `slow`, `early`, `out of step`,
   `lost bytes`, and line events (`break`, `parity` ...). Those of severity info (`early` within the
-  skew of two taps, a banner before the first instruction) appear in `reason` only.
+  skew of two taps, a banner before the first instruction, `uncertain`) appear in `reason` only.
 
 Where a grammar's frames are more than a header byte and data, there are two keys more:
 
 - `outcome`: of an instruction, or of the one that this response answers: `valid`, `unknown-id`,
   `bad-data`, `too-many`, `too-few`, `truncated`, `bad-checksum`, `bad-sync`, `other-address`.
 - `address`: who is meant, or who answers; where frames have an address.
+
+A line whose bytes may not be one frame, or one answer, has one key more, `uncertain`: true. So it
+is where only silence tells the end, and before it is clear where frames begin; `reason` says which.
 """
 
 from __future__ import annotations
@@ -75,6 +78,7 @@ class JsonLine(msgspec.Struct, frozen=True, gc=False):
     faults: tuple[str, ...]
     outcome: str | UnsetType = UNSET
     address: int | UnsetType = UNSET
+    uncertain: bool | UnsetType = UNSET
 
 
 encode = msgspec.json.Encoder().encode
@@ -93,7 +97,9 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
     add = lines.append
     for record in records:  # in one loop: a call for each record would take a third more time
         if isinstance(record, HostRecord):
-            text, name, fields, judgement, reason, faults, outcome, address = _frame_values(record)
+            text, name, fields, judgement, reason, faults, outcome, address, uncertain = (
+                _frame_values(record)
+            )
             add(
                 JsonLine(
                     record.t / 1e9,
@@ -112,6 +118,7 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
                     faults,
                     outcome,
                     address,
+                    uncertain,
                 )
             )
         elif isinstance(record, DeviceRecord):
@@ -134,6 +141,7 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
                     _kinds(record) if record.faults else (),
                     UNSET if reply is None or answered is None else outcome_word(answered),
                     unset_if_none(reply.address) if reply else UNSET,
+                    (record.faults and record.uncertain) or UNSET,
                 )
             )
         elif record.faults:
@@ -172,6 +180,7 @@ class _FrameValues(NamedTuple):
     faults: tuple[str, ...]
     outcome: str | UnsetType
     address: int | UnsetType
+    uncertain: bool | UnsetType
 
 
 @PerFrame
@@ -187,6 +196,7 @@ def _frame_values(record: HostRecord) -> _FrameValues:
         _kinds(record),
         outcome_word(judgement) if judgement and judgement.framed else UNSET,
         unset_if_none(judgement.address) if judgement else UNSET,
+        record.uncertain or UNSET,
     )
 
 

@@ -16,7 +16,8 @@ _MOST = 1 << 14  # frames that are remembered
 class PerFrame(Generic[Made]):
     """Calls `make` for a record of the host, and remembers what it gave for the next such frame.
 
-    What is made must depend on the bytes and their judgement alone. Garbage is not remembered.
+    What is made must depend on the bytes and their judgement alone, and on why the frame is
+    uncertain. What is made of garbage, or of an uncertain frame, is not remembered.
     """
 
     def __init__(self, make: Callable[[HostRecord], Made]) -> None:
@@ -26,7 +27,7 @@ class PerFrame(Generic[Made]):
     def __call__(self, record: HostRecord) -> Made:
         """What is made of a record."""
         judgement = record.judgement
-        if judgement is None:
+        if judgement is None or record.note:
             return self._make(record)
         known = self._known.get(judgement.frame)
         if known is None or known[0] is not judgement:  # another grammar judges it otherwise

@@ -27,6 +27,9 @@ from bilprov.spec.protocol import Protocol, ResponseSpec
 from bilprov.spec.replies import Reply
 from bilprov.spec.state import State
 
+UNCERTAIN = "uncertain"
+"""The kind of the anomaly of bytes that may not be one frame, or one answer."""
+
 
 class Severity(IntEnum):
     """The severity of an anomaly; the numbers are those of Foxglove's log levels."""
@@ -53,7 +56,7 @@ class HostRecord(Timed, frozen=True, gc=False):
 
     `t` and `end` are the times of the first and the last byte, `known` when it was known that no
     more follow. `judgement` and `sequence` (which counts whole and truncated frames from 0) are
-    None for garbage, whose cause is in `note`.
+    None for garbage. `note` is the cause of garbage, or why a frame is uncertain.
     """
 
     end: int
@@ -77,19 +80,28 @@ class HostRecord(Timed, frozen=True, gc=False):
 
     @property
     def reason(self) -> str:
-        """Why the bytes are faulty, in words; empty for a valid frame."""
-        return self.judgement.reason if self.judgement else self.note
+        """Why the bytes are faulty or uncertain, in words; empty for a valid frame."""
+        why = self.judgement.reason if self.judgement else ""
+        return "; ".join(filter(None, (why, self.note)))
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether it is not certain that the bytes are one frame."""
+        return bool(self.judgement and self.note)
 
     @property
     def faults(self) -> tuple[Anomaly, ...]:
-        """The anomaly of these bytes by themselves, none for a valid frame."""
+        """The anomalies of these bytes by themselves, none for a valid frame that is certain."""
         judgement = self.judgement
         if judgement is None:
             return (Anomaly(self.known, "garbage", Severity.WARNING, self.note),)
-        if judgement.valid:
-            return ()
-        kind = "truncated" if judgement.truncated else "faulty instruction"
-        return (Anomaly(self.known, kind, Severity.WARNING, judgement.reason, self.sequence),)
+        found: tuple[Anomaly, ...] = ()
+        if not judgement.valid:
+            kind = "truncated" if judgement.truncated else "faulty instruction"
+            found = (Anomaly(self.known, kind, Severity.WARNING, judgement.reason, self.sequence),)
+        if self.note:
+            found += (Anomaly(self.known, UNCERTAIN, Severity.INFO, self.note, self.sequence),)
+        return found
 
     @property
     def value(self) -> Instruction:
@@ -155,6 +167,11 @@ class DeviceRecord(Timed, frozen=True, gc=False):
     def hex(self) -> str:
         """The bytes in hex, like `05`."""
         return self.data.hex(" ")
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether it is not certain that the bytes are one answer."""
+        return any(fault.kind == UNCERTAIN for fault in self.faults)
 
     @property
     def reason(self) -> str:

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from msgspec.structs import replace
+
 from bilprov.analyzer.decode.pairing import Waiting
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_reply, reply_size
@@ -104,6 +106,7 @@ class ReplyFramer:
         if not self._held:
             return None
         reply = read_reply(self._protocol, bytes(self._held), None)
+        reply = replace(reply, open_end=bool(reply.reason))  # a right one ends by itself
         return self._taken(Heard(reply, self._times[0], self._times[-1]))
 
     def _taken(self, heard: Heard) -> Heard:

@@ -231,7 +231,7 @@ class Session:
     def _host(self, data: bytes, now: int, out: list[Record]) -> None:
         """Pass host bytes to resynchronisation one by one, and once it has ended to the decoder."""
         if self._unsynced_since is not None:
-            self._resync = self._new_resync(self._unsynced_since, now)
+            self._synchronise(self._unsynced_since, now)
             self._unsynced_since = None
         at = 0
         while self._resync and at < len(data):
@@ -242,11 +242,14 @@ class Session:
         if at < len(data):
             self._decoder.host(data[at:], now, out)
 
-    def _new_resync(self, since: int, now: int) -> Resync | None:
-        """A Resync from the next byte on; None where silence shows that this byte is a header."""
-        if now - since >= self._timeout or not self._protocol.plain:
-            return None  # a frame of another layout is found by its sync or its check
-        return Resync(
+    def _synchronise(self, since: int, now: int) -> None:
+        """Look for frame boundaries from `now` on, unless silence shows that a frame begins."""
+        if now - since >= self._timeout:
+            return
+        if not self._protocol.plain:  # a frame of another layout is found by its sync or its check
+            self._decoder.doubt(now)
+            return
+        self._resync = Resync(
             self._protocol,
             timeout=self._timeout,
             skew=self._skew,

@@ -28,6 +28,7 @@ from bilprov.analyzer.output.row_columns import (
     columns_of,
     converted,
     nanoseconds,
+    own_columns,
 )
 from bilprov.captures.text import escape_controls
 from bilprov.spec.protocol import Protocol
@@ -44,8 +45,8 @@ def usual_columns(protocol: Protocol, *, time: bool = False) -> tuple[Column, ..
     known = columns_of(protocol)
     fields = [name for name in known if name.startswith("fields.")]
     states = [name for name in known if name.startswith("state.")]
-    address = ["address"] if protocol.layout.part("address") else []
-    names = [*_FRONT, *address, *fields, "judgement", "reason", "latency", *states, *_BACK]
+    own = [column.name for column in own_columns(protocol)]
+    names = [*_FRONT, *own, *fields, "judgement", "reason", "latency", *states, *_BACK]
     return tuple(known[name] for name in (["time", *names] if time else names))
 
 

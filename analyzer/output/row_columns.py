@@ -257,19 +257,24 @@ def columns_of(protocol: Protocol) -> dict[str, Column]:
     return {
         **{column.name: column for column in fields.values()},
         **dict([*common[:at], *states, *common[at:]]),
-        **{column.name: column for column in (identity, length, *_address(protocol))},
+        **{column.name: column for column in (identity, length, *own_columns(protocol))},
         **{name: replace(column, name=name) for name, column in fields.items()},
     }
 
 
-def _address(protocol: Protocol) -> Iterator[Column]:
-    """The column of the address, where frames have one."""
+def own_columns(protocol: Protocol) -> Iterator[Column]:
+    """The columns of keys that the lines of some grammars have: the address, and `uncertain`."""
 
     def address(line: JsonLine) -> Value:
         return None if line.address is UNSET else line.address
 
+    def uncertain(line: JsonLine) -> Value:
+        return None if line.uncertain is UNSET else line.uncertain
+
     if protocol.layout.part("address"):
         yield Column("address", "to", 4, "who is meant, or who answers", address, right=True)
+    if not protocol.plain:
+        yield Column("uncertain", "uncertain", 9, "whether it may not be one frame", uncertain)
 
 
 def bytes_fields(protocol: Protocol) -> frozenset[str]:

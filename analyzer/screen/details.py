@@ -43,6 +43,8 @@ def details(protocol: Protocol, record: Record, *, state: bool) -> Iterator[Deta
     look = look_of(record)
     for fault in serious_faults(record):
         yield Detail("fault", f"{fault.kind}: {fault.reason}", look=look)
+    if isinstance(record, HostRecord | DeviceRecord) and record.uncertain:
+        yield Detail("uncertain", record.faults[-1].reason)
     after = [Detail("state", record.state.described)] if state else []
     numbers: list[Detail] = []
     if isinstance(record, HostRecord):

@@ -16,10 +16,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from bilprov.captures.schemas import MS
 from bilprov.spec.errors import one_line
 
 _COMMAND_CHARACTERS = 40  # of a command line, which is enough to recognise a program
 _PTYS = "/dev/pts/"
+_LATER = 4  # ms by which a read may be later than its adapter's timer
 # Programs that take serial ports for something else, by the name of their process.
 MODEM_MANAGER, BRLTTY = "ModemManager", "brltty"
 
@@ -225,6 +227,14 @@ class Machine:
     def latency_timer(self, name: str) -> int | None:
         """For how many ms the adapter holds bytes back; None for one that has no such timer."""
         return _number(_text(self._folder(name) / "latency_timer"))
+
+    def least_pause(self, *names: str) -> int:
+        """The ns of silence that an adapter may cause by itself; 0 where no port has such a timer.
+
+        A shorter pause between two bytes tells nothing about when they were sent.
+        """
+        longest = max((self.latency_timer(name) or 0 for name in names), default=0)
+        return (longest + _LATER) * MS if longest else 0
 
     def no_hardware(self, name: str) -> bool:
         """Whether the port is a name that the driver keeps ready for a chip that is not there."""

@@ -20,7 +20,7 @@ from tests.support.traffic import ACTS, SETTINGS, Act, played
 
 def told(record: HostRecord | DeviceRecord) -> dict[str, Any]:
     """What the line of a frame or an answer tells, from the record alone; the keys in order."""
-    others = ("outcome", "address")  # of grammars with more around the data
+    others = ("outcome", "address", "uncertain")  # of grammars with more around the data
     line: dict[str, Any] = {key: None for key in JsonLine.__struct_fields__ if key not in others}
     line |= {"t": record.t / 1e9, "hex": record.hex, "reason": record.reason, "fields": {}}
     line["state"] = msgspec.structs.asdict(record.state)

@@ -1,0 +1,179 @@
+"""Frames whose end only silence tells, and those before it is clear where frames begin."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from bilprov.analyzer.cli import sniff
+from bilprov.analyzer.decode.batch import Records
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.output.csv_text import CsvText, usual_columns
+from bilprov.analyzer.output.json_text import JsonText
+from bilprov.analyzer.output.row_columns import Times
+from bilprov.analyzer.output.text_lines import LineRenderer
+from bilprov.analyzer.screen.details import details
+from bilprov.analyzer.transport.pty import open_pty
+from bilprov.captures.reader import open_capture
+from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.protocol import Protocol
+from tests.support.commands import command
+from tests.support.decoding import MS, Event, decoded, devices, hosts
+from tests.support.machines import FakeMachine
+
+MODBUS, STK500 = load_protocol("modbus-rtu"), load_protocol("stk500v1")
+READ = bytes.fromhex("1103006b00037687")  # section 6.3 of the document, with its address and check
+UNKNOWN = bytes.fromhex("116400010203")  # no function 100, and no check is right
+SILENT_END = "its end is uncertain: only silence marks it"
+UNCLEAR = "came before it was clear where frames begin"
+
+
+def rows(protocol: Protocol, records: Sequence[Record]) -> list[dict[str, str]]:
+    """The records as CSV."""
+    table = CsvText(usual_columns(protocol), Times())
+    return list(csv.DictReader(io.StringIO(table.header + table.text(records))))
+
+
+def test_a_frame_that_only_silence_ends_is_uncertain_wherever_it_is_shown() -> None:
+    events = [Chunk(MS, "host", UNKNOWN), Chunk(500 * MS, "host", READ)]
+    odd, whole = hosts(decoded(Session(MODBUS, heard=frozenset({"host"})), events))
+
+    assert (odd.uncertain, whole.uncertain) == (True, False)
+    assert odd.value.reason == odd.reason == f"crc is 02 03, right is 85 07; {SILENT_END}"
+    assert LineRenderer(colour=False).line(odd).endswith(SILENT_END)
+    texts = [(one.label, one.text) for one in details(MODBUS, odd, state=False)]
+    assert ("uncertain", SILENT_END) in texts
+    assert "uncertain" not in [one.label for one in details(MODBUS, whole, state=False)]
+    first, second = map(json.loads, JsonText().text([odd, whole]).splitlines())
+    assert (first["uncertain"], "uncertain" in second) == (True, False)
+    assert [row["uncertain"] for row in rows(MODBUS, [odd, whole])] == ["true", ""]
+    chosen = compile_filter("'uncertain' in reason", MODBUS).selection(Records([odd, whole]))
+    assert chosen.host.tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("frame", "certain"),
+    [
+        ("116400010203 6233", True),  # its check tells where it ends
+        ("116400010203 6234", False),
+        ("1103006b0003 7688", True),  # its function tells how long it is, wrong as it is
+        ("1103006b", True),  # cut short, which is another thing
+    ],
+)
+def test_what_tells_the_end_of_a_frame_makes_it_certain(frame: str, certain: bool) -> None:
+    (one,) = hosts(decoded(Session(MODBUS), [Chunk(0, "host", bytes.fromhex(frame))]))
+    assert one.uncertain is not certain
+
+
+def test_an_end_mark_tells_the_end_and_a_frame_without_it_is_uncertain() -> None:
+    for frame, certain in (("6620", True), ("660120", False), ("6601", False)):
+        (one,) = hosts(decoded(Session(STK500), [Chunk(0, "host", bytes.fromhex(frame))]))
+        assert one.uncertain is not certain
+
+
+def test_an_answer_that_only_silence_ends_is_uncertain() -> None:
+    events = [Chunk(0, "host", READ), Chunk(MS, "device", bytes.fromhex("11030602"))]
+    (one,) = devices(decoded(Session(MODBUS), events))
+    assert one.uncertain
+    assert one.reason.endswith(SILENT_END)
+    line = json.loads(JsonText().text([one]))
+    assert line["uncertain"] is True
+    assert line["faults"] == ["damaged answer"]
+
+
+def test_frames_are_uncertain_until_a_check_is_right() -> None:
+    """Listening began in the middle of a request: what is left of it looks like a broken one."""
+    rest = bytes.fromhex("05030001000212ab")
+    events = [Chunk(t * MS, "host", data) for t, data in enumerate((rest, READ, rest), 1)]
+    found = hosts(decoded(Session(MODBUS, attached=True), events))
+    assert [one.data for one in found] == [rest, READ, rest]
+    assert [one.uncertain for one in found] == [True, False, False]
+    assert found[0].reason.endswith(UNCLEAR)
+
+
+ASK, TOLD = bytes.fromhex("3020"), bytes.fromhex("1410")  # Get Sync
+
+
+@pytest.mark.parametrize(
+    ("events", "uncertain"),
+    [
+        ([Chunk(MS, "host", ASK), Chunk(9 * MS, "host", ASK)], [True, True]),
+        ([Chunk(MS, "host", ASK), Chunk(2 * MS, "device", TOLD), Chunk(9 * MS, "host", ASK)],
+         [True, False]),
+        ([Chunk(MS, "host", ASK), Chunk(2000 * MS, "host", ASK)], [True, False]),
+        ([Chunk(2000 * MS, "host", ASK)], [False]),
+    ],
+)  # fmt: skip
+def test_without_a_check_an_answer_or_silence_confirms_frames(
+    events: list[Event], uncertain: list[bool]
+) -> None:
+    found = hosts(decoded(Session(STK500, attached=True), events))
+    assert [one.uncertain for one in found] == uncertain
+    assert [one.reason for one in found] == [UNCLEAR if odd else "" for odd in uncertain]
+
+
+def test_after_a_loss_frames_are_uncertain_again_and_columns_wait_for_that() -> None:
+    say = [Chunk(t * MS, "host", ASK) for t in range(2000, 2400)]
+    hear = [Chunk(t * MS + MS // 2, "device", TOLD) for t in range(2000, 2400)]
+    events: list[Event] = [*say[:200], Line(2200 * MS, "gap"), *say[200:], *hear]
+    events.sort(key=lambda event: event.t)
+    session = decoded(Session(STK500), events)
+    decoder = StreamDecoder(STK500)
+    batches = [*decoder.feed(events), *decoder.finish()]
+
+    assert [record for batch in batches for record in batch.records()] == session
+    assert [one.sequence for one in hosts(session) if one.uncertain] == [200]
+    assert any(not isinstance(batch, Records) for batch in batches)
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> FakeMachine:
+    return FakeMachine(tmp_path)
+
+
+def test_a_frame_is_not_cut_by_a_pause_that_an_adapter_makes(
+    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    usb = machine.adapter(latency=16)
+    monkeypatch.setattr(sniff, "Machine", lambda: machine)
+    ports = (usb, "/dev/ttyS0", "socket://localhost:4000")
+    assert sniff.above_latency(50 * MS, *ports) == 50 * MS
+    assert sniff.above_latency(5 * MS, *ports[1:]) == 5 * MS
+    assert not capsys.readouterr().err
+    timeout = sniff.above_latency(5 * MS, *ports)
+    said = capsys.readouterr().err
+    assert "a frame is cut after 20 ms of silence instead of 5 ms" in said
+
+    frame = UNKNOWN + bytes.fromhex("6233")
+    late = [Chunk(0, "host", frame[:3]), Chunk(16 * MS, "host", frame[3:])]
+    (one,) = hosts(decoded(Session(MODBUS, timeout=timeout), late))
+    assert (one.data, one.uncertain) == (frame, False)
+    assert len(hosts(decoded(Session(MODBUS, timeout=5 * MS), late))) == 2
+
+
+def test_sniff_cuts_and_records_by_what_its_adapter_needs(
+    tmp_path: Path, machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sniff, "Machine", lambda: machine)
+    with open_pty() as pair:
+        machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "16")
+        path = tmp_path / "line.mcap"
+        words = (pair.name, "-w", str(path), "--truncation-timeout", "5")
+        done = command("sniff", *words, "--duration", "0.05", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert open_capture(path).metadata["truncation_timeout_ms"] == "20"
+
+
+def test_records_tell_whether_they_are_certain(protocol: Protocol) -> None:
+    events = [Chunk(0, "host", b"\x80"), Chunk(MS, "device", b"\0"), Chunk(2 * MS, "host", b"\x81")]
+    found = decoded(Session(protocol), events)
+    assert not any(one.uncertain for one in found if isinstance(one, HostRecord | DeviceRecord))
