@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 from bilprov.conformance.causes.exchanges import Bag, Exchange
 from bilprov.conformance.causes.features import Feature
-from bilprov.conformance.causes.learner import one_rule, rules
+from bilprov.conformance.causes.learner import Learner, Table
 from bilprov.conformance.causes.relations import Effect, Relation, relations
 from bilprov.conformance.causes.rules import Rule, matches
 
@@ -64,12 +65,14 @@ def find_causes(
 ) -> list[Cause]:
     """Find the causes of the deviations in the failed cases."""
     clean = [e for e in exchanges if not e.deviations and e.right]
-    effects = _effects([bag for bag in bags if bag.exchanges[0].case in failed], clean)
+    wrong = [bag for bag in bags if bag.exchanges[0].case in failed]
+    table = Table(features, [*clean, *(e for bag in wrong for e in bag.exchanges)])
+    effects = _effects(wrong, clean)
     effects.sort(key=lambda effect: -len(effect.bags))
     causes: list[Cause] = []
     for effect in effects[:_EFFECTS]:
-        if not any(_joined(features, cause, effect) for cause in causes):
-            causes += _causes(features, effect)
+        if not any(_joined(table, cause, effect) for cause in causes):
+            causes += _causes(table, effect)
     return _without_leftovers(causes)
 
 
@@ -137,13 +140,13 @@ def _against(relation: Relation, bags: Sequence[Bag], clean: Sequence[Exchange])
     return [e for e in clean if relation.shows(e, watched)]
 
 
-def _joined(features: Sequence[Feature], cause: Cause, effect: Effect) -> bool:
+def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
     """Add an effect to a cause if one rule explains both; return whether it does."""
     if _explains(cause.rule, effect):
         cause.effects.append(effect)
         return True
     both = [*cause.effects, effect]
-    rule = _one_rule(features, both)
+    rule = _one_rule(table, both)
     if rule is None or _cost(rule) > _cost(cause.rule) + 1:
         return False
     cause.rule, cause.effects = rule, both
@@ -160,28 +163,27 @@ def _explains(rule: Rule, effect: Effect) -> bool:
     return taken and not any(matches(rule, e) for e in effect.against)
 
 
-def _one_rule(features: Sequence[Feature], effects: Sequence[Effect]) -> Rule | None:
+def _one_rule(table: Table, effects: Sequence[Effect]) -> Rule | None:
     groups = [group for effect in effects for group in effect.groups]
     against = list({id(e): e for effect in effects for e in effect.against}.values())
+    learner = cache(lambda most: Learner(table, most, groups, against))
     for tiers in (TIERS[:-1], TIERS[-1:]):
         for share in (1.0, 0.97):
             for most in tiers:
-                rule = one_rule([f for f in features if f.cost <= most], groups, against, share)
+                rule = learner(most).one_rule(share)
                 if rule is not None and len(rule) <= _LITERALS:
                     return rule
     return None
 
 
-def _causes(features: Sequence[Feature], effect: Effect) -> list[Cause]:
+def _causes(table: Table, effect: Effect) -> list[Cause]:
     """The causes of one effect: one where one rule explains it, else as few as cover it."""
     for likely in (effect.at_setters(), effect):
-        rule = _one_rule(features, [likely])
+        rule = _one_rule(table, [likely])
         if rule is not None:
             return [Cause(rule, [likely])]
     causes, left = [], list(effect.bags)
-    for rule in rules(
-        [f for f in features if f.cost <= TIERS[-2]], effect.groups, effect.against, _RULES
-    ):
+    for rule in Learner(table, TIERS[-2], effect.groups, effect.against).rules(_RULES):
         whole = Effect(effect.relation, left, effect.against)
         taken = [
             bag

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from bilprov.conformance.causes.exchanges import Exchange
 from bilprov.conformance.causes.features import Feature
-from bilprov.conformance.causes.rules import Literal, Rule, matches
+from bilprov.conformance.causes.rules import Literal, Rule
 
 Mask = npt.NDArray[np.bool_]
+Places = npt.NDArray[np.intp]
 
 _SAMPLE = 3000
 _MORE = 300
@@ -28,22 +30,73 @@ _VALUES = 48
 _SEEDS = 6
 
 
-class Column:
-    """The values of a feature for many exchanges, on which literals are evaluated at once."""
+class _Part(NamedTuple):
+    """The values of a feature for some exchanges: numbers where `known`, codes of words else.
+
+    The code of no word is -1.
+    """
+
+    known: Mask
+    numbers: npt.NDArray[np.int64]
+    codes: npt.NDArray[np.int16]
+
+
+class _Column:
+    """The values of a feature for all exchanges; each is taken when it is first asked for."""
 
     def __init__(self, feature: Feature, exchanges: Sequence[Exchange]) -> None:
         self.feature = feature
-        self.values = [feature.of(exchange) for exchange in exchanges]
-        numbers = [v if isinstance(v, int) else None for v in self.values]
-        self.known = np.array([n is not None for n in numbers], bool)
-        self.numbers = np.array([n or 0 for n in numbers], np.int64)
-        self._words = np.array([v if isinstance(v, str) else "" for v in self.values])
+        self._exchanges = exchanges
+        self._taken = np.zeros(len(exchanges), bool)
+        self._known = np.zeros(len(exchanges), bool)
+        self._numbers = np.zeros(len(exchanges), np.int64)
+        self._codes = np.full(len(exchanges), -1, np.int16)
+        self._code_of: dict[str, int] = {}
 
-    def mask(self, literal: Literal) -> Mask:
-        """Return for which exchanges the literal holds."""
+    def part(self, places: Places) -> _Part:
+        """The values of the exchanges at these places."""
+        missing = places[~self._taken[places]]
+        if len(missing):
+            self._take(np.unique(missing))
+        return _Part(self._known[places], self._numbers[places], self._codes[places])
+
+    def _take(self, places: Places) -> None:
+        values = [self.feature.of(self._exchanges[place]) for place in places]
+        code_of = self._code_of
+        self._taken[places] = True
+        self._known[places] = [isinstance(v, int) for v in values]
+        self._numbers[places] = [v if isinstance(v, int) else 0 for v in values]
+        self._codes[places] = [
+            code_of.setdefault(v, len(code_of)) if isinstance(v, str) else -1 for v in values
+        ]
+
+    def mask(self, literal: Literal, part: _Part) -> Mask:
+        """Return for which exchanges of a part the literal holds."""
         if isinstance(literal.value, str):
-            return np.asarray(self._words == literal.value, bool)
-        return np.asarray(self.known & _fits(self.numbers, literal), bool)
+            return np.asarray(part.codes == self._code_of[literal.value], bool)
+        return np.asarray(part.known & _fits(part.numbers, literal), bool)
+
+    def literals(self, part: _Part, single: Mask) -> list[Literal]:
+        """The literals that hold for some of a part; `single` are those alone in their bag."""
+        feature, found = self.feature, []
+        words = {word for word, code in self._code_of.items() if (part.codes == code).any()}
+        found += [Literal(feature, "is", word) for word in sorted(words)]
+        if not part.known.any():
+            return found
+        values, counts = np.unique(part.numbers[part.known], return_counts=True)
+        common = values[np.argsort(-counts, kind="stable")][:_VALUES]
+        found += [Literal(feature, "is", int(value)) for value in common]
+        steps = values[np.unique(np.linspace(0, len(values) - 1, _THRESHOLDS).astype(int))]
+        found += [Literal(feature, "from", int(value)) for value in steps]
+        found += [Literal(feature, "to", int(value)) for value in steps]
+        for bit in range(feature.bits):
+            found += [Literal(feature, "bit", bit), Literal(feature, "no bit", bit)]
+        if feature.counts and (single & part.known).sum() > 2:
+            alone = np.unique(part.numbers[single & part.known])
+            period = int(np.gcd.reduce(np.diff(alone))) if len(alone) > 2 else 0
+            if period > 1:
+                found.append(Literal(feature, "every", (period, int(alone[0]) % period)))
+        return found
 
 
 def _fits(numbers: npt.NDArray[np.int64], literal: Literal) -> npt.NDArray[np.bool_]:
@@ -60,69 +113,83 @@ def _fits(numbers: npt.NDArray[np.int64], literal: Literal) -> npt.NDArray[np.bo
     return np.asarray((np.abs(numbers) >> value & 1 == 1) == (operator == "bit"))
 
 
-class _Learner:
-    """Learns rules for some bags of exchanges against others that are right."""
+class Table:
+    """The features of a run's exchanges, each of which is taken once."""
+
+    def __init__(self, features: Iterable[Feature], exchanges: Iterable[Exchange]) -> None:
+        self._exchanges = list({id(exchange): exchange for exchange in exchanges}.values())
+        self._places = {id(exchange): n for n, exchange in enumerate(self._exchanges)}
+        self.columns = [_Column(feature, self._exchanges) for feature in features]
+
+    def places(self, exchanges: Iterable[Exchange]) -> Places:
+        """Return where these exchanges stand in the table."""
+        return np.array([self._places[id(exchange)] for exchange in exchanges], np.intp)
+
+
+class Learner:
+    """Learns rules for some bags of exchanges against others that are right.
+
+    Features that cost more than `most` are not used.
+    """
 
     def __init__(
         self,
-        features: Sequence[Feature],
+        table: Table,
+        most: int,
         bags: Sequence[Sequence[Exchange]],
         right: Sequence[Exchange],
     ) -> None:
-        self.features = features
+        self._columns = [column for column in table.columns if column.feature.cost <= most]
         self.bags = sorted(bags, key=len)[:1500]
-        self._right = right
-        drawn = random.Random(0)
-        sample = list(right) if len(right) <= _SAMPLE else drawn.sample(right, _SAMPLE)
-        self._sampled = set(map(id, sample))
-        self._positive = [e for bag in self.bags for e in bag]
-        self._starts = np.cumsum([0, *(len(bag) for bag in self.bags[:-1])])
-        self._columns = [Column(f, self._positive) for f in features]
-        self._literals = [
-            literal for column in self._columns for literal in _literals(column, self._single())
+        sizes = [len(bag) for bag in self.bags]
+        self._starts = np.cumsum([0, *sizes[:-1]])
+        positive = table.places(e for bag in self.bags for e in bag)
+        self._count = len(positive)
+        single = np.repeat(np.array(sizes) == 1, sizes)
+        parts = [column.part(positive) for column in self._columns]
+        self._own = [
+            column.literals(part, single) for column, part in zip(self._columns, parts, strict=True)
         ]
+        self._literals = [literal for own in self._own for literal in own]
+        self._column_of = [c for c, own in zip(self._columns, self._own, strict=True) for _ in own]
         self._costs = np.array([literal.feature.cost for literal in self._literals])
-        self._held = self._masks(self._columns)
-        self._wrong = np.zeros((len(self._literals), 0), bool)
-        self._add(sample)
+        self._held = self._masks(positive)
+        places = table.places(right)
+        drawn = random.Random(0)
+        sample = places if len(places) <= _SAMPLE else np.array(drawn.sample(list(places), _SAMPLE))
+        self._left = places[~np.isin(places, sample)]
+        self._wrong = self._masks(sample)
 
-    def _single(self) -> Mask:
-        """Which of the positive exchanges are alone in their bag."""
-        return np.concatenate([np.full(len(bag), len(bag) == 1) for bag in self.bags])
-
-    def _masks(self, columns: Sequence[Column]) -> Mask:
-        by_name = {column.feature.name: column for column in columns}
-        rows = [by_name[literal.feature.name].mask(literal) for literal in self._literals]
+    def _masks(self, places: Places) -> Mask:
+        """For which of these exchanges each literal holds."""
+        rows = []
+        for column, own in zip(self._columns, self._own, strict=True):
+            part = column.part(places)
+            rows += [column.mask(literal, part) for literal in own]
         return np.array(rows, bool).reshape(len(rows), -1)
-
-    def _add(self, right: Sequence[Exchange]) -> None:
-        columns = [Column(feature, right) for feature in self.features]
-        self._wrong = np.concatenate([self._wrong, self._masks(columns)], axis=1)
 
     def _bags_hit(self, held: npt.ArrayLike) -> Mask:
         """Which bags hold an exchange that is taken in, for each row."""
         return np.asarray(np.logical_or.reduceat(held, self._starts, axis=-1), bool)
 
-    def verified(self, chosen: list[int]) -> bool:
+    def _verified(self, chosen: Sequence[int]) -> bool:
         """Return whether a rule takes in no right exchange; those it does are added."""
-        rule = self.rule(chosen)
-        against = []
-        for exchange in self._right:
-            if id(exchange) not in self._sampled and matches(rule, exchange):
-                against.append(exchange)
-                if len(against) >= _MORE:
-                    break
-        if not against:
+        against = self._left
+        for literal in sorted(chosen, key=lambda i: self._costs[i]):
+            column = self._column_of[literal]
+            against = against[column.mask(self._literals[literal], column.part(against))]
+        against = against[:_MORE]
+        if not len(against):
             return True
-        self._sampled.update(map(id, against))
-        self._add(against)
+        self._left = self._left[~np.isin(self._left, against)]
+        self._wrong = np.concatenate([self._wrong, self._masks(against)], axis=1)
         return False
 
-    def rule(self, chosen: Sequence[int]) -> Rule:
+    def _rule(self, chosen: Sequence[int]) -> Rule:
         return tuple(self._literals[i] for i in sorted(chosen, key=lambda i: self._costs[i]))
 
-    def one_rule(self, share: float) -> list[int] | None:
-        """The literals of a rule that takes in this share of the bags, None if there is none."""
+    def one_rule(self, share: float) -> Rule | None:
+        """Return one rule that takes in this share of the bags, None where there is none."""
         while True:
             hit = self._bags_hit(self._held)
             common = np.flatnonzero(hit.mean(axis=1) >= share)
@@ -132,8 +199,8 @@ class _Learner:
             taken = self._bags_hit(self._held[chosen].all(axis=0))
             if taken.mean() < share:
                 return None
-            if self.verified(chosen):
-                return self._with_subject(chosen)
+            if self._verified(chosen):
+                return self._rule(self._with_subject(chosen))
 
     def _with_subject(self, chosen: list[int]) -> list[int]:
         """The literals, with one that names the frame where all deviations have one in common."""
@@ -170,7 +237,7 @@ class _Learner:
                 chosen = rest
         return chosen
 
-    def some_rule(self, open_bags: Mask) -> list[int] | None:
+    def _some_rule(self, open_bags: Mask) -> list[int] | None:
         """The literals of a rule that takes in as many of these bags as it can."""
         seeds = [int(i) for i in np.flatnonzero(open_bags)]
         drawn = random.Random(len(seeds)).sample(seeds, min(_SEEDS, len(seeds)))
@@ -190,7 +257,7 @@ class _Learner:
         while True:
             first = int(self._starts[seed])
             usable = np.flatnonzero(self._held[:, first])
-            pos = np.ones(len(self._positive), bool)
+            pos = np.ones(self._count, bool)
             neg = np.ones(self._wrong.shape[1], bool)
             chosen: list[int] = []
             while neg.any() and len(chosen) < 6:
@@ -213,63 +280,17 @@ class _Learner:
             if neg.any():
                 return None
             chosen = self._pruned(chosen)
-            if self.verified(chosen):
+            if self._verified(chosen):
                 return chosen
 
-    def taken(self, chosen: Sequence[int]) -> Mask:
-        """Which bags a rule takes in."""
-        return self._bags_hit(self._held[list(chosen)].all(axis=0))
-
-
-def _literals(column: Column, single: Mask) -> list[Literal]:
-    feature, found = column.feature, []
-    words = {v for v in column.values if isinstance(v, str)}
-    found += [Literal(feature, "is", word) for word in sorted(words)]
-    if not column.known.any():
+    def rules(self, most: int) -> list[Rule]:
+        """Return rules that together take in as many bags as they can, the widest first."""
+        open_bags = np.ones(len(self.bags), bool)
+        found: list[Rule] = []
+        while open_bags.any() and len(found) < most:
+            chosen = self._some_rule(open_bags)
+            if chosen is None:
+                break
+            found.append(self._rule(chosen))
+            open_bags &= ~self._bags_hit(self._held[chosen].all(axis=0))
         return found
-    numbers = column.numbers[column.known]
-    values, counts = np.unique(numbers, return_counts=True)
-    common = values[np.argsort(-counts, kind="stable")][:_VALUES]
-    found += [Literal(feature, "is", int(value)) for value in common]
-    steps = values[np.unique(np.linspace(0, len(values) - 1, _THRESHOLDS).astype(int))]
-    found += [Literal(feature, "from", int(value)) for value in steps]
-    found += [Literal(feature, "to", int(value)) for value in steps]
-    for bit in range(feature.bits):
-        found += [Literal(feature, "bit", bit), Literal(feature, "no bit", bit)]
-    if feature.counts and (single & column.known).sum() > 2:
-        alone = np.unique(column.numbers[single & column.known])
-        period = int(np.gcd.reduce(np.diff(alone))) if len(alone) > 2 else 0
-        if period > 1:
-            found.append(Literal(feature, "every", (period, int(alone[0]) % period)))
-    return found
-
-
-def one_rule(
-    features: Sequence[Feature],
-    bags: Sequence[Sequence[Exchange]],
-    right: Sequence[Exchange],
-    share: float = 1.0,
-) -> Rule | None:
-    """Return one rule that takes in this share of the bags, None where there is none."""
-    learner = _Learner(features, bags, right)
-    chosen = learner.one_rule(share)
-    return None if chosen is None else learner.rule(chosen)
-
-
-def rules(
-    features: Sequence[Feature],
-    bags: Sequence[Sequence[Exchange]],
-    right: Sequence[Exchange],
-    most: int,
-) -> list[Rule]:
-    """Return rules that together take in as many bags as they can, the widest first."""
-    learner = _Learner(features, bags, right)
-    open_bags = np.ones(len(learner.bags), bool)
-    found: list[Rule] = []
-    while open_bags.any() and len(found) < most:
-        chosen = learner.some_rule(open_bags)
-        if chosen is None:
-            break
-        found.append(learner.rule(chosen))
-        open_bags &= ~learner.taken(chosen)
-    return found
