@@ -317,13 +317,8 @@ def _set_words(
 
 def _other_words(specs: Iterable[InstructionSpec]) -> Iterator[str]:
     """What is written besides the state, each once."""
-    written = dict.fromkeys(
-        name
-        for spec in specs
-        for name in (spec.changes, spec.writes.name if spec.writes else "")
-        if name
-    )
-    yield from (f"write {name}" for name in written)
+    written = (spec.changes or (spec.writes.name if spec.writes else "") for spec in specs)
+    yield from (f"write {name}" for name in dict.fromkeys(written) if name)
 
 
 def change_by(protocol: Protocol, frame: bytes) -> str:

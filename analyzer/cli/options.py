@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -114,6 +114,19 @@ class LineOptions:
         from bilprov.analyzer.transport.line_settings import line_settings
 
         return line_settings(protocol, self.baud, self.parity, self.stopbits)
+
+
+@dataclass(frozen=True)
+class SendingLineOptions(LineOptions):
+    """The settings of a serial line that is sent on."""
+
+    echo: bool = flag(
+        "What is sent comes back, as on a bus whose adapter hears itself: take that echo away."
+    )
+
+    def settings(self, protocol: Protocol) -> LineSettings:
+        """The settings of the line. Raises ValueError."""
+        return replace(super().settings(protocol), echo=self.echo)
 
 
 @dataclass(frozen=True)

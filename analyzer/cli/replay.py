@@ -14,7 +14,7 @@ import click
 from bilprov.analyzer.cli.command import argument, command, flag, group, option
 from bilprov.analyzer.cli.options import (
     Finite,
-    LineOptions,
+    SendingLineOptions,
     ShownOptions,
     WindowOptions,
     compiled,
@@ -93,7 +93,7 @@ class ReplayOptions:
     yes: bool = flag("With --to: the device may move, do not ask.")
     only_reading: bool = only_reading_option()
     max_drive: float = max_drive_option()
-    line: LineOptions = group(LineOptions)
+    line: SendingLineOptions = group(SendingLineOptions)
     truncation_timeout: float | None = timeout_option()
 
     @property

@@ -20,6 +20,7 @@ from bilprov.analyzer.client.operations import listen
 from bilprov.analyzer.client.port_driver import OnPort
 from bilprov.analyzer.grammar_file import given_protocol
 from bilprov.captures.schemas import MS
+from bilprov.spec.by_effect import change_by
 from bilprov.spec.codec import Judgement, build, judge, spaced
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
@@ -47,6 +48,7 @@ class DeviceDriver(InstructionMethods):
     """
 
     _address: int | None = None
+    _only_reading = False
 
     def __getattr__(self, name: str) -> Any:  # of any grammar, so a type checker knows no names
         return self._method(name)
@@ -110,6 +112,9 @@ class DeviceDriver(InstructionMethods):
 
     def _exchange(self, frame: bytes) -> Reply | None:
         asked = judge(self.protocol, frame)
+        change = change_by(self.protocol, frame) if self._only_reading else ""
+        if change:
+            raise ValueError(f"{change}: only_reading sends what changes nothing")
         with self._alone():
             if not self._in_step:
                 self.home()
@@ -182,9 +187,10 @@ class Device(DeviceDriver, OnPort):
             first, second = meter.read_holding_registers(start=0, quantity=2)
 
     `grammar` is the name of a shipped grammar, a file or a Protocol. `address` is the device that
-    is meant unless a method is called with another one. `OnPort` describes the other arguments and
-    how it is left, `DeviceDriver` the methods and the exceptions. Nothing is sent at first and at
-    the end, unless the grammar tells when the device is at rest.
+    is meant unless a method is called with another one. With `only_reading` a method that may
+    change something raises ValueError instead of sending it. `OnPort` describes the other
+    arguments and how it is left, `DeviceDriver` the methods and the exceptions. Nothing is sent at
+    first and at the end, unless the grammar tells when the device is at rest.
     """
 
     def __init__(
@@ -193,17 +199,26 @@ class Device(DeviceDriver, OnPort):
         *,
         grammar: str | PathLike[str] | Protocol | None = None,
         address: int | None = None,
+        only_reading: bool = False,
         timeout: float | None = None,
         baud: int | None = None,
         parity: str | None = None,
         stopbits: float | None = None,
+        echo: bool = False,
     ) -> None:
         grammar = given_protocol(grammar)
         if address is not None:
             require_address(grammar, address)
         self._address = address
+        self._only_reading = only_reading
         super().__init__(
-            url, grammar=grammar, timeout=timeout, baud=baud, parity=parity, stopbits=stopbits
+            url,
+            grammar=grammar,
+            timeout=timeout,
+            baud=baud,
+            parity=parity,
+            stopbits=stopbits,
+            echo=echo,
         )
 
 

@@ -148,7 +148,8 @@ class OnPort(InstructionMethods):
 
     `url` is a path or any pyserial URL. `grammar` is a grammar file or a Protocol, the kit's own
     unless given; `timeout` how long (ms) an answer may take; `baud` (bits/s), `parity` (N E O M S)
-    and `stopbits` (1 1.5 2) are the grammar's unless given.
+    and `stopbits` (1 1.5 2) are the grammar's unless given. With `echo` what is sent comes back on
+    the line, as on a bus whose adapter hears itself, and is taken away.
 
     Opening sends only stops, until the robot answers, so it starts no motion. It asks for no
     confirmation, since starting the program is the user's consent. Raises LinkError for a port
@@ -177,12 +178,13 @@ class OnPort(InstructionMethods):
         baud: int | None = None,
         parity: str | None = None,
         stopbits: float | None = None,
+        echo: bool = False,
     ) -> None:
         grammar = given_protocol(grammar)
         if timeout is not None and not 0 < timeout < math.inf:
             raise ValueError(f"timeout is {timeout:g}, allowed are milliseconds above 0")
         _handle_signals()
-        self._port = open_port(url, line_settings(grammar, baud, parity, stopbits))
+        self._port = open_port(url, line_settings(grammar, baud, parity, stopbits, echo=echo))
         self._open = True
         self._signals = ExitStack()
         try:

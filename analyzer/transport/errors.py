@@ -45,6 +45,7 @@ _SAME_AS = {
 }
 
 
+_SHOWN = 16  # bytes that a sentence lists
 _NEAR = 0.85  # how alike two names are, of 1, where one may be meant by the other
 
 
@@ -207,6 +208,27 @@ def writing_failed(name: str, error: BaseException, timeout: float) -> LinkError
     if _number(list(_causes(error))) is not None:
         return link_lost(name, error)
     return LinkError(f"{name} took no byte for {timeout:g} s; does anything read at the other end?")
+
+
+def echo_differs(name: str, sent: bytes, came: bytes) -> LinkError:
+    """Return a LinkError that says that something else came than the echo of what was sent."""
+    return LinkError(
+        f"{name} carried {_spaced(came)} where {_spaced(sent)} was sent: another sender talked at "
+        "the same time, or this line has no echo"
+    )
+
+
+def echo_missing(name: str, sent: bytes, came: bytes, timeout: float) -> LinkError:
+    """Return a LinkError that says how much of the echo came in `timeout` s."""
+    return LinkError(
+        f"{len(came)} of the {len(sent)} bytes {_spaced(sent)} came back from {name} in "
+        f"{timeout:g} s: is the adapter connected, and does the line have an echo?"
+    )
+
+
+def _spaced(data: bytes) -> str:
+    """The first bytes in hex."""
+    return data[:_SHOWN].hex(" ") + (" ..." if len(data) > _SHOWN else "")
 
 
 def path_in(name: str) -> str | None:

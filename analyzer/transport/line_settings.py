@@ -12,13 +12,15 @@ from bilprov.spec.protocol import Protocol
 class LineSettings:
     """The settings of a serial line: `baud` in bits/s, `parity` of N E O M S, `stopbits` 1 1.5 2.
 
-    There are always 8 data bits. The defaults are the grammar's (`Protocol.line`). Raises
-    ValueError, in one sentence, for any other value.
+    There are always 8 data bits. The defaults are the grammar's (`Protocol.line`). With `echo` what
+    is sent comes back, as on a bus whose adapter hears itself. Raises ValueError, in one sentence,
+    for any other value.
     """
 
     baud: int
     parity: str
     stopbits: float
+    echo: bool = False
 
     def __post_init__(self) -> None:
         if self.baud < 1:
@@ -43,6 +45,8 @@ def line_settings(
     baud: int | None = None,
     parity: str | None = None,
     stopbits: str | float | None = None,
+    *,
+    echo: bool = False,
 ) -> LineSettings:
     """The given line settings; the grammar's own for each that is None. Raises ValueError."""
     line = protocol.line
@@ -50,6 +54,7 @@ def line_settings(
         baud=line.baud if baud is None else baud,
         parity=line.parity if parity is None else parity,
         stopbits=line.stopbits if stopbits is None else float(stopbits),
+        echo=echo,
     )
 
 

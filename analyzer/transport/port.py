@@ -15,14 +15,22 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from bilprov.analyzer.transport.errors import LinkError, link_lost, writing_failed
+from bilprov.analyzer.transport.errors import (
+    LinkError,
+    echo_differs,
+    echo_missing,
+    link_lost,
+    writing_failed,
+)
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.closing import Closing
 
 WRITE_TIMEOUT = 1.0  # s without a single byte taken
+ECHO_TIMEOUT = 0.5  # s that an echo may come late
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
 _MORE_COMES = 2048  # bytes: a shorter read has emptied a terminal's or a socket's buffer
 _PULSE = 0.01  # s
+POLL_STEP = 0.001  # s between looks at a port that select cannot wait for
 _TIOCGICOUNT = 0x545D
 # Places in Linux's struct serial_icounter_struct: cts dsr rng dcd rx tx frame overrun parity brk
 # buf_overrun, then room for more.
@@ -39,6 +47,7 @@ class Port(Closing):
         self.settings = settings
         self._handle = handle
         self._fd = _descriptor(handle)
+        self._unechoed = bytearray()
         self._instant = "://" in name or is_pty(name)
         # spy:// prints the traffic, so its bytes have to go through pyserial's own calls.
         self._direct = self._fd is not None and not name.lower().startswith("spy://")
@@ -99,23 +108,17 @@ class Port(Closing):
         return len(part)
 
     def write(self, data: bytes) -> None:
-        """Write all of `data`.
+        """Write all of `data`, and take away its echo where the line has one.
 
         Raises LinkError when the port is lost or takes no byte for 1 s (pyserial's own write gives
-        up when the buffer is exactly full although all was taken, and spins while it waits).
+        up when the buffer is exactly full although all was taken, and spins while it waits), and
+        where the echo differs or does not come.
         """
-        left = memoryview(data)
-        give_up = time.monotonic() + WRITE_TIMEOUT
-        while left:
-            count = self.write_some(left)
-            left = left[count:]
-            now = time.monotonic()
-            if count:
-                give_up = now + WRITE_TIMEOUT
-            elif now >= give_up:
-                raise writing_failed(self.name, TimeoutError(), WRITE_TIMEOUT)
-            else:  # waits are short, since a UART reports room long after it could take some bytes
-                self._wait_writable()
+        try:
+            self._write_all(data)
+            self._take_echo()
+        finally:
+            self._unechoed.clear()
 
     def error_counts(self) -> Mapping[str, int] | None:
         """Return the driver's counts of `parity`, `framing`, `overrun` and `break` errors.
@@ -201,24 +204,64 @@ class Port(Closing):
         except FAULTS as error:
             raise link_lost(self.name, error) from error
 
-    def _take(self, ready: bool) -> bytes:
+    def _write_all(self, data: bytes) -> None:
+        left = memoryview(data)
+        give_up = time.monotonic() + WRITE_TIMEOUT
+        while left:
+            count = self.write_some(left)
+            if self.settings.echo:
+                self._unechoed += left[:count]
+            left = left[count:]
+            now = time.monotonic()
+            if count:
+                give_up = now + WRITE_TIMEOUT
+            elif now >= give_up:
+                raise writing_failed(self.name, TimeoutError(), WRITE_TIMEOUT)
+            else:  # waits are short, since a UART reports room long after it could take some bytes
+                self._wait_writable()
+
+    def _take_echo(self) -> None:
+        """Read the echo of all that was written, also by a signal handler meanwhile."""
+        sent, came = bytes(self._unechoed), b""
+        give_up = time.monotonic() + len(sent) * self.byte_time / 1e9 + ECHO_TIMEOUT
+        while self._unechoed:
+            try:
+                part = self._take(False, len(self._unechoed))
+            except FAULTS as error:
+                raise link_lost(self.name, error) from error
+            came += part
+            if not self._unechoed.startswith(part):
+                raise echo_differs(self.name, sent, came)
+            del self._unechoed[: len(part)]
+            if not part and time.monotonic() >= give_up:
+                raise echo_missing(self.name, sent, came, ECHO_TIMEOUT)
+            if not part:
+                self._wait_readable()
+
+    def _take(self, ready: bool, most: int = _READ_LIMIT) -> bytes:
         if self._direct and self._fd is not None:
             if not ready and not select.select([self._fd], [], [], 0)[0]:
                 return b""
             try:
-                data = os.read(self._fd, _READ_LIMIT)
+                data = os.read(self._fd, most)
             except BlockingIOError:
                 return b""
             if not data:  # readable, yet nothing comes: unplugged
                 raise OSError(errno.EIO, "end of the line")
             return data
         if hasattr(self._handle, "_read_buffer"):
-            return _take_rfc2217(self._handle)
-        return bytes(self._handle.read(_READ_LIMIT))
+            return _take_rfc2217(self._handle, most)
+        return bytes(self._handle.read(most))
 
     def _require_open(self) -> None:
         if not self._handle.is_open:
             raise LinkError(f"{self.name} is closed")
+
+    def _wait_readable(self) -> None:
+        if self._fd is not None:
+            select.select([self._fd], [], [], 0.02)
+        else:
+            time.sleep(POLL_STEP)
 
     def _wait_writable(self) -> None:
         if self._fd is not None:
@@ -245,11 +288,11 @@ def _gone(handle: Any) -> bool:
     return hasattr(handle, "_read_buffer") and not handle._thread.is_alive()
 
 
-def _take_rfc2217(handle: Any) -> bytes:
+def _take_rfc2217(handle: Any, most: int) -> bytes:
     """Return what the reader thread has queued; pyserial's read drops it once the peer closes."""
     gone = _gone(handle)
     taken = bytearray()
-    while len(taken) < _READ_LIMIT:
+    while len(taken) < most:
         try:
             byte = handle._read_buffer.get_nowait()
         except queue.Empty:

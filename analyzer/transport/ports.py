@@ -19,9 +19,7 @@ from serial.tools import list_ports as serial_list_ports
 from bilprov.analyzer.transport.errors import LinkError, opening_failed
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.machine import Machine, Process
-from bilprov.analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port, is_pty
-
-_POLL_STEP = 0.001  # s between looks at a port that select cannot wait for
+from bilprov.analyzer.transport.port import FAULTS, POLL_STEP, WRITE_TIMEOUT, Port, is_pty
 
 
 def open_port(name: str, settings: LineSettings | None = None) -> Port:
@@ -96,7 +94,7 @@ def wait_readable(
         if full:
             step = 0
         elif looked_at:
-            step = _POLL_STEP if left is None else min(left, _POLL_STEP)
+            step = POLL_STEP if left is None else min(left, POLL_STEP)
         found = select.select([*waited, *also], [], [], step)[0]
         if found or full or left == 0:
             ready = [port for port in ports if port in full or port.fileno() in found]

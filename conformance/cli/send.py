@@ -13,7 +13,7 @@ import click
 
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
-    LineOptions,
+    SendingLineOptions,
     asked_here,
     max_drive_option,
     only_reading_option,
@@ -57,7 +57,7 @@ class SendOptions:
         "With ITEMs: wait for a port that is not there yet, and for one that is unplugged "
         "meanwhile."
     )
-    line: LineOptions = group(LineOptions)
+    line: SendingLineOptions = group(SendingLineOptions)
     truncation_timeout: float | None = timeout_option()
 
 

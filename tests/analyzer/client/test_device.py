@@ -249,6 +249,17 @@ def test_a_wrong_use_sends_nothing() -> None:
     assert device.heard == b""
 
 
+def test_only_reading_refuses_what_may_change_something() -> None:
+    with opened("modbus-rtu", address=17, only_reading=True) as (meter, device):
+        assert meter.read_coils(0, 8) == b"\x00"
+        heard = device.heard
+        with pytest.raises(ValueError, match=r"^@17 WriteSingleCoil .* may write coils: only_read"):
+            meter.write_single_coil(0, "on")
+        with pytest.raises(ValueError, match="may write coils: only_reading sends what changes"):
+            meter.send("WriteSingleCoil", coil=0, value="on")
+        assert device.heard == heard
+
+
 # -- all agree ------------------------------------------------------------------------------------
 
 
