@@ -25,7 +25,7 @@ def config(options: ConfigOptions) -> None:
       bilprov config --format json
 
     Settings are read from config.toml in $XDG_CONFIG_HOME/bilprov (or ~/.config/bilprov). It has
-    settings for all commands at its top (baud, parity, stopbits, truncation-timeout, probe,
+    settings for all commands at its top (baud, parity, stopbits, echo, truncation-timeout, probe,
     grammar, time, columns, yes), a table for each command with any of its options, like [sniff] and
     [capture.cut], and named devices, which then stand for their port: [device.car] port =
     "/dev/ttyUSB0", baud = 9600. Options that are typed come before all of them.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
 PORT = "port"  # a device's key that its name stands for
-LINE = ("baud", "parity", "stopbits", "truncation-timeout")
+LINE = ("baud", "parity", "stopbits", "echo", "truncation-timeout")
 # The keys at the top of the file: they are for every command that has such an option.
 COMMON = ("grammar", *LINE, "probe", "time", "columns", "yes")
 DEVICE_KEYS = (PORT, *LINE, "probe", "power", "yes")  # of a named device
