@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bilprov.analyzer.decode.records import (
+    UNCERTAIN,
     DeviceRecord,
     HostRecord,
     Record,
@@ -56,8 +57,11 @@ class AnswerCheck:
                 self.wrong += 1
                 self.first_wrong = self.first_wrong or record.reason
         elif isinstance(record, DeviceRecord):
-            self._unpaired += 1
-            self.unasked += all(fault.severity is not Severity.INFO for fault in record.faults)
+            self._unpaired += len(record.data)
+            # Bytes of which only the end is uncertain are unasked all the same.
+            doubts = {fault.kind for fault in record.faults if fault.severity is Severity.INFO}
+            if doubts <= {UNCERTAIN}:
+                self.unasked += len(record.data)
 
     @property
     def flooded(self) -> bool:

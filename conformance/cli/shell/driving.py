@@ -142,7 +142,7 @@ class Driving(Closing):
     def _heard(self, record: Record) -> None:
         self.check.record(record)
         if isinstance(record, DeviceRecord) and record.instruction is None:
-            self._unasked += 1
+            self._unasked += len(record.data)
             if self._unasked > FLOOD:
                 return
         self._output.records([record])
