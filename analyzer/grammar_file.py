@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Iterator
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -20,6 +22,10 @@ SHIPPED = {
     "dynamixel1": "grammars/dynamixel1.py",
 }
 """The grammars of the kit by name: the file of each, below the package `spec`."""
+_MODULES = {
+    f"bilprov.spec.{file.removesuffix('.py').replace('/', '.')}": file for file in SHIPPED.values()
+}
+"""The same files by the modules from which another grammar can import."""
 _MOST = 1 << 20  # bytes of a grammar file
 
 
@@ -55,7 +61,58 @@ def load_protocol(grammar: str | None = None) -> Protocol:
         raise GrammarError(
             f"the grammar {file} cannot be read: {what}; start from a copy of spec/grammar.py"
         ) from error
-    return load(source, file.name)
+    protocol = load(source, file.name)
+    whole = with_imported(source)
+    return protocol if whole == source else load(whole, file.name)
+
+
+def with_imported(source: str) -> str:
+    """A grammar's text, in which what it imports from a grammar of the kit is declared instead.
+
+    So the text in a capture needs no other grammar, which may be another one in a later version.
+    Raises GrammarError if it declares what the imported declarations have under the same name.
+    """
+    tree, lines = ast.parse(source), source.splitlines(keepends=True)
+    own = set(_assigned(tree))
+    for node in reversed(tree.body):
+        file = _MODULES.get(node.module or "") if isinstance(node, ast.ImportFrom) else None
+        if file is None or not isinstance(node, ast.ImportFrom):
+            continue
+        wanted = {one.name for one in node.names}
+        lines[node.lineno - 1 : node.end_lineno] = _declarations(file, wanted, own)
+    return "".join(lines)
+
+
+def _declarations(file: str, wanted: set[str], own: set[str]) -> Iterator[str]:
+    """The declarations of these names ("*" for all) in a file of the kit, with what they need.
+
+    What the importing grammar declares on its `own` is left out.
+    """
+    text = Path(bilprov.spec.__path__[0], file).read_text(encoding="utf-8")
+    tree, lines = ast.parse(text), text.splitlines(keepends=True)
+    if "*" in wanted:
+        wanted = set(_assigned(tree))
+    needed = wanted - own
+    kept: list[ast.stmt] = []
+    for node in reversed(tree.body):
+        declares = needed.intersection(_assigned(node))
+        if declares or isinstance(node, ast.ImportFrom):
+            kept.insert(0, node)
+            needed |= {one.id for one in ast.walk(node) if isinstance(one, ast.Name)}
+    twice = sorted(needed & own & set(_assigned(tree)))
+    if twice:
+        raise GrammarError(
+            f"a grammar cannot declare {twice[0]}, since declarations that it imports from "
+            f"{file} use their own {twice[0]}: give it another name"
+        )
+    for node in kept:
+        yield from lines[node.lineno - 1 : node.end_lineno]
+
+
+def _assigned(tree: ast.AST) -> list[str]:
+    """The names that are assigned."""
+    names = (one for one in ast.walk(tree) if isinstance(one, ast.Name))
+    return [one.id for one in names if isinstance(one.ctx, ast.Store)]
 
 
 @cache

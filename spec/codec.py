@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 import msgspec
 
-from bilprov.spec.data import FieldSpec, Value, shown_value
-from bilprov.spec.fields import Outcome
+from bilprov.spec.data import DataSpec, FieldSpec, Value, shown_value
+from bilprov.spec.fields import Memory, Outcome
 from bilprov.spec.layout import Part
 from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol, ResponseSpec
+
+Registers: TypeAlias = tuple[tuple[FieldSpec, int], ...]
+"""Named registers with their values, each as a field at its place in some data."""
 
 
 class Judgement(msgspec.Struct, frozen=True, gc=False):
@@ -27,7 +31,8 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     that it is not complete. `clause` and `reading` are what the reason rests on. `address` is who
     is meant, None where frames have no address; `head` bytes come before the data. `key` is that
     of `Protocol.keys`, and `framed` says that a frame is more than a header byte and data.
-    `response` is NO_ANSWER where none is due.
+    `response` is NO_ANSWER where none is due. `registers` are the named registers that it writes,
+    each as a field in its place of the data, with its value.
     """
 
     frame: bytes
@@ -45,6 +50,12 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     head: int = 1
     key: int = 0
     framed: bool = False
+    registers: Registers = ()
+
+    @property
+    def told(self) -> tuple[tuple[str, Any], ...]:
+        """The values of its fields and of its registers, by name."""
+        return with_registers(self.fields, self.registers)
 
     @property
     def valid(self) -> bool:
@@ -71,6 +82,7 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
         if self.instruction and self.fields:
             specs = {spec.name: spec for spec in self.instruction.fields}
             shown = [_value(specs[name], value) for name, value in self.fields]
+            shown += [_value(spec, value) for spec, value in self.registers]
             return f"{to}{self.name} {' '.join(shown)}"
         if self.instruction and self.valid:
             return f"{to}{self.name}"
@@ -204,7 +216,51 @@ def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
         head=layout.head,
         key=protocol.key_of(identity),
         framed=True,
+        registers=registers_in(protocol, spec.writes, spec.data, data, dict(fields))
+        if spec and fields
+        else (),
     )
+
+
+def registers_in(
+    protocol: Protocol,
+    memory: Memory | None,
+    spec: DataSpec,
+    data: bytes,
+    asked: Mapping[str, Any],
+) -> Registers:
+    """The named registers whose cells are in some data, which `spec` lays out.
+
+    `memory` is what the data write or read, None for nothing; `asked` has the fields of the request
+    by name, which tell the first cell.
+    """
+    named = protocol.registers.get(memory.name) if memory else None
+    if memory is None or named is None or memory.bits or memory.keep or memory.latest:
+        return ()
+    part = next(one for one in spec.fields if one.name == memory.value)
+    many = part.many
+    begin = part.offset + (many.prefix.size if many and many.prefix else 0)
+    end = len(data) if many and many.how != "fixed" else part.offset + part.size
+    width = many.width if many else part.size
+    first = asked[memory.at] * memory.factor if memory.at else 0
+    spans = [("", begin, end)]
+    if memory.blocks:
+        size = asked[memory.count] * width
+        starts = range(begin + 1, end - size + 1, 1 + size)
+        spans = [(f"@{data[at - 1]}", at, at + size) for at in starts]
+    return tuple(
+        (replace(one, name=one.name + whose, offset=at), one.parse(data[at : at + one.size]))
+        for whose, start, stop in spans
+        for place, one in named.items()
+        if start <= (at := start + (place - first) * width) <= stop - one.size
+    )
+
+
+def with_registers(
+    fields: tuple[tuple[str, Any], ...], registers: Registers
+) -> tuple[tuple[str, Any], ...]:
+    """The values of fields and of registers by name."""
+    return (*fields, *((one.name, value) for one, value in registers)) if registers else fields
 
 
 def _cut_short(spec: InstructionSpec | None, frame: bytes, size: int) -> tuple[Outcome, str, str]:
@@ -276,9 +332,10 @@ def _response(
 def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None) -> bytes:
     """Build a valid frame. `name` is an instruction in any case, `fields` its values by name.
 
-    Where frames have an address or other parts besides, `fields` has them too. Raises ValueError,
-    in one sentence, for an unknown instruction, a missing or unknown field, or a value out of its
-    range.
+    Where frames have an address or other parts besides, `fields` has them too. Named registers may
+    be given instead of the fields that write them, and a register's name as the place from which
+    one is read. Raises ValueError, in one sentence, for an unknown instruction, a missing or
+    unknown field, or a value out of its range.
     """
     given = dict(fields or {})
     spec = next((s for s in protocol.instructions if s.name.lower() == name.lower()), None)
@@ -287,6 +344,7 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
             f"there is no instruction {name!r}; there are "
             f"{', '.join(s.name for s in protocol.instructions)}"
         )
+    given = _by_register(protocol, spec, given)
     data = b"".join(
         part.constant if part.constant is not None else _built(spec.name, part, given)
         for part in spec.fields
@@ -304,6 +362,40 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
         )
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")
     return protocol.layout.build({**parts, "id": spec.id}, data)
+
+
+def _by_register(
+    protocol: Protocol, spec: InstructionSpec, given: dict[str, Any]
+) -> dict[str, Any]:
+    """The values with the fields of the instruction instead of the named registers."""
+    memory = spec.writes or spec.reads
+    cells = protocol.registers.get(memory.name, {}) if memory and memory.at else {}
+    if memory is None or not cells or memory.blocks:
+        return given
+    data = spec.data if spec.writes else spec.answer or spec.data
+    value = next(one for one in data.fields if one.name == memory.value)
+    width = value.many.width if value.many else value.size
+    places = {one.name: place for place, one in cells.items()}
+    named = sorted((places[name], name) for name in given if name in places)
+    fields = {name: one for name, one in given.items() if name not in places}
+    asked = given.get(memory.at)
+    if not spec.writes and isinstance(asked, str) and asked in places:
+        named = [(places[asked], asked)]
+        if memory.count:
+            fields.setdefault(memory.count, cells[places[asked]].size // width)
+    elif not spec.writes or not named:
+        return given
+    built, first = b"", named[0][0]
+    for place, name in named:
+        if place != first + len(built) // width:
+            raise ValueError(f"{named[0][1]} and {name} are not side by side, one request each")
+        built += _built(spec.name, cells[place], {name: given.get(name, 0)})
+    fields[memory.at] = first // memory.factor
+    if spec.writes:
+        if memory.count in spec.names:
+            fields[memory.count] = len(built) // width
+        fields[memory.value] = built.hex() if value.many else value.parse(built)
+    return fields
 
 
 def free_parts(protocol: Protocol) -> Iterator[Part]:

@@ -283,6 +283,16 @@ def read_data(owner: str, members: list[Construct], *, framed: bool) -> DataSpec
     return DataSpec(tuple(fields), sum(part.size for part in fields))
 
 
+def read_register(memory: str, declared: Any) -> FieldSpec:
+    """Read a named cell of a memory, or some: one number. Raises LayoutError."""
+    if not isinstance(declared, Renamed):
+        raise LayoutError(f'a register of {memory} must be written "name" / type')
+    one = _field(f"REGISTERS of {memory}", declared, 0)
+    if one.number is None:
+        raise LayoutError(f"the register {one.name} of {memory} must be one number")
+    return one
+
+
 def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
     body = unwrapped(member)
     if isinstance(body, Const):

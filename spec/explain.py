@@ -319,7 +319,21 @@ def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) 
 
 
 def _data_groups(judgement: Judgement, instruction: InstructionSpec) -> Iterator[BitGroup]:
-    """The groups of the data: a field each, its named bits, or the elements that it has."""
+    """The groups of the data: a field each, its named bits, or the elements that it has.
+
+    The bytes of a named register are one group.
+    """
+    head = judgement.head
+    named = {head + one.offset: (one, value) for one, value in judgement.registers}
+    inside = {at + more for at, (one, _) in named.items() for more in range(one.size)}
+    for group in _field_groups(judgement, instruction):
+        if group.byte in named:
+            yield _whole_group(judgement, group.byte, *named[group.byte])
+        elif group.byte not in inside:
+            yield group
+
+
+def _field_groups(judgement: Judgement, instruction: InstructionSpec) -> Iterator[BitGroup]:
     frame, values = judgement.frame, dict(judgement.fields)
     for spec in instruction.fields:
         at = judgement.head + spec.offset

@@ -18,7 +18,14 @@ from typing import Any
 
 from construct import Construct, FixedSized, Struct, Switch
 
-from bilprov.spec.data import DataSpec, FieldSpec, prose_of, read_data, unwrapped
+from bilprov.spec.data import (
+    DataSpec,
+    FieldSpec,
+    prose_of,
+    read_data,
+    read_register,
+    unwrapped,
+)
 from bilprov.spec.errors import UserError, one_line
 from bilprov.spec.fields import (
     OF_HEADERS,
@@ -161,7 +168,8 @@ class Protocol:
     `source` is the grammar's text and `origin` its file name; two protocols are equal when their
     texts are. `layout` is that of a request, `reply` that of an answer with data,
     `acknowledgement` that of one without, `errors` those of errors, tried in order. With `flags` a
-    code is some bits, each a response. `device` is the noun for the device. `variables` are the
+    code is some bits, each a response. `device` is the noun for the device. `registers` are the
+    cells with names, by the name of their memory and their place in it. `variables` are the
     parts of the state by name, `at_rest` is the condition in which the device stands still (None
     where it is not declared: then nothing is said about stopping), `wheels` is declared by a car.
     """
@@ -179,6 +187,7 @@ class Protocol:
     errors: tuple[Layout, ...] = field(compare=False, repr=False)
     flags: bool = field(compare=False)
     device: str = field(compare=False)
+    registers: Mapping[str, Mapping[int, FieldSpec]] = field(compare=False, repr=False)
     variables: Mapping[str, VariableSpec] = field(compare=False)
     at_rest: Condition | None = field(compare=False)
     wheels: Wheels | None = field(compare=False)
@@ -215,6 +224,11 @@ class Protocol:
     def by_name(self) -> Mapping[str, InstructionSpec]:
         """The instructions by their name."""
         return {spec.name: spec for spec in self.instructions}
+
+    @cached_property
+    def named_registers(self) -> Mapping[str, FieldSpec]:
+        """The registers of all memories by their name."""
+        return {one.name: one for cells in self.registers.values() for one in cells.values()}
 
     @cached_property
     def codes(self) -> Mapping[int, ResponseSpec]:
@@ -550,6 +564,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         errors=errors,
         flags=flags,
         device=_text(space, "DEVICE") if "DEVICE" in space else "device",
+        registers=_registers(space.get("REGISTERS", {}), instructions),
         variables=variables,
         at_rest=at_rest,
         wheels=wheels,
@@ -840,6 +855,33 @@ def _with_memory(
         )
         for spec in instructions
     )
+
+
+def _registers(
+    declared: Any, instructions: tuple[InstructionSpec, ...]
+) -> Mapping[str, Mapping[int, FieldSpec]]:
+    """The named cells of each memory by their place."""
+    if not isinstance(declared, dict) or not all(isinstance(m, dict) for m in declared.values()):
+        raise GrammarError('REGISTERS must be written {"memory": {place: "name" / type}}')
+    used = [one for spec in instructions for one in (spec.writes, spec.reads) if one]
+    memories = {one.name for one in used if not (one.bits or one.latest)}
+    found: dict[str, dict[int, FieldSpec]] = {}
+    for memory, cells in declared.items():
+        if memory not in memories:
+            raise GrammarError(
+                f"REGISTERS has {shown(memory)}, allowed are memories whose cells are numbers at a "
+                f"place that each request has: {', '.join(sorted(memories)) or 'there is none'}"
+            )
+        for place in cells:
+            require_whole(f"a place in REGISTERS of {memory}", place, 0)
+        found[memory] = {place: read_register(memory, cells[place]) for place in sorted(cells)}
+    data = [one for spec in instructions for one in (spec.data, spec.answer) if one]
+    fields = {part.name.lower() for one in data for part in one.fields}
+    names = (one.name for cells in found.values() for one in cells.values())
+    _require_each_name_once(
+        "two registers, or a field and a register, are named", (*fields, *names)
+    )
+    return found
 
 
 def _writes(spec: InstructionSpec, memory: Memory) -> bool:

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from bilprov.spec.codec import Judgement, spaced
-from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.codec import Judgement, Registers, registers_in, spaced, with_registers
+from bilprov.spec.data import DataSpec, FieldSpec, shown_value
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import (
@@ -27,6 +27,7 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     stands for an outcome. `names` are those of all. `fields` are its data, `address` is whose it
     is. `reason` tells why the answer is damaged, "" for one that is not. Around the data stand
     `head` bytes and `tail` bytes. With `open_end` nothing but silence tells where it ends.
+    `registers` are the named registers that it tells, as in a Judgement.
     """
 
     frame: bytes
@@ -38,12 +39,20 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     head: int = 0
     tail: int = 0
     open_end: bool = False
+    registers: Registers = ()
+
+    @property
+    def told(self) -> tuple[tuple[str, Any], ...]:
+        """The values of its fields and of its registers, by name."""
+        return with_registers(self.fields, self.registers)
 
     def describe(self) -> str:
-        """The answer in words: its names and its fields."""
+        """The answer in words: its names, its fields and its registers."""
         to = f"@{self.address} " if self.address is not None else ""
         known = " ".join(self.names) or (self.response.name if self.response else "unreadable")
-        return to + " ".join([known, *(f"{name}={_shown(value)}" for name, value in self.fields)])
+        shown = [f"{name}={_shown(value)}" for name, value in self.fields]
+        shown += [f"{one.name}={shown_value(one, value)}" for one, value in self.registers]
+        return to + " ".join([known, *shown])
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
@@ -99,16 +108,30 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
     names, response = meaning(protocol, layout.code_of(frame))
     reason = "" if right else _damage(protocol, layout, frame, asked)
     fields: tuple[tuple[str, Any], ...] = ()
+    registers: Registers = ()
     unknown = asked is not None and asked.instruction is None  # so is what its answer has
     if layout.has_data and way.data is not None and not reason and not unknown:
         data = layout.data_of(frame)
         needed = way.data.measure(data, values)
         if needed == len(data) or _takes_rest(way.data):
             fields = tuple(way.data.decode(data).items())
+            if asked and asked.instruction:
+                told = asked.instruction.reads
+                registers = registers_in(protocol, told, way.data, data, values)
         elif data or (response and Outcome.VALID in response.outcomes):
             reason = f"it has {len(data)} data bytes, {needed} are due"
     address = layout.address_of(frame)
-    return Reply(frame, response, names, fields, address, reason, layout.head, layout.tail)
+    return Reply(
+        frame,
+        response,
+        names,
+        fields,
+        address,
+        reason,
+        layout.head,
+        layout.tail,
+        registers=registers,
+    )
 
 
 def build_reply(

@@ -82,6 +82,7 @@ def _values(protocol: Protocol, spec: InstructionSpec, words: Sequence[str]) -> 
         *((word.split("=", 1)[0], word.split("=", 1)[1]) for word in words if "=" in word),
     ]:
         part = next((p for p in fields if p.name.lower() == name.lower()), None)
+        part = part or protocol.named_registers.get(name)
         other = parts.get(name.lower())
         owner = part or other
         if owner is None:
@@ -92,6 +93,9 @@ def _values(protocol: Protocol, spec: InstructionSpec, words: Sequence[str]) -> 
         where = f"{spec.name}.{owner.name}"
         if owner.name in values:
             raise ValueError(f"{where} is given twice")
+        if word in protocol.named_registers:
+            values[owner.name] = word
+            continue
         values[owner.name] = _value(where, part, word) if part else _number(where, word, owner)
     return values
 

@@ -62,11 +62,10 @@ KINDS = (
     "slow",
     "early",
     "out of step",
-    UNCERTAIN,
     "lost bytes",
     *LINE_SEVERITY,
 )
-"""The kinds of all anomalies of a session."""
+"""The kinds of all anomalies of a session but UNCERTAIN, which is never more than info."""
 
 ALONE = Cause("", Severity.INFO, "")
 OUT_OF_STEP = Cause("out of step", Severity.INFO, "answers a frame whose beginning was not seen")

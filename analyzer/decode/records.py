@@ -117,7 +117,7 @@ class HostRecord(Timed, frozen=True, gc=False):
             id=judgement.id if judgement else None,
             name=spec.name if spec else None,
             length=judgement.length if judgement else None,
-            fields=plain_values(judgement.fields) if judgement else {},
+            fields=plain_values(judgement.told) if judgement else {},
             judgement=judgement.response.name if judgement else None,
             reason=self.reason,
         )
@@ -184,7 +184,7 @@ class DeviceRecord(Timed, frozen=True, gc=False):
         told = (self.name, self.instruction, self.latency, self.agrees, self.reason)
         if self.reply is None:
             return Response(self.t, self.hex, self.byte, *told)
-        fields = plain_values(self.reply.fields)
+        fields = plain_values(self.reply.told)
         return FramedResponse(self.t, self.hex, *told, fields, self.reply.address)
 
     @property

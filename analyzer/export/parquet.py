@@ -146,9 +146,10 @@ def _usual_columns(protocol: Protocol) -> tuple[Column, ...]:
 def _wide(protocol: Protocol) -> set[str]:
     """The columns of fields and states whose numbers may not fit into 64 bits with a sign."""
     answered = [spec.answer.fields for spec in protocol.instructions if spec.answer]
+    registers = tuple(protocol.named_registers.values())
     fields = {
         name
-        for parts in (*(spec.fields for spec in protocol.instructions), *answered)
+        for parts in (*(spec.fields for spec in protocol.instructions), *answered, registers)
         for part in parts
         if part.size >= _INT_BYTES and part.number
         for name in (part.name, f"fields.{part.name}")

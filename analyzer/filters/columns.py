@@ -27,6 +27,7 @@ from bilprov.analyzer.filters.fields import Kind, fields_of
 from bilprov.analyzer.filters.moments import DAY, STEP, offset
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
 from bilprov.spec.arrays.layouts import part_values
+from bilprov.spec.codec import judge
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import NOT_KNOWN
@@ -129,7 +130,15 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
         "reason": reason,
         "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
     }
+
+    def register(name: str) -> Column:
+        writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
+        found = np.flatnonzero((rows.kind == INSTRUCTION) & np.isin(rows.header, writing))
+        judged = (judge(protocol, frame) for frame in rows.frames(found))
+        return _told(name, (one.told for one in judged), found, len(rows))
+
     fields = _of_fields(protocol, partial(_requests, protocol, rows), rows.data, len(rows))
+    fields = {**fields, **_of_registers(protocol, register)}
     both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
     return Columns(len(rows), makers, fields, *both)
 
@@ -172,8 +181,16 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
         "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
         "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
     }
+
+    def register(name: str) -> Column:
+        reading = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.reads]
+        found = np.flatnonzero(rows.answering & np.isin(rows.header, reading))
+        replies = (record.reply for record in rows.samples(found))
+        return _told(name, (one.told if one else () for one in replies), found, len(rows))
+
     data = rows.wide.data if rows.wide else NO_DATA
     fields = _of_fields(protocol, partial(_answers, protocol, rows), data, len(rows))
+    fields = {**fields, **_of_registers(protocol, register)}
     both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
     return Columns(len(rows), makers, fields if rows.wide else {}, *both)
 
@@ -317,6 +334,23 @@ def _of_fields(
         for key, field in known.items()
         if key.startswith("fields.")
     }
+
+
+def _of_registers(protocol: Protocol, made: Callable[[str], Column]) -> Makers:
+    """The named registers by their keys."""
+    return {f"fields.{name}": partial(made, name) for name in protocol.named_registers}
+
+
+def _told(
+    name: str, told: Iterable[Iterable[tuple[str, Any]]], rows: NDArray[np.int64], count: int
+) -> Column:
+    """A register that some rows may tell; those are decoded one by one."""
+    value, present = np.zeros(count, object), np.zeros(count, np.bool_)
+    for row, fields in zip(rows.tolist(), told, strict=True):
+        known = dict(fields)
+        present[row] = name in known
+        value[row] = known.get(name, 0)
+    return Numbers(value, present)
 
 
 _Parts: TypeAlias = Sequence[tuple[FieldSpec, bool, _Carried]]

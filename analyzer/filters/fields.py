@@ -179,12 +179,14 @@ def _part(protocol: Protocol, name: str) -> Field:
 
 
 def _parts(protocol: Protocol) -> Iterator[tuple[str, FieldSpec]]:
-    """The fields with values, each with the name of its instruction."""
+    """The fields with values, each with its instruction's name; registers with their memory's."""
     for spec in protocol.instructions:
         answered = spec.answer.fields if spec.answer else ()
         for part in (*spec.fields, *answered):
             if part.constant is None:
                 yield spec.name, part
+    for memory, cells in protocol.registers.items():
+        yield from ((memory, part) for part in cells.values())
 
 
 def _itself(words: Iterable[str]) -> Mapping[str, Value]:

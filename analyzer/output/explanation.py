@@ -14,6 +14,7 @@ from rich.text import Text
 from bilprov.analyzer.output.console import can_show, facts, heading
 from bilprov.analyzer.output.protocol import reading_json
 from bilprov.spec.codec import spaced
+from bilprov.spec.data import plain_values
 from bilprov.spec.explain import BitGroup, Explanation, FrameExplanation, ResponseExplanation
 
 _COLOURS = ("cyan", "magenta", "green", "yellow", "blue")
@@ -124,7 +125,7 @@ def _frame_json(frame: FrameExplanation) -> dict[str, Any]:
         "length": judgement.length,
         "missing": frame.missing,
         "name": judgement.instruction.name if judgement.instruction else None,
-        "fields": dict(judgement.fields),
+        "fields": plain_values(judgement.told),
         "valid": judgement.valid,
         "judgement": judgement.response.name,
         "code": judgement.response.code,

@@ -63,6 +63,10 @@ def _drawn_framed(protocol: Protocol) -> Iterator[RenderableType]:
         ("id", "name", "document", "data", "answer", "meaning"),
         [_framed_row(spec) for spec in protocol.instructions],
     )
+    for memory, cells in protocol.registers.items():
+        yield from _titled(f"Named {memory}")
+        rows = [(str(at), one.name, one.allowed_in_short, one.prose) for at, one in cells.items()]
+        yield table(("place", "name", "allowed", "meaning"), rows, right="place")
     if any(spec.effect.assignments for spec in protocol.instructions):
         yield from _titled("Effects on the state")
         yield table(("after", "becomes"), _effect_rows(protocol))
@@ -173,7 +177,15 @@ def _frames_json(protocol: Protocol) -> dict[str, Any]:
     if protocol.plain:
         parts = protocol.header_bits
         return {"header": [{"name": name, "bits": n, "meaning": prose} for name, n, prose in parts]}
-    return {"layouts": {name: layout_json(layout) for name, layout in layouts_of(protocol).items()}}
+    layouts = {name: layout_json(layout) for name, layout in layouts_of(protocol).items()}
+    registers = {
+        memory: [
+            {"place": at, "name": one.name, "prose": one.prose, "allowed": one.allowed_in_short}
+            for at, one in cells.items()
+        ]
+        for memory, cells in protocol.registers.items()
+    }
+    return {"layouts": layouts, **({"registers": registers} if registers else {})}
 
 
 def _instruction_json(protocol: Protocol, spec: InstructionSpec) -> dict[str, Any]:

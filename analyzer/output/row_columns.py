@@ -290,6 +290,7 @@ def _fields(protocol: Protocol) -> list[Column]:
     parts = [part for spec in protocol.instructions for part in spec.fields]
     parts += [part for fields in answered for part in fields]
     names = dict.fromkeys(part.name for part in parts if part.constant is None)
+    names |= dict.fromkeys(protocol.named_registers)
     several = bytes_fields(protocol)
 
     def field(name: str) -> Column:

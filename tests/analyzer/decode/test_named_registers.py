@@ -1,0 +1,268 @@
+"""Registers with names: of a servo whose grammar imports that of its protocol, and of a meter."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bilprov.analyzer.decode.batch import Records
+from bilprov.analyzer.decode.framed_batch import FramedBatch
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
+from bilprov.analyzer.output.csv_text import CsvText, usual_columns
+from bilprov.analyzer.output.json_text import JsonText
+from bilprov.analyzer.output.row_columns import Times
+from bilprov.analyzer.output.text_lines import LineRenderer
+from bilprov.analyzer.screen.details import details
+from bilprov.captures.reader import open_capture
+from bilprov.spec.codec import build, judge
+from bilprov.spec.explain import explain
+from bilprov.spec.protocol import GrammarError, Protocol
+from bilprov.spec.safe_grammar import require_declarations
+from tests.analyzer.client.test_device import client_of
+from tests.support import ROOT
+from tests.support.commands import command
+from tests.support.decoding import conversation, decoded, devices, hosts
+
+pytestmark = pytest.mark.usefixtures("columns_at_once")
+
+FEETECH = ROOT / "examples" / "feetech.py"
+SERVO = load_protocol(str(FEETECH))
+METER = """
+from construct import Int16ub, Int32sb
+from bilprov.spec.grammars.modbus_rtu import (
+    CLAUSES, ERROR, FRAME, INSTRUCTIONS, LINE, MEMORY, REPLY, RESPONSE, SILENT, TIMING,
+)
+NAME = "meter"
+VERSION = "1"
+DOCUMENT = "a meter"
+REGISTERS = {"registers": {107: "voltage" / Int16ub * "0.1 V", 108: "power" / Int32sb * "W"}}
+"""
+# A request, its answer, and the registers in each; those of the document of the servos.
+POSITION = "FFFF 01 04 02 38 02 BE", "FFFF 01 04 00 18 05 DD"
+MOVE = "FFFF 01 09 03 2A 00 08 00 00 E8 03 D5"
+NEXT = "FFFF 01 05 04 2A 00 02 C9"
+BOTH = "FFFF FE 0A 83 2A 02 01 00 02 02 03 02 3E"
+
+
+@pytest.fixture
+def grammar(tmp_path: Path) -> Callable[[str], Protocol]:
+    """Loads a text as a grammar file."""
+
+    def loaded(text: str) -> Protocol:
+        path = tmp_path / f"grammar{len(list(tmp_path.iterdir()))}.py"
+        path.write_text(text, encoding="utf-8")
+        return load_protocol(str(path))
+
+    return loaded
+
+
+def frame(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+@pytest.mark.parametrize(
+    ("request_", "registers"),
+    [
+        (MOVE, {"goal_position": 2048, "goal_time": 0, "goal_velocity": 1000}),
+        (NEXT, {"goal_position": 512}),
+        (BOTH, {"goal_position@1": 512, "goal_position@2": 515}),
+        ("FFFF 01 04 03 28 01 CE", {"torque": 1}),
+        ("FFFF 01 04 03 2A 01 CC", {}),  # half of the goal
+        ("FFFF 01 05 03 29 05 00 C8", {"acceleration": 5}),  # and half of the goal
+        (POSITION[0], {}),
+    ],
+)
+def test_a_request_has_the_registers_that_it_writes_as_a_whole(
+    request_: str, registers: dict[str, int]
+) -> None:
+    judged = judge(SERVO, frame(request_))
+    assert judged.valid
+    assert dict(judged.told[len(judged.fields) :]) == registers
+
+
+def test_registers_are_shown_with_fields_wherever_these_are() -> None:
+    events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
+    records = decoded(Session(SERVO), events)
+    move, ask = hosts(records)
+    _, told = devices(records)
+
+    assert (
+        LineRenderer(colour=False)
+        .line(move)
+        .endswith("values=00 08 00 00 e8 03 goal_position=2048 goal_time=0 goal_velocity=1000")
+    )
+    assert " OK values=18 05 present_position=1304 " in LineRenderer(colour=False).line(told)
+    lines = [json.loads(line)["fields"] for line in JsonText().text([move, told]).splitlines()]
+    assert lines[0]["goal_velocity"] == move.value.fields["goal_velocity"] == 1000
+    assert lines[1] == told.value.fields == {"values": "1805", "present_position": 1304}
+    shown = [one.label for one in details(SERVO, move, state=False)]
+    at = shown.index("register")
+    assert shown[at + 1 : at + 5] == ["goal_position", "goal_time", "goal_velocity", "sum"]
+    assert "goal_position" not in [one.label for one in details(SERVO, ask, state=False)]
+
+
+@pytest.mark.parametrize("batch_type", [Records, FramedBatch])
+def test_registers_are_columns_of_filters_and_tables(batch_type: type) -> None:
+    events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
+    (batch,) = StreamDecoder(SERVO).feed(events)
+    assert isinstance(batch, FramedBatch)
+    found = Records(list(batch.records())) if batch_type is Records else batch
+
+    for text, rows in (
+        ("goal_position == 2048", [True, False, False, False]),
+        ("goal_velocity != 1000", [False] * 4),
+        ("1300 < present_position", [False, False, False, True]),
+        ("fields.torque == on", [False] * 4),
+    ):
+        assert found.in_order(compile_filter(text, SERVO).selection(found)).tolist() == rows, text
+
+
+def test_a_table_has_a_column_for_each_register() -> None:
+    events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
+    table = CsvText(usual_columns(SERVO), Times())
+    text = table.header + table.text(decoded(Session(SERVO), events))
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert [row["fields.goal_time"] for row in rows] == ["0", "", "", ""]
+    assert [row["fields.present_position"] for row in rows] == ["", "", "", "1304"]
+
+
+def test_the_bytes_of_a_register_are_explained_as_one_number() -> None:
+    (move,) = explain(SERVO, frame(MOVE)).frames
+    words = {group.name: (group.size, group.value, group.meaning) for group in move.groups}
+    assert words["goal_position"] == (2, 2048, "steps")
+    assert not [name for name in words if name.startswith("values")]
+    (both,) = explain(SERVO, frame(BOTH)).frames
+    names = [group.name for group in both.groups][-5:-1]
+    assert names == ["blocks[0]", "goal_position@1", "blocks[3]", "goal_position@2"]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("Write", {"goal_velocity": 1000, "goal_position": 2048, "goal_time": 0}, MOVE),
+        ("RegWrite", {"goal_position": 512}, NEXT),
+        ("Read", {"register": "present_position"}, POSITION[0]),
+        ("Read", {"register": "present_position", "size": 2}, POSITION[0]),
+        ("Write", {"torque": "on"}, "FFFF 01 04 03 28 01 CE"),
+    ],
+)
+def test_requests_are_built_by_the_names_of_registers(
+    name: str, values: dict[str, int | str], expected: str
+) -> None:
+    assert build(SERVO, name, {"address": 1, **values}) == frame(expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "words"),
+    [
+        ("Write", {"goal_position": 1, "goal_velocity": 1}, "are not side by side"),
+        ("Write", {"goal_position": 65536}, "Write.goal_position is 65536, allowed are 0 to 65535"),
+        ("Read", {"register": "goal"}, "Read.register is 'goal', allowed are whole numbers"),
+        ("Read", {"register": 3, "size": 1, "goal_position": 1}, "has no field goal_position"),
+        ("Ping", {"goal_position": 1}, "Ping has no field goal_position"),
+    ],
+)
+def test_what_cannot_be_asked_for_by_a_name_is_refused(
+    name: str, values: dict[str, int | str], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        build(SERVO, name, {"address": 1, **values})
+
+
+def test_a_servo_is_driven_by_the_names_of_its_registers() -> None:
+    sent = command(
+        *("send", "sim", "Write goal_position=512 address=1", "Read goal_position address=1"),
+        *("--grammar", str(FEETECH)),
+    )
+    assert sent.stdout.decode().splitlines()[-1].count("goal_position=512") == 1, sent.stderr
+
+
+def test_a_client_is_told_registers_by_name() -> None:
+    client, _, _ = client_of(SERVO)
+    client.send("Write", address=1, goal_velocity=1000)
+    reply = client.send("Read", address=1, register="goal_velocity")
+    assert reply is not None
+    assert dict(reply.told) == {"values": b"\xe8\x03", "goal_velocity": 1000}
+    assert client.read("goal_velocity", 2, address=1) == b"\xe8\x03"
+
+
+def test_the_protocol_shows_its_registers() -> None:
+    shown = command("spec", "show", "--grammar", str(FEETECH))
+    words = [line.split() for line in shown.stdout.decode().splitlines()]
+    assert ["46", "goal_velocity", "0..65535", "steps/s"] in words
+    known = json.loads(
+        command("spec", "show", "--format", "json", "--grammar", str(FEETECH)).stdout
+    )
+    assert known["registers"]["registers"][-1]["allowed"] == "off|on"
+
+
+def test_a_capture_carries_the_imported_declarations(tmp_path: Path) -> None:
+    grammar, capture = tmp_path / "servo.py", tmp_path / "servo.mcap"
+    grammar.write_text(FEETECH.read_text(encoding="utf-8"), encoding="utf-8")
+    words = ("-w", str(capture), "--duration", "0.3", "--quiet", "--grammar", str(grammar))
+    assert command("sniff", "sim", *words).returncode == 0
+    grammar.unlink()
+
+    text = open_capture(capture).grammar_text
+    require_declarations(text)
+    assert "spec.grammars" not in text
+    carried = carried_protocol(text, SERVO.sha256, "servo.mcap")
+    assert (carried, carried.registers) == (SERVO, SERVO.registers)
+    done = command("replay", str(capture), "--rate", "0", "--columns", "hex,goal_position")
+    assert done.returncode == 0, done.stderr
+
+
+def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Protocol]) -> None:
+    meter = grammar(METER)
+    require_declarations(meter.source)
+    asked, told = "1103006b0003 7687", "110306 08FC FFFFFFFE"
+    answer = frame(told) + meter.layout.check.function(frame(told)).to_bytes(2, "little")  # type: ignore[union-attr]
+    (one,) = devices(decoded(Session(meter), conversation([(frame(asked), answer)])))
+    assert one.reply is not None
+    assert dict(one.reply.told) == {"values": (0x8FC, 0xFFFF, 0xFFFE), "voltage": 2300, "power": -2}
+    write = build(meter, "WriteMultipleRegisters", {"address": 17, "voltage": 1, "power": -2})
+    assert dict(judge(meter, write).told)["power"] == -2
+    assert dict(judge(meter, write).fields)["quantity"] == 3
+    single = build(meter, "WriteSingleRegister", {"address": 17, "voltage": 2300})
+    assert judge(meter, single).describe().endswith("register=107 value=2300 voltage=2300")
+
+
+@pytest.mark.parametrize(
+    ("registers", "words"),
+    [
+        ('{"cells": {}}', "REGISTERS has 'cells', allowed are memories .*: registers"),
+        ('{"coils": {}}', "REGISTERS has 'coils', allowed are memories .*: registers"),
+        ("{107: 5}", "REGISTERS must be written"),
+        ("[]", "REGISTERS must be written"),
+        ('{"registers": {-1: "a" / Int16ub}}', "a place in REGISTERS of registers is -1"),
+        ('{"registers": {1: Int16ub}}', 'a register of registers must be written "name" / type'),
+        ('{"registers": {1: "start" / Int16ub}}', "a field and a register, are named start"),
+        ('{"registers": {1: "a" / Int16ub, 2: "A" / Int16ub}}', "are named a"),
+        ('{"registers": {1: "a" / Int16ub[2]}}', "the register a of registers must be one number"),
+    ],
+)
+def test_registers_that_make_no_sense_are_refused_in_one_sentence(
+    grammar: Callable[[str], Protocol], registers: str, words: str
+) -> None:
+    with pytest.raises(GrammarError, match=words):
+        grammar(METER.split("REGISTERS")[0] + f"REGISTERS = {registers}\n")
+
+
+def test_an_imported_declaration_may_be_replaced_unless_others_need_it(
+    grammar: Callable[[str], Protocol],
+) -> None:
+    star = "from bilprov.spec.grammars.modbus_rtu import *\n"
+    assert grammar(star + 'NAME = "other"\n').name == "other"
+    assert grammar(star).sha256 != load_protocol("modbus-rtu").sha256  # comments are left out
+    with pytest.raises(GrammarError, match="cannot declare CRC, since declarations that it"):
+        grammar(star + 'CRC = "mine"\n')
+    with pytest.raises(GrammarError, match="cannot import name 'NOTHING'"):
+        grammar("from bilprov.spec.grammars.modbus_rtu import NOTHING\n")
