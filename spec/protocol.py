@@ -576,7 +576,21 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     )
     if wheels:
         _require_stops(protocol, wheels)
+    elif at_rest:
+        _require_rest(protocol, at_rest)
     return protocol
+
+
+def _require_rest(protocol: Protocol, at_rest: Condition) -> None:
+    """Raise GrammarError where no requests bring the device to rest."""
+    from bilprov.spec.by_effect import rest_requests  # which needs protocols
+
+    if not rest_requests(protocol):
+        wanted = ", ".join(f"{name}={value}" for name, value in at_rest.values.items())
+        raise GrammarError(
+            f"AT_REST is {type(at_rest).__name__}({wanted}), and no requests reach that; give an "
+            "instruction with an effect that does, or leave AT_REST out"
+        )
 
 
 def _require_stops(protocol: Protocol, wheels: Wheels) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 from bilprov.analyzer.client.exchange import exchange
 from bilprov.analyzer.client.homing import home_once, stops
 from bilprov.analyzer.client.operations import Procedure, listen
 from bilprov.captures.schemas import MS
 from bilprov.spec import protocol as spec_protocol
+from bilprov.spec.by_effect import rest_requests
 from bilprov.spec.codec import build, judge
-from bilprov.spec.protocol import InstructionSpec
-from bilprov.spec.state import AnyOf, FromField, State
+from bilprov.spec.state import State
 
 
 class Rest(Protocol):
@@ -27,7 +27,10 @@ class Rest(Protocol):
         """The state of a device after that."""
 
     def once(self) -> Procedure[bool]:
-        """Bring it to rest once; returns whether all that was sent was answered."""
+        """Bring it to rest once; returns whether it was answered.
+
+        At an address at which nobody has answered yet, nobody needs to, as long as others do.
+        """
 
 
 class Stops:
@@ -60,6 +63,7 @@ class Requests:
         self._part = protocol.layout.part("address")
         self._requests = rest_requests(protocol)
         self._addresses: set[int] = set()
+        self._heard: set[int | None] = set()
 
     def note(self, address: int | None) -> None:
         """As in Rest."""
@@ -87,7 +91,8 @@ class Requests:
         """As in Rest."""
         timing = self._protocol.timing
         yield from listen(None, 0)
-        answered = True
+        due: set[int | None] = set()
+        silent: set[int | None] = set()
         for frame in self.frames():
             asked = judge(self._protocol, frame)
             heard = yield from exchange(
@@ -96,55 +101,12 @@ class Requests:
                 round(timing.answer_longest * MS),
                 round(timing.truncation_timeout * MS),
             )
-            answered = answered and (bool(heard) or not asked.answer_due)
-        return answered
+            if asked.answer_due:
+                due.add(asked.address)
+                (self._heard if heard else silent).add(asked.address)
+        return silent.isdisjoint(self._heard) and (not due or silent != due)
 
 
 def rest_of(protocol: spec_protocol.Protocol) -> Rest:
     """How a device of this protocol is brought to rest."""
     return Stops(protocol) if protocol.plain and protocol.stop_or_none else Requests(protocol)
-
-
-def rest_requests(protocol: spec_protocol.Protocol) -> tuple[tuple[str, dict[str, Any]], ...]:
-    """The requests, each a name and fields, that bring a device to rest whatever it did before.
-
-    None where the grammar does not tell when the device is at rest, or no requests reach that.
-    """
-    if protocol.at_rest is None:
-        return ()
-    if protocol.stop_or_none is not None:
-        return ((protocol.stop_or_none.name, {}),)
-    found = []
-    for variable, value in protocol.at_rest.values.items():
-        request = _setting(protocol, variable, value)
-        if request is not None and isinstance(protocol.at_rest, AnyOf):
-            return (request,)
-        found.append(request)
-    reached = tuple(request for request in found if request is not None)
-    return reached if len(reached) == len(found) else ()
-
-
-def _setting(
-    protocol: spec_protocol.Protocol, variable: str, value: str | int
-) -> tuple[str, dict[str, Any]] | None:
-    """A request that gives a variable a value, and sets no other; None if there is none."""
-    for spec in protocol.instructions:
-        if {name for name, _ in spec.effect.assignments} == {variable}:
-            fields = _fields_for(spec, dict(spec.effect.assignments)[variable], value)
-            if fields is not None:
-                return spec.name, fields
-    return None
-
-
-def _fields_for(spec: InstructionSpec, source: Any, value: str | int) -> dict[str, Any] | None:
-    """The fields with which what an effect sets has this value; None if it cannot have it."""
-    fields: dict[str, Any] = {part.name: part.low for part in spec.fields if not part.many}
-    if len(fields) < len(spec.fields):
-        return None
-    if not isinstance(source, FromField):
-        return fields if source == value else None
-    number = source.number(value)
-    part = next(part for part in spec.fields if part.name == source.field)
-    if number is None or not part.in_range(number):
-        return None
-    return {**fields, part.name: number}

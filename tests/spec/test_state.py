@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.client.rest import rest_requests
-from bilprov.spec.by_effect import change_by, effect_words
+from bilprov.spec.by_effect import change_by, effect_words, rest_requests
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class

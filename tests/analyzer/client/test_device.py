@@ -14,7 +14,6 @@ from bilprov import Device
 from bilprov.analyzer.client.device import DeviceDriver
 from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
 from bilprov.analyzer.client.link import LinkListener
-from bilprov.analyzer.client.rest import rest_requests
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
@@ -22,8 +21,9 @@ from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.simulated.requests import drawn_request
 from bilprov.captures.schemas import Chunk
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.spec.codec import build, free_parts, judge
-from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.by_effect import rest_requests
+from bilprov.spec.codec import Judgement, build, free_parts, judge
+from bilprov.spec.protocol import GrammarError, Protocol, load
 from tests.support import ROOT
 from tests.support.drawn_layouts import drawn_layout, drawn_values
 from tests.support.robots import served_here
@@ -39,10 +39,15 @@ class Scripted(SimulatedDevice):
         super().__init__(protocol)
         self.heard = b""
         self.saying: list[bytes] = []  # what is sent instead of the next answers
+        self.absent: set[int | None] = set()  # addresses at which nobody is
 
     def receive(self, data: bytes, now: int) -> None:
         self.heard += data
         super().receive(data, now)
+
+    def _answer(self, judgement: Judgement, values: dict[str, Any], known: int) -> None:
+        if judgement.address not in self.absent:
+            super()._answer(judgement, values, known)
 
     def advance(self, now: int) -> bytes:
         answer = super().advance(now)
@@ -152,9 +157,68 @@ def test_what_brings_a_device_to_rest_is_found_in_the_effects() -> None:
     assert rest_requests(load(MOTORS, "motors.py")) == stop_both
     no_second = MOTORS.replace('effect=Sets(m2=From("speed"))', "")
     no_second = no_second.replace('effect=Sets(m2=From("speed", factor=-1))', "")
-    assert rest_requests(load(no_second, "motors.py")) == ()
+    with pytest.raises(
+        GrammarError, match=r"AT_REST is AllOf\(m1=0, m2=0\), and no requests reach"
+    ):
+        load(no_second, "motors.py")
     assert rest_requests(load_protocol("modbus-rtu")) == ()
     assert rest_requests(load_protocol()) == (("Stop", {}),)
+
+
+CAMERA = """
+from construct import Byte, Checksum, Const, Int8sb, RawCopy, Struct, Switch, this
+from bilprov.spec.fields import *
+NAME, VERSION, DOCUMENT = "camera", "1", "a camera that pans and tilts"
+STOP = {0: "Stop" / Instruction(
+    "rest" / Const(bytes(2)), document="a", effect=Sets(pan=0, tilt=0))}
+PAN = {1: "Pan" / Instruction(
+    "by" / Int8sb, "tilt" / Const(bytes(1)), document="a", effect=Sets(pan=From("by"), tilt=0))}
+BOTH = {2: "Both" / Instruction(
+    "x" / Int8sb, "y" / Int8sb, document="a", effect=Sets(pan=From("x"), tilt=From("y")))}
+INSTRUCTIONS = {**STOP, **PAN, **BOTH}
+FRAME = Struct(
+    "covered" / RawCopy(Struct("id" / Byte, "data" / Switch(this.id, INSTRUCTIONS))),
+    "sum" / Checksum(Byte, Sum(8), this.covered.data),
+)
+REPLY = Struct("sync" / Const(bytes(1)))
+SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM, Outcome.BAD_DATA)
+STATE = Variables(pan=Whole(-128, 127), tilt=Whole(-128, 127))
+AT_REST = AllOf(pan=0, tilt=0)
+POWER_ON = Sets(pan=0, tilt=0)
+TIMING = Timing(50, 5, 1000, 100, 1000, 100)
+LINE = LineDefaults(baud=2400, parity="N", stopbits=1)
+CLAUSES = Clauses(header="a", instructions="a", responses="a", safety="a")
+"""
+
+
+@pytest.mark.parametrize(
+    ("without", "request_"),
+    [
+        ("nothing", ("Stop", {})),
+        ("**STOP, ", ("Pan", {"by": 0})),
+        ("**STOP, **PAN, ", ("Both", {"x": 0, "y": 0})),
+    ],
+)
+def test_fixed_data_and_several_fields_bring_a_device_to_rest(
+    without: str, request_: tuple[str, dict[str, int]]
+) -> None:
+    assert rest_requests(load(CAMERA.replace(without, ""), "camera.py")) == (request_,)
+
+
+@pytest.mark.waits
+def test_a_silent_address_does_not_keep_the_others_from_being_driven() -> None:
+    motors, device, _ = client_of(load(MOTORS, "motors.py"))
+    device.absent = {0x82}
+    motors.forward_m1(50, address=0x80)
+    with pytest.raises(NoAnswer, match="was not answered"):
+        motors.forward_m1(50, address=0x82)
+    motors.forward_m1(60, address=0x80)
+    assert device.state(0x80).m1 == 60
+    device.absent = {0x80, 0x82}
+    with pytest.raises(NoAnswer, match="was not answered"):
+        motors.forward_m1(70, address=0x80)
+    with pytest.raises(NoAnswer, match="nobody answers"):
+        motors.forward_m1(70, address=0x80)
 
 
 # -- what a method returns ------------------------------------------------------------------------
