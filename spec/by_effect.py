@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from bilprov.spec.codec import build, judge
 from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.state import Effect, FromField, FromOld, State, assigned
+from bilprov.spec.state import Effect, FromField, FromOld, State
 
 
 def moves(spec: InstructionSpec) -> bool:
@@ -132,64 +132,6 @@ def _settable(protocol: Protocol, state: State) -> State:
         own = getattr(state, name)
         values[name] = min(ends, key=lambda value: abs(value - own))
     return state.but(**values)
-
-
-def rest_requests(protocol: Protocol) -> tuple[tuple[str, dict[str, Any]], ...]:
-    """Return the fewest requests that bring a device to rest, whatever it did before.
-
-    Each is a name and fields. None where the grammar does not tell when the device is at rest, or
-    no requests reach that. What changes more than the state is left out; of equally few requests
-    those come first that set the fewest other variables.
-    """
-    if protocol.at_rest is None:
-        return ()
-    if protocol.stop_or_none is not None:
-        return ((protocol.stop_or_none.name, {}),)
-    wanted = protocol.at_rest.values
-    specs = sorted(protocol.instructions, key=lambda spec: _others(spec, wanted))
-    requests = [_towards(spec, wanted) for spec in specs if not any(_other_words([spec]))]
-    paths: dict[frozenset[str], tuple[tuple[str, dict[str, Any]], ...]] = {frozenset(): ()}
-    ahead = deque(paths)
-    while ahead:
-        right = ahead.popleft()
-        if protocol.at_rest.follows({name: wanted[name] for name in right}):
-            return paths[right]
-        for name, fields, sets, spoils in requests:
-            reached = (right - spoils) | sets
-            if reached not in paths:
-                paths[reached] = (*paths[right], (name, fields))
-                ahead.append(reached)
-    return ()
-
-
-def _others(spec: InstructionSpec, wanted: Mapping[str, Any]) -> int:
-    return sum(name not in wanted for name, _ in spec.effect.assignments)
-
-
-class _Towards(NamedTuple):
-    """A request, which variables it sets as wanted, and which otherwise."""
-
-    name: str
-    fields: dict[str, Any]
-    sets: frozenset[str]
-    spoils: frozenset[str]
-
-
-def _towards(spec: InstructionSpec, wanted: Mapping[str, int | str]) -> _Towards:
-    """The request of an instruction that sets the wanted values as far as its fields can.
-
-    A field that sets none of them has its lowest value, and one of several values has none.
-    """
-    parts = {part.name: part for part in spec.fields if part.constant is None}
-    fields: dict[str, Any] = {name: b"" if p.many else p.low for name, p in parts.items()}
-    for variable, source in spec.effect.assignments:
-        if variable in wanted and isinstance(source, FromField):
-            number = source.number(wanted[variable])
-            if number is not None and parts[source.field].in_range(number):
-                fields[source.field] = number
-    given = {name: new for name, new in assigned(spec.effect, fields) if name in wanted}
-    sets = frozenset(name for name, new in given.items() if new == wanted[name])
-    return _Towards(spec.name, fields, sets, frozenset(given) - sets)
 
 
 def reached(protocol: Protocol, state: State) -> State:

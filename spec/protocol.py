@@ -48,6 +48,8 @@ from bilprov.spec.state import (
     Effect,
     FromField,
     FromOld,
+    Request,
+    Setter,
     Source,
     State,
     Unknown,
@@ -55,6 +57,7 @@ from bilprov.spec.state import (
     VariableSpec,
     Wheels,
     plain,
+    rest_requests,
     state_class,
 )
 from bilprov.spec.value_checks import (
@@ -385,6 +388,21 @@ class Protocol:
         short = (spec for spec in self.instructions if not spec.length)
         return next((spec for spec in short if self.stops(spec.effect)), None)
 
+    @cached_property
+    def rest_requests(self) -> tuple[Request, ...]:
+        """The fewest requests that bring the device to rest; none without AT_REST.
+
+        An instruction that changes more than the state is not among them.
+        """
+        if self.stop_or_none is not None:
+            return ((self.stop_or_none.name, {}),)
+        setters = [
+            Setter(spec.name, spec.fields, spec.effect)
+            for spec in self.instructions
+            if not spec.changes and not spec.writes
+        ]
+        return (self.at_rest and rest_requests(setters, self.at_rest)) or ()
+
     @property
     def stop(self) -> InstructionSpec:
         """The instruction without data that stops the device; homing sends it.
@@ -583,9 +601,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
 
 def _require_rest(protocol: Protocol, at_rest: Condition) -> None:
     """Raise GrammarError where no requests bring the device to rest."""
-    from bilprov.spec.by_effect import rest_requests  # which needs protocols
-
-    if not rest_requests(protocol):
+    if not protocol.rest_requests:
         wanted = ", ".join(f"{name}={value}" for name, value in at_rest.values.items())
         raise GrammarError(
             f"AT_REST is {type(at_rest).__name__}({wanted}), and no requests reach that; give an "

@@ -1,4 +1,4 @@
-"""The state that a grammar declares: its variables, when a device is at rest, what effects change.
+"""The state that a grammar declares: its variables, what effects change, when a device is at rest.
 
 A state is one value: an immutable record with a field for each variable, of a class that is made
 once for each declaration. Where the grammar says when a device is at rest, the record also tells
@@ -7,7 +7,8 @@ whether it is `moving`. A value that is not known is None.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
@@ -450,3 +451,59 @@ def _class(made_of: tuple[_Made, ...], at_rest: Condition | None) -> type[State]
 def plain(value: Any) -> Any:
     """A word as a plain text: a grammar may use an enumeration's."""
     return str(value) if isinstance(value, str) else value
+
+
+Request: TypeAlias = tuple[str, dict[str, Any]]
+"""An instruction's name, and its fields."""
+
+
+class Setter(NamedTuple):
+    """An instruction that sets variables: its name, its fields (of FieldSpec), its effect."""
+
+    name: str
+    fields: Sequence[Any]
+    effect: Effect
+
+
+def rest_requests(setters: Iterable[Setter], at_rest: Condition) -> tuple[Request, ...] | None:
+    """Return the fewest requests that bring a device to rest, whatever it did before.
+
+    None where none do. Of equally few requests those come first that set the fewest other
+    variables.
+    """
+    wanted = at_rest.values
+    ordered = sorted(setters, key=lambda one: len(dict(one.effect.assignments).keys() - wanted))
+    steps = [_towards(one, wanted) for one in ordered]
+    # From the variables that are at rest already to those that are after each request.
+    paths: dict[frozenset[str], tuple[Request, ...]] = {frozenset(): ()}
+    ahead = deque(paths)
+    while ahead:
+        right = ahead.popleft()
+        if at_rest.follows({name: wanted[name] for name in right}):
+            return paths[right]
+        for request, sets, spoils in steps:
+            reached = (right - spoils) | sets
+            if reached not in paths:
+                paths[reached] = (*paths[right], request)
+                ahead.append(reached)
+    return None
+
+
+def _towards(
+    setter: Setter, wanted: Mapping[str, int | str]
+) -> tuple[Request, frozenset[str], frozenset[str]]:
+    """The request of an instruction that sets what is wanted as far as its fields can.
+
+    Beside it stand the variables that it sets so, and those that it sets otherwise. A field that
+    sets none of them has its lowest value, and one of several values has none.
+    """
+    parts = {part.name: part for part in setter.fields if part.constant is None}
+    fields: dict[str, Any] = {name: b"" if p.many else p.low for name, p in parts.items()}
+    for variable, source in setter.effect.assignments:
+        if variable in wanted and isinstance(source, FromField):
+            number = source.number(wanted[variable])
+            if number is not None and parts[source.field].in_range(number):
+                fields[source.field] = number
+    given = {name: new for name, new in assigned(setter.effect, fields) if name in wanted}
+    sets = frozenset(name for name, new in given.items() if new == wanted[name])
+    return (setter.name, fields), sets, frozenset(given) - sets

@@ -9,7 +9,6 @@ from bilprov.analyzer.client.homing import home_once, stops
 from bilprov.analyzer.client.operations import Procedure, listen
 from bilprov.captures.schemas import MS
 from bilprov.spec import protocol as spec_protocol
-from bilprov.spec.by_effect import rest_requests
 from bilprov.spec.codec import build, judge
 from bilprov.spec.state import State
 
@@ -61,7 +60,7 @@ class Requests:
     def __init__(self, protocol: spec_protocol.Protocol) -> None:
         self._protocol = protocol
         self._part = protocol.layout.part("address")
-        self._requests = rest_requests(protocol)
+        self._requests = protocol.rest_requests
         self._addresses: set[int] = set()
         self._heard: set[int | None] = set()
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.by_effect import change_by, effect_words, rest_requests
+from bilprov.spec.by_effect import change_by, effect_words
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
@@ -181,7 +181,7 @@ def test_a_device_is_brought_to_rest_by_the_name_of_an_enum() -> None:
         '3: "Off"': '9: "High2"',
         'Sets(fan="off")': 'Sets(fan="high")',
     }
-    assert rest_requests(load(mutated(MODE, changes))) == (("Fan", {"mode": 0}),)
+    assert load(mutated(MODE, changes)).rest_requests == (("Fan", {"mode": 0}),)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,6 @@ from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.simulated.requests import drawn_request
 from bilprov.captures.schemas import Chunk
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.spec.by_effect import rest_requests
 from bilprov.spec.codec import Judgement, build, free_parts, judge
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from tests.support import ROOT
@@ -154,15 +153,15 @@ MOTORS = _motors()
 
 def test_what_brings_a_device_to_rest_is_found_in_the_effects() -> None:
     stop_both = (("ForwardM1", {"speed": 0}), ("ForwardM2", {"speed": 0}))
-    assert rest_requests(load(MOTORS, "motors.py")) == stop_both
+    assert load(MOTORS, "motors.py").rest_requests == stop_both
     no_second = MOTORS.replace('effect=Sets(m2=From("speed"))', "")
     no_second = no_second.replace('effect=Sets(m2=From("speed", factor=-1))', "")
     with pytest.raises(
         GrammarError, match=r"AT_REST is AllOf\(m1=0, m2=0\), and no requests reach"
     ):
         load(no_second, "motors.py")
-    assert rest_requests(load_protocol("modbus-rtu")) == ()
-    assert rest_requests(load_protocol()) == (("Stop", {}),)
+    assert load_protocol("modbus-rtu").rest_requests == ()
+    assert load_protocol().rest_requests == (("Stop", {}),)
 
 
 CAMERA = """
@@ -202,7 +201,7 @@ CLAUSES = Clauses(header="a", instructions="a", responses="a", safety="a")
 def test_fixed_data_and_several_fields_bring_a_device_to_rest(
     without: str, request_: tuple[str, dict[str, int]]
 ) -> None:
-    assert rest_requests(load(CAMERA.replace(without, ""), "camera.py")) == (request_,)
+    assert load(CAMERA.replace(without, ""), "camera.py").rest_requests == (request_,)
 
 
 @pytest.mark.waits
