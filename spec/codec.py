@@ -16,7 +16,7 @@ import msgspec
 from bilprov.spec.data import DataSpec, FieldSpec, Value, shown_value
 from bilprov.spec.fields import Memory, Outcome
 from bilprov.spec.layout import Part
-from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol, ResponseSpec
+from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, InstructionSpec, Protocol, ResponseSpec
 
 Registers: TypeAlias = tuple[tuple[FieldSpec, int], ...]
 """Named registers with their values, each as a field at its place in some data."""
@@ -68,6 +68,11 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
         return self.response is not NO_ANSWER
 
     @property
+    def expected(self) -> str:
+        """The name of the response that is due; `valid` where a valid frame's has no code."""
+        return self.response.name if self.response is not PLAIN_ANSWER else self.outcome.value
+
+    @property
     def name(self) -> str:
         """The instruction's name, or `unused` and the ID."""
         if self.id < 0:
@@ -77,7 +82,7 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     def describe(self) -> str:
         """Return the frame in words: `LED rgb=5 (R B)`, `Stop`, `unused 9, 2 data bytes`."""
         to = f"@{self.address} " if self.address is not None else ""
-        if self.outcome in FRAMING_FAULTS:
+        if self.outcome in (*FRAMING_FAULTS, Outcome.OTHER_ADDRESS):
             return f"{to}{self.name}, {self.outcome.value}"
         if self.instruction and self.fields:
             specs = {spec.name: spec for spec in self.instruction.fields}
@@ -183,8 +188,8 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
 def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
     """Judge one frame, whole or cut short, of a protocol whose header is not one byte.
 
-    What stands around the data is judged first, as a device reads it: constants, then the check;
-    then the ID, the length and the data.
+    What stands around the data is judged first, as a device reads it: constants, the check, then
+    whom it is for; then the ID, the length and the data.
     """
     layout = protocol.layout
     begun = len(frame) >= layout.head
@@ -287,6 +292,10 @@ def _fault(
         right = part.number.build(layout.check.due(frame))
         reason = f"{part.name} is {spaced(part.raw(frame))}, right is {spaced(right)}"
         return Outcome.BAD_CHECKSUM, reason, ""
+    to = layout.part("address")
+    if to and not to.reaches(to.read(frame)):
+        reason = f"{to.name} is {to.read(frame)}, allowed are {to.allowed}: it is for no device"
+        return Outcome.OTHER_ADDRESS, reason, ""
     if spec is None:
         used = ", ".join(map(str, protocol.by_id))
         return (
@@ -413,6 +422,8 @@ def _built_part(owner: str, part: Part, given: dict[str, Any]) -> int:
             f"{owner} {part.name}={part.low}"
         )
     value = given.pop(part.name)
+    if part.role == "address" and not part.reaches(value):
+        raise ValueError(f"{part.name} is {value!r}, allowed are {part.allowed}")
     if not isinstance(value, int) or not 0 <= value <= part.most:
         raise ValueError(f"{part.name} is {value!r}, allowed are 0 to {part.most}")
     return value

@@ -142,6 +142,8 @@ def _frame(
     effect, action = protocol.on_fault, _on_fault(protocol)
     if judgement.valid and judgement.instruction:
         effect, action = judgement.instruction.effect, judgement.instruction.prose
+    if judgement.outcome is Outcome.OTHER_ADDRESS:
+        effect, action = Effect(), "is not meant, and does nothing"
     size, following = len(judgement.frame), rest[len(judgement.frame) :]
     errata = tuple(
         finding.erratum
@@ -314,7 +316,9 @@ def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) 
         return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
     if part.role == "address":
         everybody = part.broadcast is not None and judgement.address == part.broadcast
-        return f"{part.prose or 'who is meant'}{', all of them' if everybody else ''}", False
+        wrong = judgement.address is not None and not part.reaches(judgement.address)
+        told = ", all of them" if everybody else f"; allowed are {part.allowed}" if wrong else ""
+        return f"{part.prose or 'who is meant'}{told}", wrong
     return part.prose or "a number", False
 
 

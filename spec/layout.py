@@ -65,6 +65,18 @@ class Part:
     high: int = 0
     broadcast: int | None = None
 
+    def reaches(self, address: object) -> bool:
+        """Whether what is sent to an address is for a device that there can be, or for all."""
+        return isinstance(address, int) and (
+            self.low <= address <= self.high or address == self.broadcast
+        )
+
+    @property
+    def allowed(self) -> str:
+        """The range in words, like `1 to 247, and 0 for all`."""
+        everybody = "" if self.broadcast is None else f", and {self.broadcast} for all"
+        return f"{self.low} to {self.high}{everybody}"
+
     @property
     def allowed_in_short(self) -> str:
         """The range as one word, like `1..247`."""

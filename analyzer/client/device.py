@@ -227,12 +227,8 @@ def require_address(protocol: Protocol, address: object) -> None:
     part = _address_part(protocol)
     if part is None:
         raise ValueError(f"{protocol.name} has no addresses; address is {address!r}")
-    if isinstance(address, int) and (part.low <= address <= part.high or address == part.broadcast):
-        return
-    everybody = "" if part.broadcast is None else f", and {part.broadcast} for all"
-    raise ValueError(
-        f"{part.name} is {address!r}, allowed are {part.low} to {part.high}{everybody}"
-    )
+    if not part.reaches(address):
+        raise ValueError(f"{part.name} is {address!r}, allowed are {part.allowed}")
 
 
 def _address_part(protocol: Protocol) -> Part | None:

@@ -13,7 +13,7 @@ from bilprov.spec.layout import Check, Layout
 from bilprov.spec.numbers import Order
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
-Obstacle = Literal["checksum", "length", "range", "sync", "id"]
+Obstacle = Literal["checksum", "length", "range", "sync", "address", "id"]
 
 _ORDERS: tuple[Order, ...] = ("big", "little")
 _LONGEST = 512  # bytes within which another end of a frame is looked for
@@ -21,12 +21,13 @@ _OBSTACLES: dict[Outcome, Obstacle] = {
     Outcome.BAD_DATA: "range",
     Outcome.BAD_CHECKSUM: "checksum",
     Outcome.BAD_SYNC: "sync",
+    Outcome.OTHER_ADDRESS: "address",
     Outcome.UNKNOWN_ID: "id",
     Outcome.TOO_MANY: "length",
     Outcome.TOO_FEW: "length",
 }
 # The nearer come first: what only a value or a length keeps from being a frame is nearly one.
-_NEAREST: tuple[Obstacle, ...] = ("range", "length", "sync", "checksum", "id")
+_NEAREST: tuple[Obstacle, ...] = ("range", "length", "address", "sync", "checksum", "id")
 
 _USUAL: tuple[CheckFunction, ...] = (
     *(Sum(8), Sum(8, complement=True), Xor(), Sum(16)),

@@ -118,7 +118,7 @@ class HostRecord(Timed, frozen=True, gc=False):
             name=spec.name if spec else None,
             length=judgement.length if judgement else None,
             fields=plain_values(judgement.told) if judgement else {},
-            judgement=judgement.response.name if judgement else None,
+            judgement=judgement.expected if judgement else None,
             reason=self.reason,
         )
         if judgement is None or not judgement.framed:

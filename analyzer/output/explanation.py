@@ -127,7 +127,7 @@ def _frame_json(frame: FrameExplanation) -> dict[str, Any]:
         "name": judgement.instruction.name if judgement.instruction else None,
         "fields": plain_values(judgement.told),
         "valid": judgement.valid,
-        "judgement": judgement.response.name,
+        "judgement": judgement.expected,
         "code": judgement.response.code,
         "reason": judgement.reason,
         "clause": judgement.clause,

@@ -201,16 +201,22 @@ class RequestTables:
 
     def _due(self, data: Bytes, offset: Places, kind: Places) -> Mask:
         due = self._answered.take(kind)
-        address = self.layout.part("address")
-        if address is not None:
-            to = part_values(address, data, offset, offset)
-            due &= (to >= address.low) & (to <= address.high)
-        return due
+        return due & self._to(data, offset, broadcast=False)
+
+    def _to(self, data: Bytes, offset: Places, *, broadcast: bool) -> Mask:
+        """Which frames are for one device that there can be, or with `broadcast` for all."""
+        part = self.layout.part("address")
+        if part is None:
+            return np.ones(len(offset), np.bool_)
+        to = part_values(part, data, offset, offset)
+        one = (to >= part.low) & (to <= part.high)
+        return one | (to == part.broadcast) if broadcast and part.broadcast is not None else one
 
     def _valid(self, data: Bytes, start: Places, end: Places, kind: Places) -> Mask:
         """Which frames a device judges to be valid; see `codec.judge_framed`."""
         good = (kind >= 0) & constants_hold(self.layout, data, start, end)
         good &= checks_hold(self.layout, data, start, end)
+        good &= self._to(data, start, broadcast=True)
         for place, spec in enumerate(self.specs):
             rows = np.flatnonzero(good & (kind == place))
             if len(rows):
