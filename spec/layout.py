@@ -159,7 +159,11 @@ class Layout:
 
     def part(self, role: Role) -> Part | None:
         """The part of that role; None if there is none."""
-        return next((part for part in self.parts if part.role == role), None)
+        return self._by_role.get(role)
+
+    @cached_property
+    def _by_role(self) -> Mapping[Role, Part]:
+        return {part.role: part for part in reversed(self.parts)}
 
     @cached_property
     def sync(self) -> bytes:
@@ -176,37 +180,25 @@ class Layout:
         """The offset and the bytes of each constant."""
         return tuple((part.offset, part.constant) for part in self.parts if part.constant)
 
-    @cached_property
-    def _id(self) -> Part | None:
-        return self.part("id")
-
-    @cached_property
-    def _length(self) -> Part | None:
-        return self.part("length")
-
-    @cached_property
-    def _address(self) -> Part | None:
-        return self.part("address")
-
-    @cached_property
-    def _code(self) -> Part | None:
-        return self.part("code")
-
     def id_of(self, frame: bytes) -> int | None:
         """The ID in a frame; None where it has none."""
-        return self._id.read(frame) if self._id else None
+        return self._value("id", frame)
 
     def length_of(self, frame: bytes) -> int | None:
         """The number of data bytes that a frame announces; None where it announces none."""
-        return self._length.read(frame) if self._length else None
+        return self._value("length", frame)
 
     def address_of(self, frame: bytes) -> int | None:
         """The address in a frame; None where it has none."""
-        return self._address.read(frame) if self._address else None
+        return self._value("address", frame)
 
     def code_of(self, frame: bytes) -> int | None:
         """The code in an answer; None where it has none."""
-        return self._code.read(frame) if self._code else None
+        return self._value("code", frame)
+
+    def _value(self, role: Role, frame: bytes) -> int | None:
+        part = self._by_role.get(role)
+        return part.read(frame) if part else None
 
     def data_of(self, frame: bytes) -> bytes:
         """The data in a whole frame."""

@@ -14,7 +14,7 @@ import click
 from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
 from bilprov.analyzer.cli.options import compiled, filter_option, sender_option
 from bilprov.analyzer.cli.reading import opened_captures
-from bilprov.analyzer.cli.typed_input import bytes_from_hex
+from bilprov.analyzer.cli.typed_input import file_or_bytes
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
@@ -79,16 +79,7 @@ def decode(options: DecodeOptions) -> None:
 
 def _source(words: Sequence[str]) -> bytes | Path | None:
     """What is to be decoded: bytes in hex, or a file; None for standard input."""
-    if tuple(words) in ((), ("-",)):
-        return None
-    path = Path(words[0])
-    if len(words) == 1 and (kept_parts(path) or _is_file(path)):
-        return path
-    try:
-        return bytes_from_hex(" ".join(words))
-    except ValueError as error:
-        files = "there is no such file, and " if len(words) == 1 else ""
-        raise click.ClickException(f"{files}{error}") from None
+    return None if tuple(words) in ((), ("-",)) else file_or_bytes(words)
 
 
 def _decoded(path: Path | None, sender: Direction) -> tuple[Iterator[Batch], int, Protocol]:
@@ -105,13 +96,6 @@ def _decoded(path: Path | None, sender: Direction) -> tuple[Iterator[Batch], int
     (capture,), protocol = opened_captures([path])
     batches = decoded(capture_decoder(capture, protocol), capture.batches())
     return batches, capture.start, protocol
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.exists() and not path.is_dir()
-    except (OSError, ValueError):  # too long for a name, or with a zero byte: no file, maybe hex
-        return False
 
 
 def _begins_like_a_capture(path: Path) -> bool:

@@ -74,6 +74,7 @@ def export(options: ExportOptions) -> None:
     event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not grow
     with the capture. OUT appears when it is complete.
     """
+    from bilprov.analyzer.replay.capture_parts import Chosen
     from bilprov.analyzer.replay.capture_session import require_begun
 
     path, output = options.path, options.output
@@ -100,15 +101,13 @@ def export(options: ExportOptions) -> None:
         _opened(output, [path], options.force, text=form.text) as stream,
         reading([capture]) as progress,
     ):
-        write(capture, protocol, stream, test=started, window=window, progress=progress, **more)
+        write(Chosen(capture, protocol, started, window, progress), stream, **more)
 
 
 def _writer(style: str) -> Callable[..., None]:
     """The writer of a format, imported now.
 
-    It is called with a capture, a protocol, a binary stream, and by keyword `test` (a Filter or
-    None), `window`, `progress` (told the bytes of the line that were read more), and `rows` if it
-    has a choice of columns.
+    It is called with what is Chosen, a binary stream, and `rows` if it has a choice of columns.
     """
     if style == "parquet":
         from bilprov.analyzer.export.parquet import write_parquet

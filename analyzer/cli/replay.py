@@ -161,16 +161,16 @@ def replay(options: ReplayOptions) -> int:
         stopper = stack.enter_context(Stopper())
         target, sent = None, 0
         if port is not None:
-            from bilprov.analyzer.cli.resend import opened_target, send_again
+            from bilprov.analyzer.cli.resend import send_again
             from bilprov.analyzer.replay.comparison import ReplayRun
+            from bilprov.analyzer.replay.target import Target, scaled_timeout
+            from bilprov.analyzer.transport.ports import open_port
 
-            settings = options.line.settings(protocol)
-            pause = capture_timeout(capture, protocol, timeout)
             run = ReplayRun()
+            pause = scaled_timeout(capture_timeout(capture, protocol, timeout), rate)
+            opened_port = open_port(port, options.line.settings(protocol))
             target = stack.enter_context(
-                opened_target(
-                    protocol, port, settings, pause, rate, stopper, run, options.max_drive
-                )
+                Target(protocol, opened_port, pause, stopper, run.record, options.max_drive)
             )
         judge = None
         if options.judged:

@@ -18,32 +18,12 @@ from bilprov.analyzer.output.outputs import Output, Window
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.comparison import ReplayRun, differences
 from bilprov.analyzer.replay.playback import paced
-from bilprov.analyzer.replay.target import Target, scaled_timeout
-from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
-
-
-def opened_target(
-    protocol: Protocol,
-    port: str,
-    settings: LineSettings,
-    timeout: int,
-    rate: float,
-    stopper: Stopper,
-    run: ReplayRun,
-    max_drive: float,
-) -> Target:
-    """Open the device; `timeout` (ns) is the recorded truncation time-out. Raises LinkError.
-
-    `run` gets what is sent to it and what it answers. `max_drive` is that of `Target`.
-    """
-    pause = scaled_timeout(timeout, rate)
-    return Target(protocol, open_port(port, settings), pause, stopper, run.record, max_drive)
 
 
 def send_again(

@@ -12,7 +12,7 @@ import msgspec
 
 from bilprov.analyzer.cli.command import argument, command
 from bilprov.analyzer.cli.options import sender_option, text_format_option
-from bilprov.analyzer.cli.typed_input import bytes_from_hex
+from bilprov.analyzer.cli.typed_input import bytes_from_hex, file_or_bytes
 from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.files import read_bounded
@@ -71,28 +71,20 @@ def check(options: CheckOptions) -> int:
 
 def _records(protocol: Protocol, words: Sequence[str], sender: Direction) -> Iterator[Record]:
     """The records of a file, or of bytes in hex. Raises UserError, or ClickException."""
-    path = Path(words[0])
-    if len(words) == 1 and (kept_parts(path) or _is_file(path)):
-        if path.suffix == ".mcap" or kept_parts(path):
-            from bilprov.analyzer.api import read_capture
+    source = file_or_bytes(words)
+    if isinstance(source, bytes):
+        chunks = [Chunk(0, sender, source)]
+    elif source.suffix == ".mcap" or kept_parts(source):
+        from bilprov.analyzer.api import read_capture
 
-            yield from read_capture(path, protocol)
-            return
-        chunks = _chunks(path, sender)
+        yield from read_capture(source, protocol)
+        return
     else:
-        what = "there is no such file, and " if len(words) == 1 else ""
-        chunks = [Chunk(0, sender, _from_hex(" ".join(words), what))]
+        chunks = _chunks(source, sender)
     session = Session(protocol, heard=frozenset(chunk.direction for chunk in chunks))
     for chunk in chunks:
         yield from session.feed(chunk)
     yield from session.finish()
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # too long for a name, or with a zero byte: no file, maybe hex
-        return False
 
 
 def _chunks(path: Path, sender: Direction) -> list[Chunk]:
@@ -106,8 +98,11 @@ def _chunks(path: Path, sender: Direction) -> list[Chunk]:
             "hex text"
         ) from error
     if not text.lstrip().startswith("{"):
-        what = f"{printable(str(path))} is neither a capture nor JSON lines: "
-        return [Chunk(0, sender, _from_hex(text, what))]
+        try:
+            return [Chunk(0, sender, bytes_from_hex(text))]
+        except ValueError as error:
+            what = f"{printable(str(path))} is neither a capture nor JSON lines"
+            raise click.ClickException(f"{what}: {error}") from None
     lines = enumerate(text.splitlines(), 1)
     return [_chunk(path, number, line) for number, line in lines if line.strip()]
 
@@ -121,14 +116,6 @@ def _chunk(path: Path, number: int, line: str) -> Chunk:
             f"line {number} of {printable(str(path))} cannot be read: {error}; write "
             '{"t": 0.5, "dir": "host", "hex": "5556"}'
         ) from error
-
-
-def _from_hex(text: str, what: str) -> bytes:
-    """Bytes in hex; `what` begins the sentence where they are none. Raises ClickException."""
-    try:
-        return bytes_from_hex(text)
-    except ValueError as error:
-        raise click.ClickException(f"{what}{error}") from None
 
 
 def _drawn(protocol: Protocol, share: DecodedShare) -> Iterator[RenderableType]:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
+import click
+
+from bilprov.captures.parts import kept_parts
 from bilprov.spec.codec import build, free_parts
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.layout import Part
@@ -143,6 +147,28 @@ def meant(word: str, names: Iterable[str]) -> str:
     by_lower = {name.lower(): name for name in names}
     close = get_close_matches(word.lower(), by_lower, n=1)
     return f", did you mean {by_lower[close[0]]}?" if close else ""
+
+
+def file_or_bytes(words: Sequence[str]) -> Path | bytes:
+    """The file that words name, or recording in parts, or the bytes that they are in hex.
+
+    Raises ClickException, in one sentence, for neither.
+    """
+    path = Path(words[0])
+    if len(words) == 1 and (kept_parts(path) or _is_file(path)):
+        return path
+    try:
+        return bytes_from_hex(" ".join(words))
+    except ValueError as error:
+        files = "there is no such file, and " if len(words) == 1 else ""
+        raise click.ClickException(f"{files}{error}") from None
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.exists() and not path.is_dir()
+    except (OSError, ValueError):  # too long for a name, or with a zero byte: no file, maybe hex
+        return False
 
 
 _BETWEEN = re.compile(r"[\s,:;-]+")

@@ -123,43 +123,37 @@ class RegularBatch(ColumnBatch):
     @cached_property
     def devices(self) -> DeviceRows:
         """The device's rows."""
-        tables, count, alone = self.decoding.tables, len(self.byte), self._alone
-        made = partial(alone._device_states, self.hosts.states)
-        states = StateColumns(type(self.before), count, made)
-        if not self.decoding.paired:
-            nothing = np.broadcast_to(np.int64(-1), count)
-            used = tables.used.take(self.byte)
-            return DeviceRows(
-                t=self.t,
-                byte=self.byte,
-                sequence=nothing,
-                header=np.broadcast_to(np.uint8(0), count),
-                verdict=np.broadcast_to(np.uint8(NO_VERDICT), count),
-                latency=np.broadcast_to(np.int64(0), count),
-                agrees=np.where(used, np.int8(-1), np.int8(0)),
-                odd=~used,
-                states=states,
-                samples=alone._samples,
-                sort=self.byte.__getitem__,
-            )
-        verdict = self.frames.verdict[:count]
-        latency, agrees, late, odd = self._checked(slice(count))
+        count, alone = len(self.byte), self._alone
+        if self.decoding.paired:
+            verdict = self.frames.verdict[:count]
+            header = (self.frames.key[:count] >> 8).astype(np.uint8)
+            sequence = np.arange(self.first, self.first + count)
+            latency, right, late, odd = self._checked(slice(count))
+            agrees = right.view(np.int8)
+        else:
+            verdict = np.broadcast_to(np.uint8(NO_VERDICT), count)
+            header = np.broadcast_to(np.uint8(0), count)
+            sequence = np.broadcast_to(np.int64(-1), count)
+            latency, late = np.broadcast_to(np.int64(0), count), np.broadcast_to(False, count)
+            odd = ~self.decoding.tables.used.take(self.byte)
+            agrees = odd.astype(np.int8) - np.int8(1)
 
         def sort(rows: NDArray[np.int64]) -> NDArray[np.int64]:
             """Rows with the same number have the same kinds of anomalies."""
             kinds = alone.byte[rows].astype(np.int64) | verdict[rows].astype(np.int64) << 8
             return kinds | late[rows].astype(np.int64) << 16
 
+        made = partial(alone._device_states, self.hosts.states)
         return DeviceRows(
             t=self.t,
             byte=self.byte,
-            sequence=np.arange(self.first, self.first + count),
-            header=(self.frames.key[:count] >> 8).astype(np.uint8),
+            sequence=sequence,
+            header=header,
             verdict=verdict,
             latency=latency,
-            agrees=agrees.view(np.int8),
+            agrees=agrees,
             odd=odd,
-            states=states,
+            states=StateColumns(type(self.before), count, made),
             samples=alone._samples,
             sort=sort,
         )

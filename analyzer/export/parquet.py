@@ -10,12 +10,11 @@ extra of the kit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.output.csv_text import usual_columns
-from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.row_columns import (
     AS_USUAL,
     COLUMNS,
@@ -25,15 +24,11 @@ from bilprov.analyzer.output.row_columns import (
     bytes_fields,
     converted,
 )
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded_batches
+from bilprov.analyzer.replay.capture_parts import Chosen
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Capture
 from bilprov.captures.text import escape_controls, printable
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
-
-if TYPE_CHECKING:
-    from bilprov.analyzer.filters.filter import Filter
 
 ROWS = 1 << 16
 """Rows of a row group at most, which is what a reader holds in memory."""
@@ -49,30 +44,21 @@ class NoPyarrow(UserError):
     """pyarrow is not installed. The message says how it comes."""
 
 
-def write_parquet(
-    capture: Capture,
-    protocol: Protocol,
-    stream: BinaryIO,
-    *,
-    test: Filter | None,
-    window: Window,
-    progress: Progress,
-    rows: RowStyle = AS_USUAL,
-) -> None:
-    """Write the rows in `window` that pass `test` as a Parquet file.
+def write_parquet(chosen: Chosen, stream: BinaryIO, rows: RowStyle = AS_USUAL) -> None:
+    """Write the chosen rows as a Parquet file.
 
-    Arguments and errors are those of `write_csv`. Raises NoPyarrow as well, and CaptureError for a
-    time that the format cannot hold.
+    Raises as `write_csv`; NoPyarrow as well, and CaptureError for a time that the format cannot
+    hold.
     """
     pa, parquet = _pyarrow()
-    columns = rows.columns or _usual_columns(protocol)
-    types = _types(pa, protocol)
+    capture = chosen.capture
+    columns = rows.columns or _usual_columns(chosen.protocol)
+    types = _types(pa, chosen.protocol)
     schema = pa.schema([pa.field(one.name, types.get(one.name, pa.int64())) for one in columns])
-    shown = Shown(NoOutput(), test, window=window)
     with parquet.ParquetWriter(stream, schema, compression="zstd") as writer:
         waiting: list[Any] = []
-        for batch in decoded_batches(capture, protocol, progress, window, TEXT_BATCH):
-            arrays = _arrays(pa, shown.show(batch).records(), columns, schema, capture.start)
+        for batch in chosen.batches():
+            arrays = _arrays(pa, batch.records(), columns, schema, capture.start)
             try:
                 waiting.append(pa.record_batch(list(arrays), schema=schema))
             except (OverflowError, pa.ArrowInvalid) as error:

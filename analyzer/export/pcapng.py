@@ -32,7 +32,7 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, event_batches
+from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Chosen, event_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.reader import Capture
@@ -92,21 +92,13 @@ class Packet(NamedTuple):
     lines: int | None = None
 
 
-def write_pcapng(
-    capture: Capture,
-    protocol: Protocol,
-    stream: BinaryIO,
-    *,
-    test: Filter | None,
-    window: Window,
-    progress: Progress,
-) -> None:
-    """Write a capture's traffic to `stream` as pcapng, in the order of time.
+def write_pcapng(chosen: Chosen, stream: BinaryIO) -> None:
+    """Write a capture's chosen traffic to `stream` as pcapng, in the order of time.
 
-    `test` and `window` choose as in `replay`; an instruction that passes the filter brings its
-    answer, so that a reader can pair them. `progress` is told the bytes of each batch. Raises
+    An instruction that passes the filter brings its answer, so that a reader can pair them. Raises
     OSError if the stream cannot be written, CaptureError if the capture cannot be read.
     """
+    capture, protocol, test, window, progress = chosen
     stream.write(_section(capture, protocol))
     for tap in _TAPS:
         stream.write(_interface(capture, protocol, tap))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
 from bilprov.spec.arrays.layouts import part_values
 from bilprov.spec.codec import judge
 from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.layout import Role
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import NOT_KNOWN
 from bilprov.spec.tables import BAD_DATA, OUTCOMES, VALID, WIDEST, field_values
@@ -92,14 +93,9 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
     """
     garbage, faulty = rows.kind == GARBAGE, rows.verdict != VALID
 
-    def identity() -> Column:
-        if protocol.plain:
-            return Numbers(np.array(protocol.keys).take(rows.header), ~garbage)
-        return _part_of(protocol, rows, "id")
-
     def length() -> Column:
         if protocol.plain:
-            return Numbers(np.frombuffer(protocol.lengths, np.uint8).take(rows.header), ~garbage)
+            return _part_of(protocol, rows, "length")
         around = protocol.layout.head + protocol.layout.tail
         return Numbers(np.maximum(rows.size - around, 0), ~garbage)
 
@@ -118,7 +114,7 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
         return _words(rows.reasons(odd), odd, len(rows))
 
     makers: Makers = {
-        "id": identity,
+        "id": lambda: _part_of(protocol, rows, "id"),
         "len": length,
         "address": lambda: _part_of(protocol, rows, "address"),
         "hex": lambda: Octets(rows.data, rows.offset, rows.size),
@@ -259,8 +255,8 @@ def _of_state(states: StateColumns) -> Makers:
     return {**makers, "state.moving": lambda: _truth(states.moving)}
 
 
-def _part_of(protocol: Protocol, rows: HostRows, role: Literal["id", "address"]) -> Column:
-    """A part of frames whose header is more than one byte, where the header is whole."""
+def _part_of(protocol: Protocol, rows: HostRows, role: Role) -> Column:
+    """A part of the frames, where what stands before the data is whole."""
     layout = protocol.layout
     part = layout.part(role)
     there = (rows.kind != GARBAGE) & (rows.size >= layout.head)

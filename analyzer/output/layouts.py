@@ -37,14 +37,16 @@ def drawn_layouts(protocol: Protocol) -> Iterator[RenderableType]:
 
 
 def _rows(layout: Layout) -> Iterator[tuple[str, str, str]]:
-    for part in layout.parts:
-        if part.offset >= 0:
-            yield _row(layout, part)
+    for part in _in_order(layout):
+        yield _row(layout, part) if part else ("data", "..", "the fields of the instruction")
+
+
+def _in_order(layout: Layout) -> list[Part | None]:
+    """The parts of a layout, and None for the place of its data."""
+    parts: list[Part | None] = [*layout.parts]
     if layout.has_data:
-        yield "data", "..", "the fields of the instruction"
-    for part in layout.parts:
-        if part.offset < 0:
-            yield _row(layout, part)
+        parts.insert(sum(part.offset >= 0 for part in layout.parts), None)
+    return parts
 
 
 def _row(layout: Layout, part: Part) -> tuple[str, str, str]:
@@ -98,13 +100,12 @@ def check_in_words(function: CheckFunction) -> str:
 def layout_json(layout: Layout) -> list[dict[str, Any]]:
     """The parts of a layout in order for machines; the data are a part without a size."""
     rows: list[dict[str, Any]] = []
-    for part in layout.parts:
-        if part.offset < 0 and not any(row["part"] == "data" for row in rows):
+    for part in _in_order(layout):
+        if part is None:
             rows.append({"part": "data"})
+            continue
         kind = {"part": part.name, "kind": part.role, "bytes": part.size, "bits": part.width}
         rows.append({**kind, "meaning": _row(layout, part)[2]})
-    if layout.has_data and not any(row["part"] == "data" for row in rows):
-        rows.append({"part": "data"})
     return rows
 
 

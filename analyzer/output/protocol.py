@@ -26,69 +26,34 @@ def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
     yield heading(f"{protocol.name} {protocol.version}")
     yield Text(protocol.document, style="dim")
     yield Text(f"grammar {protocol.origin}, sha256 {protocol.sha256}", style="dim")
-    if not protocol.plain:
-        yield from _drawn_framed(protocol)
-        return
-    yield from _titled(f"Header, one byte ({protocol.clauses.header})")
-    yield table(
-        ("bits", "name", "meaning"),
-        [(str(width), name, prose) for name, width, prose in protocol.header_bits],
-        right="bits",
-    )
+    yield from _header(protocol) if protocol.plain else drawn_layouts(protocol)
     yield from _titled(f"Instructions ({protocol.clauses.instructions})")
-    yield table(
-        ("id", "name", "document", "frame", "data", "meaning"),
-        [_instruction_row(protocol, spec) for spec in protocol.instructions],
-        right="id",
-    )
-    if protocol.unused_ids:
+    yield _instructions(protocol)
+    if protocol.plain and protocol.unused_ids:
         answer = protocol.answers[Outcome.UNKNOWN_ID].name
         unused = ", ".join(map(str, protocol.unused_ids))
         stops = f", stops the {protocol.device}" if protocol.stops(protocol.on_fault) else ""
         yield Text(f"  unused: {unused} (answered {answer}{stops})", style="dim")
-    kind = "motion state" if protocol.at_rest else "state"
-    yield from _titled(f"Effects on the {kind}")
-    yield table(("after", "becomes"), _effect_rows(protocol))
-    yield from _titled(f"Responses, one byte ({protocol.clauses.responses})")
-    yield _responses(protocol)
-    yield from _titled("Defaults where the document is silent")
-    yield facts(_defaults(protocol))
-
-
-def _drawn_framed(protocol: Protocol) -> Iterator[RenderableType]:
-    """Yield the tables of a protocol whose frames have a layout of their own."""
-    yield from drawn_layouts(protocol)
-    yield from _titled(f"Instructions ({protocol.clauses.instructions})")
-    yield table(
-        ("id", "name", "document", "data", "answer", "meaning"),
-        [_framed_row(spec) for spec in protocol.instructions],
-    )
     for memory, cells in protocol.registers.items():
         yield from _titled(f"Named {memory}")
         rows = [(str(at), one.name, one.allowed_in_short, one.prose) for at, one in cells.items()]
         yield table(("place", "name", "allowed", "meaning"), rows, right="place")
-    if any(spec.effect.assignments for spec in protocol.instructions):
-        yield from _titled("Effects on the state")
+    if protocol.plain or any(spec.effect.assignments for spec in protocol.instructions):
+        yield from _titled(f"Effects on the {'motion state' if protocol.at_rest else 'state'}")
         yield table(("after", "becomes"), _effect_rows(protocol))
     if protocol.responses:
-        yield from _titled(f"Responses ({protocol.clauses.responses})")
-        yield _responses(protocol)
+        size = ", one byte" if protocol.plain else ""
+        yield from _titled(f"Responses{size} ({protocol.clauses.responses})")
+        rows = [(str(r.code), r.name, r.document, r.prose) for r in protocol.responses]
+        yield table(("code", "name", "document", "meaning"), rows, right="code")
     yield from _titled("Defaults where the document is silent")
     yield facts(_defaults(protocol))
 
 
-def _framed_row(spec: InstructionSpec) -> tuple[str, ...]:
-    answer = "none" if spec.answer is None else data_in_words(spec.answer)
-    id_and_name = f"{spec.id:02x}", spec.name, spec.document
-    return *id_and_name, data_in_words(spec.data), answer, spec.prose
-
-
-def _responses(protocol: Protocol) -> RenderableType:
-    return table(
-        ("code", "name", "document", "meaning"),
-        [(str(r.code), r.name, r.document, r.prose) for r in protocol.responses],
-        right="code",
-    )
+def _header(protocol: Protocol) -> Iterator[RenderableType]:
+    yield from _titled(f"Header, one byte ({protocol.clauses.header})")
+    rows = [(str(width), name, prose) for name, width, prose in protocol.header_bits]
+    yield table(("bits", "name", "meaning"), rows, right="bits")
 
 
 def _titled(text: str) -> Iterator[RenderableType]:
@@ -96,11 +61,20 @@ def _titled(text: str) -> Iterator[RenderableType]:
     yield heading(text)
 
 
-def _instruction_row(protocol: Protocol, spec: InstructionSpec) -> tuple[str, ...]:
-    header = f"{protocol.header_bytes[spec.id, spec.length]:02x}"
-    frame = " ".join([header, *(".." for _ in range(spec.length))])
-    data = " ".join(f"{f.name}={f.low}..{f.high}" for f in spec.fields)
-    return str(spec.id), spec.name, spec.document, frame, data, spec.prose
+def _instructions(protocol: Protocol) -> RenderableType:
+    """The instructions with their data: in the car's family with the frame, else the answer."""
+    rows = []
+    for spec in protocol.instructions:
+        told, data = (spec.name, spec.document), data_in_words(spec.data)
+        if protocol.plain:
+            header = f"{protocol.header_bytes[spec.id, spec.length]:02x}"
+            rows.append((str(spec.id), *told, header + " .." * spec.length, data, spec.prose))
+        else:
+            answer = "none" if spec.answer is None else data_in_words(spec.answer)
+            rows.append((f"{spec.id:02x}", *told, data, answer, spec.prose))
+    more = ("frame", "data") if protocol.plain else ("data", "answer")
+    columns = ("id", "name", "document", *more, "meaning")
+    return table(columns, rows, right="id" if protocol.plain else "")
 
 
 def _effect_rows(protocol: Protocol) -> Iterator[tuple[str, str]]:
@@ -189,27 +163,18 @@ def _frames_json(protocol: Protocol) -> dict[str, Any]:
 
 
 def _instruction_json(protocol: Protocol, spec: InstructionSpec) -> dict[str, Any]:
-    shown = ("name", "prose", "offset", "size", "low", "high", "bits")
-    if not protocol.plain:
-        return {
-            "id": spec.id,
-            "name": spec.name,
-            "document": spec.document,
-            "prose": spec.prose,
-            "fields": _fields_json(spec.data),
-            "answer": None if spec.answer is None else _fields_json(spec.answer),
-            "effect": _effect_json(spec.effect),
+    about = {name: getattr(spec, name) for name in ("id", "name", "document", "prose")}
+    if protocol.plain:
+        shown = ("name", "prose", "offset", "size", "low", "high", "bits")
+        about |= {
+            "length": spec.length,
+            "header": f"{protocol.header_bytes[spec.id, spec.length]:02x}",
+            "fields": [{name: getattr(field, name) for name in shown} for field in spec.fields],
         }
-    return {
-        "id": spec.id,
-        "name": spec.name,
-        "document": spec.document,
-        "prose": spec.prose,
-        "length": spec.length,
-        "header": f"{protocol.header_bytes[spec.id, spec.length]:02x}",
-        "fields": [{name: getattr(field, name) for name in shown} for field in spec.fields],
-        "effect": _effect_json(spec.effect),
-    }
+    else:
+        about["fields"] = _fields_json(spec.data)
+        about["answer"] = None if spec.answer is None else _fields_json(spec.answer)
+    return {**about, "effect": _effect_json(spec.effect)}
 
 
 def _fields_json(data: DataSpec) -> list[dict[str, Any]]:

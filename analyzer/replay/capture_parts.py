@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.output.outputs import Window
+from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.captures.reader import Capture
@@ -14,6 +14,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.decode.batch import Batch
+    from bilprov.analyzer.filters.filter import Filter
     from bilprov.captures.events import Events
 
 TEXT_BATCH = 1 << 14
@@ -27,6 +28,24 @@ WHOLE = Window()
 
 Progress = Callable[[int], object]
 """Gets how many bytes of the line were read more; what it raises ends the work."""
+
+
+class Chosen(NamedTuple):
+    """What of a capture is exported: the rows in a window that pass a filter (None: all)."""
+
+    capture: Capture
+    protocol: Protocol
+    test: Filter | None
+    window: Window
+    progress: Progress
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield the rows. Raises CaptureError if the capture cannot be read."""
+        shown = Shown(NoOutput(), self.test, window=self.window)
+        batches = decoded_batches(
+            self.capture, self.protocol, self.progress, self.window, TEXT_BATCH
+        )
+        return map(shown.show, batches)
 
 
 def event_batches(

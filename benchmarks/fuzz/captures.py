@@ -32,13 +32,13 @@ from bilprov.analyzer.edit.cut import write_window
 from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
 from bilprov.analyzer.export.pcapng import write_pcapng
 from bilprov.analyzer.export.text import write_csv, write_jsonl
-from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.capture_info import summarized
 from bilprov.analyzer.output.capture_stats import file_stats
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.plot.page import plot_page
-from bilprov.analyzer.replay.capture_parts import decoded_batches
+from bilprov.analyzer.replay.capture_parts import Chosen, decoded_batches
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, capture_session
 from bilprov.analyzer.replay.recorder import RecordWriter
 from bilprov.analyzer.replay.seek import opened_at
@@ -174,18 +174,11 @@ def exporting() -> Test:
     return test
 
 
-def _export(capture: Capture, chosen: object) -> None:
-    protocol = load_protocol()
+def _export(capture: Capture, test: Filter | None) -> None:
+    chosen = Chosen(capture, load_protocol(), test, Window(), lambda count: None)
     for write in (write_csv, write_jsonl, write_pcapng):
         out = io.BytesIO()
-        write(
-            capture,
-            protocol,
-            out,
-            test=chosen,  # type: ignore[arg-type]
-            window=Window(),
-            progress=lambda count: None,
-        )
+        write(chosen, out)
         _REQUIRED[write.__name__](out.getvalue())
 
 

@@ -47,12 +47,7 @@ class Requests(NamedTuple):
 
     def and_then(self, other: Requests) -> Requests:
         """These rows and those of `other`, of the same buffer."""
-        return Requests(
-            np.concatenate([self.offset, other.offset]),
-            np.concatenate([self.size, other.size]),
-            np.concatenate([self.kind, other.kind]),
-            np.concatenate([self.due, other.due]),
-        )
+        return Requests(*(np.concatenate(both) for both in zip(self, other, strict=True)))
 
     @property
     def end(self) -> Places:
