@@ -22,6 +22,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.export.text import write_csv, write_jsonl
 from bilprov.analyzer.output.csv_text import plain
 from bilprov.analyzer.output.outputs import Window
+from bilprov.analyzer.replay.capture_parts import Chosen
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk
@@ -71,7 +72,7 @@ def exported(path: Path, style: str, *more: str) -> bytes:
 
 def written_by(writer: Callable[..., None], capture: Capture, protocol: Protocol) -> bytes:
     stream = io.BytesIO()
-    writer(capture, protocol, stream, test=None, window=Window(), progress=lambda size: None)
+    writer(Chosen(capture, protocol, None, Window(), lambda size: None), stream)
     return stream.getvalue()
 
 
