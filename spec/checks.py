@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 from bilprov.spec.value_checks import WrongValue, require_whole, shown
 
@@ -44,6 +44,7 @@ class Xor:
     """The exclusive or of `start` and each byte."""
 
     start: int = 0
+    bits: ClassVar[int] = 8
 
     def __post_init__(self) -> None:
         require_whole("the start of a Xor", self.start, 0, 255)
@@ -80,6 +81,11 @@ class Crc:
         for name in ("poly", "init", "xorout"):
             require_whole(f"Crc.{name}", getattr(self, name), 0, (1 << self.width) - 1)
         _require_bool("Crc.reflected", self.reflected)
+
+    @property
+    def bits(self) -> int:
+        """Its width, as other checks call it."""
+        return self.width
 
     @cached_property
     def table(self) -> tuple[int, ...]:

@@ -421,6 +421,12 @@ class _Reader:
         if not isinstance(body.hashfunc, Sum | Xor | Crc):
             raise LayoutError(f"{name} must be a Sum, a Xor or a Crc of bilprov.spec.fields")
         number = number_of(unwrapped(body.checksumfield), name)
+        function, largest = body.hashfunc, (1 << body.hashfunc.bits) - 1
+        if number.high < largest:
+            raise LayoutError(
+                f"{name} is a {type(function).__name__} of up to {largest} in a type of up to "
+                f"{number.high}; give it a wider type or a narrower check"
+            )
         self._check = self._add(member, "check", number), body
 
     def _add(
