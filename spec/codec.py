@@ -313,7 +313,7 @@ def _fault(
     part_wrong = spec.data.wrong(data)
     if part_wrong is None:
         return Outcome.VALID, "", ""
-    value = spec.decode(data).get(part_wrong.name, b"")
+    value = part_wrong.parse(spec.data.raw(part_wrong, data))
     reason = (
         f"{spec.name}.{part_wrong.name or 'constant'} is {shown_value(part_wrong, value)}, "
         f"allowed are {part_wrong.allowed}"

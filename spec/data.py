@@ -222,7 +222,7 @@ class DataSpec:
     def decode(self, data: bytes) -> dict[str, Any]:
         """The value of each field with a name, in data that have all of them."""
         return {
-            part.name: part.parse(data[part.offset :] if part is self._last else _raw(part, data))
+            part.name: part.parse(self.raw(part, data))
             for part in self.fields
             if part.constant is None
         }
@@ -230,17 +230,16 @@ class DataSpec:
     def wrong(self, data: bytes) -> FieldSpec | None:
         """The first field whose value is out of its range; None if there is none."""
         for part in self.fields:
-            raw = data[part.offset :] if part is self._last else _raw(part, data)
+            raw = self.raw(part, data)
             if part.many and not part.many.whole(raw):
                 return part
             if not part.in_range(raw if part.constant is not None else part.parse(raw)):
                 return part
         return None
 
-    @property
-    def _last(self) -> FieldSpec | None:
-        """The last field, if it goes to the end of the data."""
-        return self.fields[-1] if self.counted else None
+    def raw(self, part: FieldSpec, data: bytes) -> bytes:
+        """The bytes of a field; a counted one goes to the end of the data."""
+        return data[part.offset :] if self.counted and part is self.fields[-1] else _raw(part, data)
 
 
 def _raw(part: FieldSpec, data: bytes) -> bytes:

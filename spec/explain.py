@@ -245,7 +245,7 @@ def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
     begun = [p.offset + p.size for p in layout.parts if p.offset + p.size <= len(frame)]
     at = max((end for end in begun if end <= layout.head), default=0)
     end = len(frame) - (layout.tail if whole else 0)
-    if judgement.instruction and judgement.fields:
+    if judgement.instruction and judgement.outcome in (Outcome.VALID, Outcome.BAD_DATA):
         yield from _data_groups(judgement, judgement.instruction)
     else:
         for place in range(at, end):
@@ -285,10 +285,7 @@ def _part_groups(layout: Layout, judgement: Judgement, part: Part, at: int) -> I
     """The group of a part; of constant bytes each is one."""
     frame, size = judgement.frame, part.size
     if part.role == "constant":
-        for place, right in enumerate(part.constant, at):
-            wrong = frame[place] != right
-            meaning = f"must be {right:02x}" if wrong else part.prose or "fixed"
-            yield _byte_group(frame, place, part.name, meaning, wrong)
+        yield from _fixed_bytes(frame, at, part.constant, part)
         return
     raw = frame[at : at + size]
     high = part.shift + part.width - 1 if part.width else 8 * size - 1
@@ -296,6 +293,16 @@ def _part_groups(layout: Layout, judgement: Judgement, part: Part, at: int) -> I
     meaning, fault = _part_meaning(layout, judgement, part, raw)
     value = int(bits, 2) if part.width else part.number.parse(raw)
     yield BitGroup(at, size, high, part.shift, bits, part.name, value, meaning, fault)
+
+
+def _fixed_bytes(
+    frame: bytes, at: int, constant: bytes, part: Part | FieldSpec
+) -> Iterator[BitGroup]:
+    """A group for each byte of a constant."""
+    for place, right in enumerate(constant, at):
+        wrong = frame[place] != right
+        meaning = f"must be {right:02x}" if wrong else part.prose or "fixed"
+        yield _byte_group(frame, place, part.name, meaning, wrong)
 
 
 def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) -> tuple[str, bool]:
@@ -343,10 +350,12 @@ def _field_groups(judgement: Judgement, instruction: InstructionSpec) -> Iterato
         at = judgement.head + spec.offset
         if spec.many:
             yield from _elements(spec, spec.many, at, frame, values[spec.name])
+        elif spec.constant is not None:
+            yield from _fixed_bytes(frame, at, spec.constant, spec)
         elif spec.bits:
             yield from _named_bits(spec, at, frame, values[spec.name])
         else:
-            yield _whole_group(judgement, at, spec, values.get(spec.name))
+            yield _whole_group(judgement, at, spec, values[spec.name])
 
 
 def _elements(
@@ -380,17 +389,16 @@ def _named_bits(spec: FieldSpec, at: int, frame: bytes, value: int) -> Iterator[
         yield BitGroup(at, spec.size, low, low, bit, name, int(bit), meaning, wrong)
 
 
-def _whole_group(judgement: Judgement, at: int, spec: FieldSpec, value: int | None) -> BitGroup:
-    """The group of a field that is one number, or constant bytes."""
+def _whole_group(judgement: Judgement, at: int, spec: FieldSpec, value: int) -> BitGroup:
+    """The group of a field that is one number."""
     raw = judgement.frame[at : at + spec.size]
-    fault = not spec.in_range(raw if value is None else value)
+    fault = not spec.in_range(value)
     named = next((name for name, number in spec.names if number == value), "")
     meaning = named or spec.prose or spec.name
     if fault:
         meaning += f"; allowed are {spec.allowed}"
     elif not judgement.framed:
         meaning += f", {spec.allowed}"
-    shown = int.from_bytes(raw, "big") if value is None else value
     return BitGroup(
-        at, spec.size, 8 * spec.size - 1, 0, _bits(raw), spec.name, shown, meaning, fault
+        at, spec.size, 8 * spec.size - 1, 0, _bits(raw), spec.name, value, meaning, fault
     )

@@ -12,7 +12,8 @@ from bilprov.spec.explain import explain, explain_responses
 from bilprov.spec.protocol import load
 from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
 from tests.frame_vectors import RequestVector
-from tests.support.grammars import undeclared
+from tests.support import ROOT
+from tests.support.grammars import mutated, undeclared
 
 PROTOCOL = load_protocol()
 
@@ -100,6 +101,29 @@ def test_every_bit_of_a_frame_of_any_layout_stands_in_one_group(
     faulty = [group for group in frame.groups if group.fault]
     assert bool(faulty) is (vector.outcome not in ("valid", "truncated"))
     assert frame.device == protocol.device
+
+
+@pytest.mark.parametrize(
+    ("sent", "meanings", "reason"),
+    [
+        ("5556000000 01 00 000102 AF", ["fixed", "fixed", "fixed"], ""),
+        (
+            "5556000000 01 00 000202 B0",
+            ["fixed", "must be 01", "fixed"],
+            "Read.rest is 00 02 02, allowed are 00 01 02",
+        ),
+    ],
+)
+def test_fixed_data_are_explained_byte_by_byte(sent: str, meanings: list[str], reason: str) -> None:
+    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+    read, silent = '"Read" / Instruction(', "SILENT = ("
+    const = f'{read}"rest" / Const(b"\\0\\1\\2"), '
+    protocol = load(mutated(text, {read: const, silent: f"{silent}Outcome.BAD_DATA, "}))
+    (frame,) = explain(protocol, bytes.fromhex(sent)).frames
+
+    assert [group.meaning for group in frame.groups if group.name == "rest"] == meanings
+    assert frame.judgement.reason == reason
+    assert "means nothing" not in [group.meaning for group in frame.groups]
 
 
 def test_what_belongs_to_no_frame_is_refused_with_the_right_beginning() -> None:
