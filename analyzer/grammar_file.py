@@ -59,7 +59,8 @@ def load_protocol(grammar: str | None = None) -> Protocol:
                 f"{', '.join(SHIPPED)}"
             ) from error
         raise GrammarError(
-            f"the grammar {file} cannot be read: {what}; start from a copy of spec/grammar.py"
+            f"the grammar {file} cannot be read: {what}; start from what "
+            "`bilprov spec emit grammar` writes"
         ) from error
     protocol = load(source, file.name)
     whole = with_imported(source)

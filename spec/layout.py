@@ -230,11 +230,16 @@ class Layout:
 
     def repeats(self, held: bytes, asked: Values) -> bool:
         """Whether the parts that repeat the request's do, as far as the bytes go."""
-        return all(
-            part.read(held) == asked.get(part.same, -1) + part.plus  # type: ignore[operator]
-            for part in self.parts
-            if part.same and part.offset >= 0 and part.offset + part.size <= len(held)
-        )
+        return self.unrepeated(held, asked) is None
+
+    def unrepeated(self, held: bytes, asked: Values) -> tuple[Part, int] | None:
+        """The first part that does not repeat the request's, and its right value."""
+        for part in self.parts:
+            if part.same and part.offset >= 0 and part.offset + part.size <= len(held):
+                right = asked.get(part.same, -1) + part.plus  # type: ignore[operator]
+                if part.read(held) != right:
+                    return part, right
+        return None
 
     def values(self, frame: bytes) -> dict[str, int]:
         """The parts of a whole frame by name, without constants, length and check."""

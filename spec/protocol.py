@@ -474,7 +474,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         what = one_line(error.msg if isinstance(error, SyntaxError) else error, _LONGEST)
         raise GrammarError(
             f"the grammar {origin} does not load: {type(error).__name__}: {what}{line}; "
-            "start from a copy of spec/grammar.py"
+            "start from what `bilprov spec emit grammar` writes"
         ) from error
     try:
         _require_each_id_once(tree)

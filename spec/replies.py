@@ -102,7 +102,7 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
     sized = [way for way in ways if _size(protocol, way, frame, asked, values) == len(frame)]
     right = [way for way in sized if _is_right(protocol, way, frame, asked)]
     if not sized:
-        return Reply(frame, None, (), reason=f"the bytes {spaced(frame)} are not an answer")
+        return Reply(frame, None, (), reason=_unlike(ways[0].layout, frame, values))
     way = (right or sized)[0]
     layout = way.layout
     names, response = meaning(protocol, layout.code_of(frame))
@@ -257,6 +257,19 @@ def meaning(protocol: Protocol, code: int | None) -> tuple[tuple[str, ...], Resp
         return tuple(one.name for one in known), None
     telling = [one for one in known if one.outcomes] or known
     return tuple(one.name for one in known), telling[0]
+
+
+def _unlike(layout: Layout, frame: bytes, asked: Mapping[str, Any]) -> str:
+    """Why bytes are no answer, in words."""
+    for offset, raw in layout.constants:
+        found = frame[offset : offset + len(raw)]
+        if offset >= 0 and found != raw:
+            return f"{spaced(found)} stands where {spaced(raw)} must be"
+    unrepeated = layout.unrepeated(frame, asked)
+    if unrepeated:
+        part, right = unrepeated
+        return f"{part.name} is {part.read(frame)}, right is {right}"
+    return "the bytes are not an answer"
 
 
 def _damage(protocol: Protocol, layout: Layout, frame: bytes, asked: Judgement | None) -> str:

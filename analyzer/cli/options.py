@@ -113,7 +113,8 @@ class LineOptions:
         """The settings of the line. Raises ValueError."""
         from bilprov.analyzer.transport.line_settings import line_settings
 
-        return line_settings(protocol, self.baud, self.parity, self.stopbits)
+        stopbits = None if self.stopbits is None else float(self.stopbits)
+        return line_settings(protocol, self.baud, self.parity, stopbits)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from bilprov.analyzer.client.exchange import exchange
 from bilprov.analyzer.client.operations import listen
 from bilprov.analyzer.client.port_driver import OnPort
 from bilprov.analyzer.grammar_file import given_protocol
+from bilprov.analyzer.transport.errors import first_bytes
 from bilprov.captures.schemas import MS
 from bilprov.spec.by_effect import change_by
 from bilprov.spec.codec import Judgement, build, judge, spaced
@@ -149,11 +150,14 @@ class DeviceDriver(InstructionMethods):
             due = f" of {size}" if size else ""
             raise RobotError(f"{what}: the answer broke off after {len(heard)}{due} bytes")
         reply = read_reply(self.protocol, heard[:size] if size > 0 else heard, asked)
+        surplus = heard[size:] if size > 0 else b""
+        if not (reply.reason or surplus):
+            return reply
+        if asked.frame.startswith(heard[: len(asked.frame)]):
+            raise RobotError(f"{what} came back: where the line has an echo, use echo=True")
         if reply.reason:
-            raise RobotError(f"{what} was answered {spaced(heard)}: {reply.reason}")
-        if 0 < size < len(heard):
-            raise RobotError(f"{what}: {spaced(heard[size:])} came after its answer")
-        return reply
+            raise RobotError(f"{what} was answered {first_bytes(heard)}: {reply.reason}")
+        raise RobotError(f"{what}: {first_bytes(surplus)} came after its answer")
 
     def _refused(self, spec: InstructionSpec, frame: bytes, reply: Reply) -> Refused:
         known = reply.response
@@ -195,7 +199,7 @@ class Device(DeviceDriver, OnPort):
 
     def __init__(
         self,
-        url: str,
+        url: str | PathLike[str],
         *,
         grammar: str | PathLike[str] | Protocol | None = None,
         address: int | None = None,

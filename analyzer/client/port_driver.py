@@ -58,15 +58,23 @@ class _OpenRobot:
         self._process = os.getpid()
 
     def halt(self, why: str) -> None:
-        """Stop the robot. Whoever uses it next is told why, unless an exception does now."""
-        if self._process != os.getpid():  # it is the parent's
+        """Stop the robot, where the grammar tells how.
+
+        Whoever uses it next is told why, unless an exception does now.
+        """
+        frames = b"".join(self._rest.frames())
+        if not frames or self._process != os.getpid():  # it is the parent's
             return
         with self._turns.taken(_PATIENCE) as alone, suppress(LinkError):
-            self.halted, self.why = True, "" if self.in_block else why
+            self.halted, self.why = True, "" if self.in_block else self.stopped_words(why)
             if self.in_block or not alone:  # the end of the block homes it
-                self._port.write(b"".join(self._rest.frames()))
+                self._port.write(frames)
             else:
                 done(self._rest.once(), PortLink(self._port))
+
+    def stopped_words(self, why: str) -> str:
+        """Why it was stopped, in words."""
+        return f"{why}, and the {self._noun} was stopped before that"
 
     def drop(self) -> None:
         """Home the robot and close its port, and warn that nobody did."""
@@ -76,20 +84,21 @@ class _OpenRobot:
         self.in_block = False  # or it was left without its end, as a generator is
         self.halt("")
         self._port.close()
-        what = f"the {self._noun} at {self._port.name} was never closed, and was stopped only now"
+        what = f"the {self._noun} at {self._port.name} was never closed"
+        what += ", and was stopped only now" if self.halted else ""
         warnings.warn(f"{what}: use it in a with block", ResourceWarning, stacklevel=2)
 
 
 _open: set[_OpenRobot] = set()
-_SUSPENDED = "the program was suspended, and the robot was stopped before that"
+_SUSPENDED = "the program was suspended"
 
 
 def _halt_all(number: int) -> None:
     """Stop every open robot, for this signal."""
     try:
-        why = f"{signal.Signals(number).name} came, and the robot was stopped before that"
+        why = f"{signal.Signals(number).name} came"
     except ValueError:  # a real-time signal has no name
-        why = f"signal {number} came, and the robot was stopped before that"
+        why = f"signal {number} came"
     for robot in list(_open):
         robot.halt(_SUSPENDED if number == signal.SIGTSTP else why)
 
@@ -107,8 +116,9 @@ def _heard(number: int, frame: FrameType | None) -> None:
     if in_block and number != signal.SIGTSTP:
         sys.exit(128 + number)
     as_usual(number)
-    if in_block:
-        raise RobotError(_SUSPENDED)
+    for robot in _open:
+        if robot.in_block and robot.halted:
+            raise RobotError(robot.stopped_words(_SUSPENDED))
 
 
 def _handle_signals() -> None:
@@ -171,7 +181,7 @@ class OnPort(InstructionMethods):
 
     def __init__(
         self,
-        url: str,
+        url: str | PathLike[str],
         *,
         grammar: str | PathLike[str] | Protocol | None = None,
         timeout: float | None = None,
@@ -181,10 +191,13 @@ class OnPort(InstructionMethods):
         echo: bool = False,
     ) -> None:
         grammar = given_protocol(grammar)
-        if timeout is not None and not 0 < timeout < math.inf:
-            raise ValueError(f"timeout is {timeout:g}, allowed are milliseconds above 0")
+        number = timeout is None or isinstance(timeout, int | float)
+        if not number or (timeout is not None and not 0 < timeout < math.inf):
+            raise ValueError(f"timeout is {timeout!r}, allowed are milliseconds above 0")
         _handle_signals()
-        self._port = open_port(url, line_settings(grammar, baud, parity, stopbits, echo=echo))
+        self._port = open_port(
+            os.fspath(url), line_settings(grammar, baud, parity, stopbits, echo=echo)
+        )
         self._open = True
         self._signals = ExitStack()
         try:
@@ -216,7 +229,7 @@ class OnPort(InstructionMethods):
 
     def _home_and_close(self) -> None:
         try:
-            if not self._do(self._rest.once()):
+            if self._rest.frames() and not self._do(self._rest.once()):
                 raise self._nobody()
         finally:
             self._dropped.detach()

@@ -213,20 +213,20 @@ def writing_failed(name: str, error: BaseException, timeout: float) -> LinkError
 def echo_differs(name: str, sent: bytes, came: bytes) -> LinkError:
     """Return a LinkError that says that something else came than the echo of what was sent."""
     return LinkError(
-        f"{name} carried {_spaced(came)} where {_spaced(sent)} was sent: another sender talked at "
-        "the same time, or this line has no echo"
+        f"{name} carried {first_bytes(came)} where {first_bytes(sent)} was sent: another sender "
+        "talked at the same time, or this line has no echo"
     )
 
 
 def echo_missing(name: str, sent: bytes, came: bytes, timeout: float) -> LinkError:
     """Return a LinkError that says how much of the echo came in `timeout` s."""
     return LinkError(
-        f"{len(came)} of the {len(sent)} bytes {_spaced(sent)} came back from {name} in "
+        f"{len(came)} of the {len(sent)} bytes {first_bytes(sent)} came back from {name} in "
         f"{timeout:g} s: is the adapter connected, and does the line have an echo?"
     )
 
 
-def _spaced(data: bytes) -> str:
+def first_bytes(data: bytes) -> str:
     """The first bytes in hex."""
     return data[:_SHOWN].hex(" ") + (" ..." if len(data) > _SHOWN else "")
 

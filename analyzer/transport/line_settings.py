@@ -23,12 +23,12 @@ class LineSettings:
     echo: bool = False
 
     def __post_init__(self) -> None:
-        if self.baud < 1:
-            raise ValueError(f"baud is {self.baud}, allowed are numbers from 1")
+        if not isinstance(self.baud, int) or self.baud < 1:
+            raise ValueError(f"baud is {self.baud!r}, allowed are whole numbers from 1")
         if self.parity not in tuple("NEOMS"):
             raise ValueError(f"parity is {self.parity!r}, allowed are N, E, O, M and S")
         if self.stopbits not in (1, 1.5, 2):
-            raise ValueError(f"stopbits is {self.stopbits:g}, allowed are 1, 1.5 and 2")
+            raise ValueError(f"stopbits is {self.stopbits!r}, allowed are 1, 1.5 and 2")
 
     @property
     def byte_time(self) -> int:
@@ -44,7 +44,7 @@ def line_settings(
     protocol: Protocol,
     baud: int | None = None,
     parity: str | None = None,
-    stopbits: str | float | None = None,
+    stopbits: float | None = None,
     *,
     echo: bool = False,
 ) -> LineSettings:
@@ -53,7 +53,7 @@ def line_settings(
     return LineSettings(
         baud=line.baud if baud is None else baud,
         parity=line.parity if parity is None else parity,
-        stopbits=line.stopbits if stopbits is None else float(stopbits),
+        stopbits=line.stopbits if stopbits is None else stopbits,
         echo=echo,
     )
 

@@ -174,8 +174,8 @@ def test_a_grammar_that_runs_ends_in_a_sentence_too(
         (
             "INSTRUCTIONS = {",
             "INSTRUCTIONS = = {",
-            "does not load: SyntaxError: invalid syntax, line ~; start from a copy of "
-            "spec/grammar.py",
+            "does not load: SyntaxError: invalid syntax, line ~; start from what "
+            "`bilprov spec emit grammar` writes",
         ),
     ],
 )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from random import Random
 from typing import Any
 
 import pytest
 
-from bilprov import Device
+from bilprov import Device, LinkError
 from bilprov.analyzer.client.device import DeviceDriver
 from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
 from bilprov.analyzer.client.link import LinkListener
@@ -151,6 +152,22 @@ def _motors() -> str:
 MOTORS = _motors()
 
 
+def test_of_a_device_without_a_rest_nothing_is_told_when_its_line_is_lost() -> None:
+    device = Scripted(load_protocol("modbus-rtu"))
+
+    def lost() -> None:
+        with ExitStack() as served:
+            port, _ = served.enter_context(served_here(device, pty=True))
+            with Device(Path(port), grammar="modbus-rtu", address=1) as meter:
+                assert meter.read_coils(0, 1) == b"\x00"
+                served.close()
+                meter.read_coils(0, 1)
+
+    with pytest.raises(LinkError, match="disappeared while it was in use") as raised:
+        lost()
+    assert not hasattr(raised.value, "__notes__")
+
+
 def test_what_brings_a_device_to_rest_is_found_in_the_effects() -> None:
     stop_both = (("ForwardM1", {"speed": 0}), ("ForwardM2", {"speed": 0}))
     assert load(MOTORS, "motors.py").rest_requests == stop_both
@@ -281,7 +298,9 @@ def test_several_flags_are_named_together() -> None:
         ("", NoAnswer, "was not answered in 5000 ms"),
         ("01 03 02 00", RobotError, "the answer broke off after 4 of 7 bytes"),
         ("01 03 02 00 00 b8 45", RobotError, "crc is b8 45, right is b8 44"),
-        ("02 03 02 00 00 fc 44", RobotError, "are not an answer"),
+        ("02 03 02 00 00 fc 44", RobotError, "was answered 02 .*: address is 2, right is 1"),
+        ("78 " * 99, RobotError, r"was answered (78 ){16}\.\.\.: address is 120, right is 1"),
+        ("01 03 00 00 00 01 84 0a", RobotError, "came back: where the line has an echo, use echo"),
         ("01 03 02 00 00 b8 44 00", RobotError, "00 came after its answer"),
     ],
 )
@@ -309,6 +328,13 @@ def test_a_wrong_use_sends_nothing() -> None:
         meter.read_coil(0)
     with pytest.raises(ValueError, match="stk500v1 has no addresses; address is 1"):
         Device("loop://", grammar="stk500v1", address=1)
+    for wrong, why in (
+        ({"timeout": "1"}, "timeout is '1', allowed are milliseconds above 0"),
+        ({"baud": 9600.5}, "baud is 9600.5, allowed are whole numbers from 1"),
+        ({"stopbits": "2"}, "stopbits is '2', allowed are 1, 1.5 and 2"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            Device("loop://", grammar="stk500v1", **wrong)  # type: ignore[arg-type]
     assert device.heard == b""
 
 

@@ -130,7 +130,7 @@ def test_line_settings_say_themselves_and_their_byte_time(
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({"baud": 0}, "baud is 0, allowed are numbers from 1"),
+        ({"baud": 0}, "baud is 0, allowed are whole numbers from 1"),
         ({"parity": "X"}, "parity is 'X', allowed are N, E, O, M and S"),
         ({"stopbits": 3}, "stopbits is 3, allowed are 1, 1.5 and 2"),
     ],
