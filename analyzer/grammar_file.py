@@ -116,6 +116,20 @@ def _assigned(tree: ast.AST) -> list[str]:
     return [one.id for one in names if isinstance(one.ctx, ast.Store)]
 
 
+def not_carried(protocol: Protocol) -> str:
+    """A sentence where captures open only with the grammar's file beside them; "" elsewhere."""
+    from bilprov.spec.safe_grammar import NotDeclared, require_declarations
+
+    try:
+        require_declarations(protocol.source)
+    except NotDeclared as error:
+        return (
+            f"captures made with {protocol.origin} open only with --grammar {protocol.origin}, "
+            f"because it does more than declare: {error}"
+        )
+    return ""
+
+
 @cache
 def carried_protocol(text: str, sha256: str, path: str, origin: str = "") -> Protocol:
     """Load the grammar whose text is in the capture `path`, whoever wrote that.

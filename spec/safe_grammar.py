@@ -40,6 +40,7 @@ LONGEST = 1 << 18  # characters of a grammar's text
 LARGEST_EXPANSION = 1 << 15  # parts of its values together, each name replaced by its value
 DEEPEST = 40  # parts within each other; the kit's own grammar has 12
 _LARGEST = 1 << 32  # the largest number
+_SHOWN = 60  # characters of what is no declaration
 _WIDEST = 64  # the largest number passed to construct, which allocates memory for widths
 
 
@@ -55,7 +56,7 @@ def require_declarations(source: str) -> None:
         with warnings.catch_warnings():  # Python's remarks about the text are not ours to print
             warnings.simplefilter("ignore")
             tree = ast.parse(source)
-        _Vetting().statements(tree)
+        _Vetting(source).statements(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise NotDeclared(f"it cannot be parsed: {type(error).__name__}") from error
 
@@ -66,7 +67,8 @@ def _today(module: str) -> str:
 
 
 class _Vetting:
-    def __init__(self) -> None:
+    def __init__(self, source: str) -> None:
+        self._source = source
         self._words: dict[str, str] = {}  # imported name -> module
         self._values: dict[str, ast.expr] = {}  # assigned name -> its value, which is no name
         self._extents: dict[str, tuple[int, int]] = {}  # assigned name -> parts, depth of its value
@@ -88,7 +90,12 @@ class _Vetting:
                     self._extents[name] = (self._size - before, depth)
                     self._values[name] = self._meant(value)
                 case _:
-                    raise _refused(node, f"there is a {type(node).__name__}")
+                    raise self._other(node)
+
+    def _other(self, node: ast.AST) -> NotDeclared:
+        """The refusal of what is no declaration, with its text."""
+        text = ast.get_source_segment(self._source, node) or ""
+        return _refused(node, f"there is {one_line(text, _SHOWN)}")
 
     def _free(self, name: str) -> bool:
         """Return whether a name may be assigned: not assigned, not imported, not beginning `__`."""
@@ -120,6 +127,10 @@ class _Vetting:
                 parts = given
                 if self._words[name] == "construct" and name not in _NO_WIDTHS:
                     self._check_widths(node, given)
+            case ast.Call(ast.Name("bytes"), [ast.Constant(int(count))], []) if (
+                self._free("bytes") and 0 <= count <= _WIDEST
+            ):
+                pass  # so many zeros
             case ast.BinOp(ast.Constant(str()), ast.Div(), right):
                 parts = [right]
             case ast.BinOp(left, ast.Mult(), ast.Constant(str())) if self._declares(left):
@@ -127,7 +138,7 @@ class _Vetting:
             case ast.BinOp(left, ast.Add() | ast.Mult(), right) if _is_path(left):
                 parts = [left, right] if _is_path(right) else [left, _number(right)]
             case _:
-                raise _refused(node, f"there is a {type(node).__name__}")
+                raise self._other(node)
         self._size += size
         if self._size > LARGEST_EXPANSION:
             raise _refused(node, f"with names replaced it has over {LARGEST_EXPANSION} parts")
@@ -187,15 +198,16 @@ def _number(node: ast.expr) -> ast.expr:
     """The node, which must be a number that a count is multiplied with or added to."""
     if isinstance(node, ast.Constant) and isinstance(node.value, int):
         return node
-    raise _refused(node, f"there is a {type(node).__name__} in a count")
+    raise _refused(node, "there is a count that is not made of whole numbers")
 
 
 def _check_constant(node: ast.expr, value: object) -> None:
     if isinstance(value, int | float) and abs(value) > _LARGEST:
         raise _refused(node, "there is a number above 2 to the 32nd")
-    if isinstance(value, bytes) and len(value) <= _WIDEST:
-        return
-    if not isinstance(value, str | int | float | None):
+    if isinstance(value, bytes):
+        if len(value) > _WIDEST:
+            raise _refused(node, f"there are {len(value)} bytes, allowed are {_WIDEST},")
+    elif not isinstance(value, str | int | float | None):
         raise _refused(node, f"there is a constant of type {type(value).__name__}")
 
 

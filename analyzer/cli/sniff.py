@@ -32,6 +32,7 @@ from bilprov.analyzer.cli.options import (
     compiled,
     judge_option,
     note,
+    note_each,
     note_hindrances,
     plain_option,
     timeout_option,
@@ -40,6 +41,7 @@ from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.decode.records import shapes_of
 from bilprov.analyzer.decode.session import BOTH, SKEW
 from bilprov.analyzer.decode.stream import StreamDecoder, preload
+from bilprov.analyzer.grammar_file import not_carried
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
 from bilprov.analyzer.output.outputs import (
@@ -197,6 +199,8 @@ def sniff(options: SniffOptions) -> int:
             heard=source.heard,
             attached=source.attached,
         )
+        if path:
+            note_each([not_carried(protocol)])
         recorder: Recorder | Spool | None = None
         kept: str | None = None
         if path:

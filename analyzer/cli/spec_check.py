@@ -11,13 +11,13 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command
-from bilprov.analyzer.cli.options import sender_option, text_format_option
+from bilprov.analyzer.cli.options import note_each, sender_option, text_format_option
 from bilprov.analyzer.cli.typed_input import bytes_from_hex, file_or_bytes
 from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.files import read_bounded
 from bilprov.analyzer.foreign import from_json
-from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.grammar_file import load_protocol, not_carried
 from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.console import facts, heading, show_as
 from bilprov.captures.parts import kept_parts
@@ -65,6 +65,7 @@ def check(options: CheckOptions) -> int:
     share = decoded_share(protocol, _records(protocol, options.words, options.sender))
     if not share.sides:
         raise click.ClickException("there is no byte to decode: name a capture or bytes in hex")
+    note_each([not_carried(protocol)])
     show_as(options.style, lambda: _share_json(share), lambda: _drawn(protocol, share))
     return 0 if share.whole else 1
 

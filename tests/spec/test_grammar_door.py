@@ -105,7 +105,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
         "type of RESPONSE.code must be a whole",
     ),
     # header and frame
-    ({"HEADER = BitStruct(": "HEADER = BitStruct(HEADER, "}, "Name"),
+    ({"HEADER = BitStruct(": "HEADER = BitStruct(HEADER, "}, "is HEADER in line|'HEADER'"),
     ({"HEADER = BitStruct(": "HEADER = Byte\nX = BitStruct("}, "FRAME has no part"),
     ({ID: '"kind" / BitsInteger(4)'}, "FRAME has no part"),
     ({ID: '"id" / BitsInteger(5)'}, "bits of FRAME are 9 together; they must fill"),
@@ -195,7 +195,7 @@ def test_the_sentence_says_the_file_and_the_line(
 def test_pythons_own_remarks_about_a_grammar_are_not_shown(
     grammar_text: str, recwarn: pytest.WarningsRecorder
 ) -> None:
-    assert "there is a Call" in sentence(f"{grammar_text}\nX = 1('\\d')\n", declared=True)
+    assert "there is 1('\\d') in line" in sentence(f"{grammar_text}\nX = 1('\\d')\n", declared=True)
     load(f'{grammar_text}\nX = "\\d"\n')
     assert not recwarn.list
 
@@ -229,8 +229,17 @@ def test_what_is_no_declaration_is_refused(text: str) -> None:
 
 
 def test_the_refusal_says_what_and_where() -> None:
-    with pytest.raises(NotDeclared, match="there is a Import in line 3"):
+    with pytest.raises(NotDeclared, match="there is import os in line 3"):
         require_declarations(WORDS + "import os")
+    with pytest.raises(NotDeclared, match=r"there is \[0 for a in 'b'\] in line 3"):
+        require_declarations(WORDS + "X = [0 for a in 'b']")
+
+
+def test_zeros_are_declared() -> None:
+    require_declarations(WORDS + "X = bytes(5)")
+    for text in ("X = bytes(65)", "X = bytes(-1)", "X = bytes(5, 'a')", "bytes = 1\nX = bytes(5)"):
+        with pytest.raises(NotDeclared):
+            require_declarations(WORDS + text)
 
 
 def test_the_kits_own_grammar_the_horns_and_the_longest_text_declare(

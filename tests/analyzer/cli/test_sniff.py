@@ -19,7 +19,7 @@ from bilprov.captures.schemas import Line
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, until, write
-from tests.support import commands
+from tests.support import ROOT, commands
 from tests.support.wires import PATIENCE, PtyRobot, json_lines, running, served
 
 pytestmark = pytest.mark.waits
@@ -363,6 +363,29 @@ def test_a_clock_before_1970_is_noted_and_the_capture_begins_there(path: Path) -
     assert result.returncode == 0
     assert b"the clock of this computer is set to before 1970 or after 2262" in result.stderr
     assert open_capture(path).start == 0
+
+
+@pytest.mark.parametrize(
+    ("zeros", "note"),
+    [
+        ("bytes(3)", ""),
+        ('b"\\0" * 3', 'it does more than declare: there is b"\\0" * 3 in line 48\n'),
+    ],
+)
+def test_a_grammar_that_the_capture_cannot_carry_is_noted(
+    path: Path, zeros: str, note: str
+) -> None:
+    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+    grammar = path.parent / "mine.py"
+    grammar.write_text(text.replace('Const(b"\\x55\\x56\\x00\\x00\\x00")', f"Const({zeros})"))
+    with open_pty() as host:
+        words = ("sniff", host.name, "-w", str(path), "--duration", "0.1", "--grammar")
+        result = commands.command(*words, str(grammar))
+
+    assert result.returncode == 0
+    assert note in result.stderr.decode()
+    assert ("it does more" in result.stderr.decode()) is bool(note)
+    assert replayed(path).returncode == (2 if note else 0)
 
 
 STOPPED = 1.2  # s; longer than a device may take to answer

@@ -10,6 +10,7 @@ import pytest
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.analyzer.decode.test_foreign_traffic import FOLDER, TRAFFIC, events
+from tests.support import ROOT
 from tests.support.commands import Done, command
 
 
@@ -70,6 +71,23 @@ def test_a_check_that_fits_is_told() -> None:
 
     assert result.returncode == 1
     assert b"Crc(16, 0x8005, 0xFFFF, reflected=True) in the big-endian order" in result.stdout
+
+
+def test_a_grammar_that_captures_cannot_carry_is_told(tmp_path: Path) -> None:
+    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+    (tmp_path / "zeros.py").write_text(text.replace('b"\\x33\\x3c', 'b"\\x33\\x3c" + b"'))
+    (tmp_path / "plain.py").write_text(text)
+    sent = "55 56 00 00 00 01 02 ae"
+
+    said, nothing = (
+        command("spec", "check", name, sent, cwd=tmp_path) for name in ("zeros.py", "plain.py")
+    )
+
+    assert (said.returncode, nothing.returncode, nothing.stderr) == (0, 0, b"")
+    assert said.stderr.decode() == (
+        "captures made with zeros.py open only with --grammar zeros.py, because it does more than "
+        'declare: there is b"\\x33\\x3c" + b"\\x00\\x00\\x00" in line 60\n'
+    )
 
 
 @pytest.mark.parametrize(
