@@ -90,7 +90,7 @@ def _drive(protocol: Protocol, port: Port) -> None:
     for title, lines in examples(protocol):
         click.secho(f"-- {title}", fg="cyan", err=True)
         for line in lines:
-            framer = Framer(protocol.lengths, None)
+            framer = Framer(protocol, None)
             for frame in [*framer.feed(line, 0), *framer.drop(0, "truncated")]:
                 port.write(frame.data)
                 wait_readable([port], _ANSWER)

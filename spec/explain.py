@@ -9,7 +9,7 @@ from bilprov.spec.codec import Judgement, judge, nearest, spaced
 from bilprov.spec.data import FieldSpec, Many
 from bilprov.spec.errata import Finding, check
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import framer
+from bilprov.spec.framing import Framer
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import READINGS, Erratum, Reading
@@ -90,7 +90,7 @@ def explain(protocol: Protocol, data: bytes) -> Explanation:
     An incomplete last frame counts as truncated by the time-out. Raises ValueError for bytes that
     begin no frame.
     """
-    cutter = framer(protocol, None)
+    cutter = Framer(protocol, None)
     findings = check(protocol) if protocol.plain else ()
     frames, offset = [], 0
     for framed in (*cutter.feed(data, 0), *cutter.drop(0, "truncated")):

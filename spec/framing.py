@@ -6,11 +6,10 @@ truncated, or garbage (bytes that are known to belong to no frame).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import groupby
 from typing import Literal, NamedTuple
 
-from bilprov.spec.layout import Layout
+from bilprov.spec.layout import Check, Layout
 from bilprov.spec.protocol import Protocol
 
 Kind = Literal["instruction", "truncated", "garbage"]
@@ -33,21 +32,26 @@ class Framed(NamedTuple):
 class Framer:
     """Cuts the bytes of one direction into frames.
 
-    `lengths` gives for each header byte the number of data bytes it announces; `timeout` (ns) is
-    the longest pause inside a frame (R-truncation-timeout), None for no limit.
+    `timeout` (ns) is the longest pause inside a frame (R-truncation-timeout), None for no limit.
+    Bytes that cannot begin a frame are garbage; so are those before a right frame that begins
+    within one whose check is wrong. A frame whose end nothing tells ends with the time-out.
     """
 
-    def __init__(self, lengths: Sequence[int], timeout: int | None) -> None:
-        self._lengths = lengths
+    def __init__(self, protocol: Protocol, timeout: int | None) -> None:
+        self._protocol = protocol
+        self._check = protocol.layout.check
+        self._lengths = protocol.lengths  # by header byte, where that tells how long a frame is
         self._timeout = timeout
         self._held = bytearray()
-        self._start = 0
-        self._end = 0
+        self._times: list[int] = []  # of each held byte
+        self._end = 0  # when the last byte came
+        self._garbage = bytearray()
+        self._garbage_span = 0, 0
 
     @property
     def settled(self) -> bool:
-        """Whether what is held is a frame that is not complete, and nothing else."""
-        return True
+        """Whether no garbage is held, so that what is held is all there is to go on from."""
+        return not self._garbage
 
     @property
     def held(self) -> bytes:
@@ -56,103 +60,28 @@ class Framer:
 
     @property
     def missing(self) -> int:
-        """How many bytes the current frame still needs; 0 between frames."""
-        return 1 + self._lengths[self._held[0]] - len(self._held) if self._held else 0
-
-    @property
-    def deadline(self) -> int | None:
-        """When (ns) the time-out truncates the current frame; None between frames."""
-        if not self._held or self._timeout is None:
-            return None
-        return self._end + self._timeout
-
-    def advance(self, now: int) -> list[Framed]:
-        """Let time pass until `now` (ns); return the frame that the time-out truncates, if any."""
-        deadline = self.deadline
-        if deadline is None or now < deadline:
-            return []
-        return [self._take("truncated", deadline)]
-
-    def feed(self, data: bytes, now: int) -> list[Framed]:
-        """Take bytes that came at `now` (ns); return the records that are over by then."""
-        records = self.advance(now)
-        at = 0
-        while at < len(data):
-            if not self._held:
-                self._start = now
-            part = data[at : at + (self.missing or 1 + self._lengths[data[at]])]
-            self._held += part
-            self._end = now
-            at += len(part)
-            if not self.missing:
-                records.append(self._take("instruction", now))
-        return records
-
-    def resume(self, data: bytes, start: int, end: int) -> None:
-        """Go on from a frame that is not complete: its bytes, and their first and last time (ns).
-
-        Raises ValueError for bytes that are not the beginning of one frame.
-        """
-        if data and len(data) > self._lengths[data[0]]:
-            raise ValueError(f"{len(data)} bytes are not a frame that is still open")
-        self._held[:] = data
-        self._start, self._end = start, end
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """The times (ns) of the first and the last byte of the frame that is not complete yet."""
-        return self._start, self._end
-
-    def drop(self, now: int, kind: Kind = "garbage") -> list[Framed]:
-        """End the current frame: bytes were lost, or the stream ends; the next byte is a header."""
-        return [self._take(kind, now)] if self._held else []
-
-    def _take(self, kind: Kind, known: int) -> Framed:
-        record = Framed(kind, self._start, self._end, known, bytes(self._held))
-        self._held.clear()
-        return record
-
-
-class LayoutFramer(Framer):
-    """Cuts the bytes of one direction into frames whose header is more than one byte.
-
-    Bytes that cannot begin a frame are garbage; so are those before a right frame that begins
-    within one whose check is wrong. A frame whose end nothing tells ends with the time-out.
-    """
-
-    def __init__(self, protocol: Protocol, timeout: int | None) -> None:
-        super().__init__(protocol.lengths, timeout)
-        self._protocol = protocol
-        self._times: list[int] = []  # of each held byte
-        self._garbage = bytearray()
-        self._garbage_span = 0, 0
-
-    @property
-    def missing(self) -> int:
-        """1 within a frame, since how many bytes it still needs may not be known; else 0."""
-        return 1 if self._held else 0
-
-    @property
-    def settled(self) -> bool:
-        """Whether no garbage is held, so that what is held is all there is to go on from."""
-        return not self._garbage
+        """How many bytes the current frame still needs; 1 if not known, 0 between frames."""
+        if not self._held:
+            return 0
+        return 1 + self._lengths[self._held[0]] - len(self._held) if self._lengths else 1
 
     @property
     def deadline(self) -> int | None:
         """When (ns) the time-out ends what is held; None if nothing is."""
         if self._timeout is None or not (self._held or self._garbage):
             return None
-        return (self._times[-1] if self._held else self._garbage_span[1]) + self._timeout
+        return self._end + self._timeout
 
     @property
     def span(self) -> tuple[int, int]:
-        """The times (ns) of the first and the last held byte."""
-        return (self._times[0], self._times[-1]) if self._times else (0, 0)
+        """The times (ns) of the first and the last byte of the frame that is not complete yet."""
+        return (self._times[0], self._end) if self._times else (0, 0)
 
     @property
     def reads(self) -> list[tuple[int, bytes]]:
         """What is held of a frame that is not complete: bytes, and when they came (ns)."""
-        places = groupby(range(len(self._held)), key=self._times.__getitem__)
+        times = [*self._times[:-1], self._end]
+        places = groupby(range(len(self._held)), key=times.__getitem__)
         return [(t, bytes(self._held[place] for place in group)) for t, group in places]
 
     def advance(self, now: int) -> list[Framed]:
@@ -167,6 +96,7 @@ class LayoutFramer(Framer):
         records = self.advance(now)
         self._held += data
         self._times += [now] * len(data)
+        self._end = now if data else self._end
         records += self._cut(now)
         return records
 
@@ -175,14 +105,16 @@ class LayoutFramer(Framer):
 
         Raises ValueError for bytes that are not the beginning of one frame.
         """
-        size = frame_size(self._protocol, data) if data else None
+        size = self._size(data, 0) if data else None
         if size is not None and size <= len(data):
             raise ValueError(f"{len(data)} bytes are not a frame that is still open")
         self._held[:] = data
-        self._times = [start] * (len(data) - 1) + [end] if data else []
+        self._times = [start] * max(1, len(data) - 1) + [end]
+        del self._times[len(data) :]
+        self._end = end if data else self._end
 
     def drop(self, now: int, kind: Kind = "garbage") -> list[Framed]:
-        """End what is held: bytes were lost, or the stream ends."""
+        """End what is held: bytes were lost, or the stream ends; a frame begins with the next."""
         return self._take_all(now, kind) if self._held or self._garbage else []
 
     def _cut(self, known: int) -> list[Framed]:
@@ -193,19 +125,22 @@ class LayoutFramer(Framer):
             size = self._size(held, at)
             if size is None or size > len(held) - at:
                 break
-            if size < 0 or self._misread(held, at, size):
+            if size < 0 or (self._check and self._misread(self._check, held, at, size)):
                 self._skip(at, 1)
                 at += 1
                 continue
-            records += self._flush(known)
-            times = self._times[at], self._times[at + size - 1]
-            records.append(Framed("instruction", *times, known, held[at : at + size]))
-            at += size
+            if self._garbage:
+                records += self._flush(known)
+            times, end = self._times, at + size
+            records.append(Framed("instruction", times[at], times[end - 1], known, held[at:end]))
+            at = end
         self._forget(at)
         return records
 
     def _size(self, held: bytes, at: int) -> int | None:
         """The size of the frame that begins at a place; mostly its first bytes tell it."""
+        if self._lengths:
+            return 1 + self._lengths[held[at]]
         size = frame_size(self._protocol, held[at : at + _AHEAD])
         if size is None and len(held) - at > _AHEAD:
             size = frame_size(self._protocol, held[at:])
@@ -235,24 +170,22 @@ class LayoutFramer(Framer):
             return False
         return layout.id_of(bytes(self._held)) not in self._protocol.by_id
 
-    def _misread(self, held: bytes, at: int, size: int) -> bool:
+    def _misread(self, check: Check, held: bytes, at: int, size: int) -> bool:
         """Whether the frame that seems to be there is wrong, and a right one begins within it."""
-        check = self._protocol.layout.check
-        if check is None or check.holds(held[at : at + size]):
+        if check.holds(held[at : at + size]):
             return False
         return self._right_frame(held, at + 1, at + size) is not None
 
     def _right_frame(self, held: bytes, first: int, after: int) -> int | None:
         """The first place in `first`..`after` at which a frame begins whose check is right."""
-        layout = self._protocol.layout
-        if layout.check is None:
+        if self._check is None:
             return None
         for at in range(first, after):
             size = self._size(held, at)
             if size is None or not 0 < size <= len(held) - at:
                 continue
             frame = held[at : at + size]
-            if layout.check.holds(frame) and not layout.wrong_constant(frame):
+            if self._check.holds(frame) and not self._protocol.layout.wrong_constant(frame):
                 return at
         return None
 
@@ -272,13 +205,6 @@ class LayoutFramer(Framer):
         record = Framed("garbage", *self._garbage_span, known, bytes(self._garbage))
         self._garbage.clear()
         return [record]
-
-
-def framer(protocol: Protocol, timeout: int | None) -> Framer:
-    """The framer of a protocol's requests; `timeout` (ns) is the longest pause inside a frame."""
-    if protocol.plain:
-        return Framer(protocol.lengths, timeout)
-    return LayoutFramer(protocol, timeout)
 
 
 def frame_size(protocol: Protocol, held: bytes) -> int | None:

@@ -28,7 +28,7 @@ from bilprov.analyzer.decode.replies import Heard, ReplyFramer
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.spec.codec import FRAMING_FAULTS, Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import Framed, Kind, LayoutFramer, frame_size, framer
+from bilprov.spec.framing import Framed, Framer, Kind, frame_size
 from bilprov.spec.protocol import Protocol, ResponseSpec
 from bilprov.spec.state import State, after
 from bilprov.spec.steps import Steps
@@ -57,7 +57,7 @@ class Decoder:
         self._both_heard = paired
         self._away: frozenset[Direction] = frozenset()  # the sides whose port is unplugged
         self._paired = paired
-        self._framer = framer(protocol, timeout)
+        self._framer = Framer(protocol, timeout)
         self._replies = ReplyFramer(protocol, max(timeout, skew))
         self._skew = skew
         self._pairing = Pairing(protocol, skew)
@@ -294,7 +294,7 @@ class Decoder:
     @property
     def begun(self) -> list[Chunk]:
         """The host's bytes of a frame of any layout that is not complete, as they came."""
-        if not isinstance(self._framer, LayoutFramer):
+        if self._protocol.plain:
             return []
         return [Chunk(t, "host", data) for t, data in self._framer.reads]
 

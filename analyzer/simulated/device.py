@@ -18,7 +18,7 @@ import msgspec
 from bilprov.analyzer.simulated.memory import Cells, blocks
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import FRAMING_FAULTS, Judgement, judge
-from bilprov.spec.framing import Framed, framer
+from bilprov.spec.framing import Framed, Framer
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import build_reply
 
@@ -48,7 +48,7 @@ class SimulatedDevice:
     def power_cycle(self, now: int) -> None:
         """Switch the devices off and on: they forget everything."""
         timeout = int(self.protocol.timing.truncation_timeout * MS)
-        self._framer = framer(self.protocol, timeout)
+        self._framer = Framer(self.protocol, timeout)
         # A device that nobody has addressed yet.
         self._untold = _Device(self.protocol.power_on, Cells(self.protocol))
         self._devices: dict[int | None, _Device] = {}

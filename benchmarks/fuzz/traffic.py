@@ -154,7 +154,7 @@ def framer() -> Test:
         tape = Tape(data)
         size = 1 + tape.byte() % 9
         stream = tape.block(len(data))
-        whole, pieces = Framer(protocol.lengths, MS), Framer(protocol.lengths, MS)
+        whole, pieces = Framer(protocol, MS), Framer(protocol, MS)
         once = whole.feed(stream, 0) + whole.drop(1)
         parts: list[Framed] = []
         for at in range(0, len(stream), size):

@@ -62,7 +62,7 @@ def test_the_program_answers_every_header_with_any_data_as_the_grammar_judges(
         for header in range(256)
         for fill in range(256)
     ]
-    framer = Framer(protocol.lengths, None)
+    framer = Framer(protocol, None)
     records = framer.feed(random.Random(1).randbytes(1 << 17), 0) + framer.drop(0, "truncated")
     frames += [record.data for record in records]
     expected = bytes(judge(protocol, frame).response.code for frame in frames)

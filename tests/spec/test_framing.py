@@ -6,11 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.framing import Framed, Framer, Kind
 from tests.vectors import STREAMS, StreamVector
 
 # Section 2: the last four bits of the header say how many data bytes follow.
 LENGTHS = bytes(header & 0b1111 for header in range(256))
+PROTOCOL = load_protocol()
 TIMEOUT = 50
 
 chunks = st.lists(st.tuples(st.binary(max_size=20), st.integers(0, 2 * TIMEOUT)), max_size=12)
@@ -18,7 +20,7 @@ chunks = st.lists(st.tuples(st.binary(max_size=20), st.integers(0, 2 * TIMEOUT))
 
 def _all(chunks: list[tuple[bytes, int]], timeout: int | None) -> tuple[list[Framed], int]:
     """The records of chunks that each come some time after the one before, and the last time."""
-    framer, now = Framer(LENGTHS, timeout), 0
+    framer, now = Framer(PROTOCOL, timeout), 0
     records: list[Framed] = []
     for data, pause in chunks:
         now += pause
@@ -64,7 +66,7 @@ def test_the_frames_are_those_found_byte_by_byte_with_the_times_of_their_kind(
 
 @given(data=st.binary(max_size=60), now=st.integers(0, 10**18))
 def test_a_chunk_gives_the_same_records_whole_and_byte_by_byte(data: bytes, now: int) -> None:
-    whole, cut = Framer(LENGTHS, TIMEOUT), Framer(LENGTHS, TIMEOUT)
+    whole, cut = Framer(PROTOCOL, TIMEOUT), Framer(PROTOCOL, TIMEOUT)
 
     together = list(whole.feed(data, now))
     singly = [record for byte in data for record in cut.feed(bytes([byte]), now)]
@@ -76,7 +78,7 @@ def test_a_chunk_gives_the_same_records_whole_and_byte_by_byte(data: bytes, now:
 
 @pytest.mark.parametrize("stream", STREAMS, ids=lambda s: f"{s.clause}: {s.title}")
 def test_the_documents_examples_fall_into_their_frames(stream: StreamVector) -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
+    framer = Framer(PROTOCOL, TIMEOUT)
     records = list(framer.feed(stream.data, 7))
 
     assert tuple(r.data for r in records) == stream.frames
@@ -126,7 +128,7 @@ TIMES = {
 @pytest.mark.parametrize("case", TIMES)
 def test_a_pause_of_the_time_out_ends_a_frame(case: str) -> None:
     steps, timeout, records = TIMES[case]
-    framer = Framer(LENGTHS, timeout)
+    framer = Framer(PROTOCOL, timeout)
     found: list[Framed] = []
     for now, data in steps:
         found += framer.feed(data, now) if data else framer.advance(now)
@@ -137,7 +139,7 @@ def test_a_pause_of_the_time_out_ends_a_frame(case: str) -> None:
 
 @pytest.mark.parametrize("kind", ["garbage", "truncated"])
 def test_dropping_gives_up_the_frame_begun_and_the_next_byte_is_a_header(kind: Kind) -> None:
-    framer = Framer(LENGTHS, TIMEOUT)
+    framer = Framer(PROTOCOL, TIMEOUT)
     assert list(framer.feed(b"\x43\x01", 5)) == []
     assert framer.deadline == 5 + TIMEOUT
 

@@ -12,7 +12,7 @@ from construct import Construct, ConstructError, Container
 from bilprov.spec.checks import Crc, Sum, Xor
 from bilprov.spec.codec import build, judge
 from bilprov.spec.fields import Outcome, question
-from bilprov.spec.framing import framer
+from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import build_reply, read_reply, reply_size
 from tests.support.drawn_layouts import DrawnLayout, drawn_fields, drawn_layout, drawn_values
@@ -104,7 +104,7 @@ def test_what_is_built_is_read_back_and_construct_agrees(seed: int) -> None:
 def test_a_stream_of_frames_is_cut_into_them_however_it_comes(seed: int) -> None:
     one, draw = drawn(seed), Random(seed)
     frames = [one_frame(draw, one.protocol)[0] for _ in range(6)]
-    stream, cutter, found = b"".join(frames), framer(one.protocol, 50_000_000), []
+    stream, cutter, found = b"".join(frames), Framer(one.protocol, 50_000_000), []
     at = 0
     while at < len(stream):
         size = draw.randint(1, 7)
@@ -122,7 +122,7 @@ def test_a_frame_that_construct_refuses_is_faulty(seed: int) -> None:
     for bit in range(8 * len(raw)):
         changed = bytearray(raw)
         changed[bit // 8] ^= 1 << bit % 8
-        cut = framer(one.protocol, 1_000).feed(bytes(changed), 0)
+        cut = Framer(one.protocol, 1_000).feed(bytes(changed), 0)
         for record in cut:
             if record.kind != "instruction" or not judge(one.protocol, record.data).valid:
                 continue
@@ -158,7 +158,7 @@ def test_a_right_frame_within_a_damaged_one_is_found() -> None:
     draw = Random(1)
     first, second = (one_frame(draw, one.protocol)[0] for _ in range(2))
     damaged = first[:-1]  # its last byte was lost
-    records = framer(one.protocol, 1_000).feed(damaged + second + second, 0)
+    records = Framer(one.protocol, 1_000).feed(damaged + second + second, 0)
     assert [record.data for record in records if record.kind == "instruction"][-1] == second
 
 

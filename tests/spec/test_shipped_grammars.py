@@ -26,7 +26,7 @@ from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
 from bilprov.spec.codec import Judgement, build, judge
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import question
-from bilprov.spec.framing import framer
+from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import agrees, build_reply, read_reply, reply_size
 from bilprov.spec.safe_grammar import require_declarations
@@ -211,7 +211,7 @@ def test_a_valid_request_is_built_of_its_fields(name: str, vector: RequestVector
 def test_requests_are_cut_out_of_a_stream(name: str) -> None:
     protocol = load_protocol(name)
     frames = [one.frame for one in VECTORS[name].REQUESTS if one.outcome == "valid"]
-    cutter = framer(protocol, None)
+    cutter = Framer(protocol, None)
 
     taken = [one for byte in b"".join(frames) for one in cutter.feed(bytes([byte]), 0)]
 

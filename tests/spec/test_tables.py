@@ -29,7 +29,7 @@ BLOCK = 1 << 16  # how many bytes are tokenized at once: lengths around it are t
 
 def framed(protocol: Protocol, data: bytes) -> tuple[list[int], int]:
     """The places of the whole frames, and of the first header after them, by Framer."""
-    framer = Framer(protocol.lengths, None)
+    framer = Framer(protocol, None)
     sizes = [len(frame.data) for frame in framer.feed(data, 0)]
     places = [0]
     for size in sizes:

@@ -89,7 +89,7 @@ class PtyRobot:
         self.frames: list[bytes] = []
         self._protocol = protocol
         self._wrong = wrong or {}
-        self._framer = Framer(protocol.lengths, 50_000_000)
+        self._framer = Framer(protocol, 50_000_000)
         self._answers = bytearray()
 
     def receive(self, data: bytes, now: int) -> None:

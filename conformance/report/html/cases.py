@@ -152,7 +152,7 @@ class WireWords:
 
     def of(self, log: Iterable[WireEvent]) -> Iterator[str]:
         """The words for each entry of a log."""
-        framer = Framer(self._protocol.lengths, self._timeout)
+        framer = Framer(self._protocol, self._timeout)
         for event in log:
             if event.look or not self.known:
                 yield event.look
