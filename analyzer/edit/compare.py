@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final, Literal
 
 from bilprov.analyzer.edit.alignment import aligned
@@ -48,7 +49,6 @@ class Comparison:
     unknown: int = 0
     differences: Counter[Kind] = field(default_factory=Counter)
     listed: list[Difference] = field(default_factory=list)
-    _names: dict[int, str] = field(default_factory=dict)  # of the IDs that were answered
     _latencies: tuple[_Measured, _Measured] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -80,7 +80,7 @@ class Comparison:
 
     def _answers(self, first: Exchange, second: Exchange) -> None:
         one, other = first.answer, second.answer
-        if (one.byte if one else None) != (other.byte if other else None):
+        if (one.data if one else None) != (other.data if other else None):
             self._differs("answer", first, second)
         elif one and other and abs((one.latency or 0) - (other.latency or 0)) > self.tolerance:
             self._differs("latency", first, second)
@@ -89,16 +89,14 @@ class Comparison:
         frame, answer = exchange.frame, exchange.answer
         if frame is None or frame.judgement is None or answer is None or answer.latency is None:
             return
-        judgement = frame.judgement
-        known = judgement.instruction
-        self._names[judgement.id] = known.name if known else f"unused {judgement.id}"
-        self._latencies[side].add(answer.latency, judgement.id)
+        known = frame.judgement.instruction
+        unused = f"unused {frame.judgement.id}" if self.protocol.plain else "unused"
+        self._latencies[side].add(known.name if known else unused, answer.latency)
 
     def latencies(self) -> dict[str, tuple[Spread | None, Spread | None]]:
         """How the latencies of each capture are spread, by the name of the instruction."""
-        first, second = self._latencies
-        names = sorted(self._names.items(), key=lambda item: item[1])
-        return {name: (first.spread(ident), second.spread(ident)) for ident, name in names}
+        first, second = (measured.spreads() for measured in self._latencies)
+        return {name: (first.get(name), second.get(name)) for name in sorted({*first, *second})}
 
     def _differs(self, kind: Kind, first: Exchange | None, second: Exchange | None) -> None:
         self.differences[kind] += 1
@@ -107,25 +105,26 @@ class Comparison:
 
 
 class _Measured:
-    """The latencies of one capture by ID, counted many at a time."""
+    """The latencies of one capture by name of the instruction, counted many at a time."""
 
     def __init__(self, protocol: Protocol) -> None:
-        self._latencies = Latencies(protocol.timing, len(protocol.ids))
-        self._waiting: list[tuple[int, int]] = []
+        self._counted = defaultdict[str, Latencies](partial(Latencies, protocol.timing))
+        self._waiting = defaultdict[str, list[int]](list)
 
-    def add(self, latency: int, ident: int) -> None:
-        self._waiting.append((latency, ident))
-        if len(self._waiting) == _AT_ONCE:
-            self._count()
+    def add(self, name: str, latency: int) -> None:
+        waiting = self._waiting[name]
+        waiting.append(latency)
+        if len(waiting) == _AT_ONCE:
+            self._count(name)
 
-    def spread(self, ident: int) -> Spread | None:
-        self._count()
-        return self._latencies.spread(ident)
+    def spreads(self) -> dict[str, Spread | None]:
+        for name in self._waiting:
+            self._count(name)
+        return {name: latencies.spread() for name, latencies in self._counted.items()}
 
-    def _count(self) -> None:
-        if self._waiting:
-            self._latencies.add(*zip(*self._waiting, strict=True))
-            self._waiting.clear()
+    def _count(self, name: str) -> None:
+        self._counted[name].add(self._waiting[name])
+        self._waiting[name].clear()
 
 
 def compared(

@@ -356,4 +356,4 @@ def _seen(record: Record) -> object:
     if isinstance(record, HostRecord):
         return record.kind, record.data
     assert isinstance(record, DeviceRecord)
-    return record.byte, record.instruction
+    return record.data, record.instruction

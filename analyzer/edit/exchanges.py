@@ -76,7 +76,7 @@ class _Pairs:
                 self._waiting[record.sequence] = self.rest[-1]
         elif isinstance(record, DeviceRecord):
             if record.instruction is None:
-                self.rest[-1].unasked.append(record.byte)
+                self.rest[-1].unasked += record.data
             elif (exchange := self._waiting.pop(record.instruction, None)) is not None:
                 exchange.answer, exchange.settled = record, True
         elif isinstance(record, FaultRecord):

@@ -36,7 +36,7 @@ ROWS = 1 << 16
 _INT_BYTES = 8
 _WORDS = {"direction", "kind", "name", "judgement", "response"}
 _SECONDS = {"t", "latency"}
-_TRUTHS = {"state.moving", "agrees"}
+_TRUTHS = {"state.moving", "agrees", "uncertain"}
 _TEXTS = {"hex", "data", "fields", "state", "reason"}
 
 

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
+from bilprov.analyzer.decode.records import shapes_of
+from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.spec.codec import Judgement, build, judge
 from bilprov.spec.data import DataSpec
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.replies import asked_values, build_reply
+from tests.support import ROOT
 from tests.support.decoding import MS, Event
 from tests.support.drawn_layouts import drawn_fields
 
+START = 1_790_000_000_000_000_000  # ns since 1970
 _LINES = ("break", "open", "parity", "gap", "overrun", "unplugged", "reconnected", "waited")
 
 
@@ -126,3 +132,36 @@ def _odd(
     at = random.randint(0, len(data))
     events.append(Chunk(t, random.choice(["host", "device"]), data[:at]))
     return data[at:], t + random.choice([0, MS, 20 * MS, 60 * MS])
+
+
+FRAMED = {
+    name: (ROOT / folder / f"{name}.py").read_text(encoding="utf-8")
+    for folder, names in (
+        ("spec/grammars", ("modbus_rtu", "stk500v1", "dynamixel1")),
+        ("examples", ("relay_board", "roboclaw")),
+    )
+    for name in names
+}
+"""The texts of the grammars, shipped ones and examples, whose frames are not the car's."""
+
+
+def odd_traffic(protocol: Protocol, seed: int = 1, count: int = 40) -> list[Event]:
+    """So many exchanges of which each second is damaged somehow, behind an answer nobody asked for.
+
+    Two requests of each three wait for their answers together.
+    """
+    random = Random(seed)
+    unasked = drawn_answer(protocol, random, drawn_request(protocol, random)) or b"\xff"
+    how = Traffic(odd=0.5, pipelined=3)
+    return [Chunk(0, "device", unasked), *exchanges(protocol, random, count, how)]
+
+
+def framed_capture(path: Path, protocol: Protocol, events: Iterable[Event], later: int = 0) -> Path:
+    """A capture of these events, which begins so many seconds after others."""
+    both: tuple[Direction, Direction] = ("host", "device")
+    about = session_metadata(protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=both)
+    start = START + later * 1_000_000_000
+    with RecordWriter(path, start, about, shapes_of(protocol)) as writer:
+        for event in events:
+            writer.event(event)
+    return path
