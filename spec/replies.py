@@ -46,13 +46,17 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         """The values of its fields and of its registers, by name."""
         return with_registers(self.fields, self.registers)
 
+    @property
+    def shown(self) -> list[tuple[str, str]]:
+        """The names of its fields and of its registers, each with its value in words."""
+        fields = [(name, _shown(value)) for name, value in self.fields]
+        return fields + [(one.name, shown_value(one, value)) for one, value in self.registers]
+
     def describe(self) -> str:
         """The answer in words: its names, its fields and its registers."""
         to = f"@{self.address} " if self.address is not None else ""
         known = " ".join(self.names) or (self.response.name if self.response else "unreadable")
-        shown = [f"{name}={_shown(value)}" for name, value in self.fields]
-        shown += [f"{one.name}={shown_value(one, value)}" for one, value in self.registers]
-        return to + " ".join([known, *shown])
+        return to + " ".join([known, *(f"{name}={value}" for name, value in self.shown)])
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:

@@ -260,7 +260,10 @@ def _look_through(
         options.rate,
     )
     with Stopper() as stopper:
-        shown(feed, told, stopper)
+        try:
+            shown(feed, told, stopper)
+        finally:
+            feed.stop()
         feed.join()
 
 

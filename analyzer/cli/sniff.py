@@ -54,7 +54,7 @@ from bilprov.analyzer.output.text_queue import TextQueue
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.replay.rotation import Rotation, rotation_at
-from bilprov.analyzer.replay.spool import Spool
+from bilprov.analyzer.replay.spool import Spool, new_name
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import SIM, LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, timeout_in_ns
@@ -233,7 +233,7 @@ def sniff(options: SniffOptions) -> int:
                 recorder.finish()
             return lost
 
-        queue = None
+        queue, broken = None, None
         if quiet:
             lost = listened(Shown(NoOutput(), test, options.shown.count), PATIENCE, say)
         elif style == "live":
@@ -259,7 +259,11 @@ def sniff(options: SniffOptions) -> int:
                 options.shown.expression or "",
                 test,
             )
-            name = shown(feed, told, stopper)
+            try:
+                name = shown(feed, told, stopper)
+            except Exception as error:  # who talks over a bridge goes on talking
+                say("the screen has failed; listening goes on without it, Ctrl-C ends it")
+                broken, name = error, new_name()
             lost = feed.join()
             if name and isinstance(recorder, Spool):
                 recorder.keep(Path(name))
@@ -279,6 +283,8 @@ def sniff(options: SniffOptions) -> int:
         raise LinkError(f"{lost.sentence}; what was captured is kept in {kept}")
     if lost.sentence or failure:
         raise UserError("; ".join(filter(None, (lost.sentence, failure))))
+    if broken:
+        raise broken
     return code
 
 

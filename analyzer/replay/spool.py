@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Final
@@ -24,6 +25,11 @@ from bilprov.captures.text import printable
 MOST_BYTES: Final = 1 << 30
 PARTS: Final = 16  # so many are there when the oldest goes
 _NAME: Final = "session.mcap"
+
+
+def new_name() -> str:
+    """A name for a capture that is kept now."""
+    return time.strftime("capture-%Y%m%d-%H%M%S.mcap", time.localtime())
 
 
 class Spool(Closing):

@@ -24,6 +24,7 @@ from bilprov.analyzer.filters.completion import completions
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.filters.parts import FilterError
 from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle, columns_of
+from bilprov.analyzer.replay.spool import new_name
 from bilprov.analyzer.screen.bars import head_line, status_line
 from bilprov.analyzer.screen.car import picture
 from bilprov.analyzer.screen.details import FieldTree
@@ -142,6 +143,15 @@ class Browser(App[str | None]):
         if self.told.test is not None:
             self._filter(self.told.expression, self.told.test)
         self.tick()
+
+    @property
+    def failure(self) -> Exception | None:
+        """What made the screen fail, None where nothing did."""
+        return self._exception
+
+    def _fatal_error(self) -> None:
+        """End; whoever shows the screen reports why. Textual would print a thousand lines."""
+        self._close_messages_no_wait()
 
     # What happens by itself.
 
@@ -533,8 +543,7 @@ class Browser(App[str | None]):
             return
         label = f"Save the capture of {quantity(rows, 'row')} as"
         hint = "Enter saves it and leaves, Ctrl-C discards it, Esc goes back"
-        name = time.strftime("capture-%Y%m%d-%H%M%S.mcap", time.localtime())
-        self._ask(Question(label, hint, new_file_refusal, self.exit), name, replaced=True)
+        self._ask(Question(label, hint, new_file_refusal, self.exit), new_name(), replaced=True)
 
     def action_end(self) -> None:
         """Quit without a question, as Ctrl-C does everywhere."""

@@ -21,6 +21,7 @@ from bilprov.captures.text import escape_controls
 from bilprov.spec.codec import spaced
 from bilprov.spec.explain import BitGroup, explain, explain_responses
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import Reply
 
 _LEAST_WIDTH = 24  # columns in which text is wrapped
 
@@ -78,9 +79,12 @@ def _host(protocol: Protocol, data: bytes, look: Look, state: Iterable[Detail]) 
 def _device(
     protocol: Protocol, record: DeviceRecord, look: Look, state: Iterable[Detail]
 ) -> Iterator[Detail]:
-    response = explain_responses(protocol, bytes([record.byte])).responses[0]
-    yield _bits(response.group, look)
-    yield Detail("means", response.meaning)
+    if record.reply:
+        yield from _reply(record.reply)
+    else:
+        response = explain_responses(protocol, record.data).responses[0]
+        yield _bits(response.group, look)
+        yield Detail("means", response.meaning)
     yield from state
     if record.answered is not None:
         answered, odd = record.answered, ORDINARY if record.agrees else look
@@ -90,7 +94,16 @@ def _device(
         yield Detail("answers", words, below=(expected, number))
     if record.latency is not None:
         yield Detail("latency", f"{record.latency / 1e6:.3f} ms")
-    yield Detail("document", response.clause)
+    yield Detail("document", protocol.clauses.responses)
+
+
+def _reply(reply: Reply) -> Iterator[Detail]:
+    """What an answer of several bytes holds."""
+    if reply.address is not None:
+        yield Detail("from", str(reply.address))
+    yield from (Detail(name, value) for name, value in reply.shown)
+    if reply.response:
+        yield Detail("means", reply.response.prose)
 
 
 def _bits(group: BitGroup, look: Look) -> Detail:

@@ -68,21 +68,26 @@ class Feed(Generic[Result]):
         self.stopped = Event()
         self._work = work
         self._stop = stop
-        self._working: Future[Result] = Future()
+        self._working: Future[Result] | None = None
 
     @property
     def ended(self) -> bool:
         """Whether nothing more comes."""
-        return self._working.done()
+        return self._working is not None and self._working.done()
 
     @property
     def closes(self) -> bool:
         """Whether the screen has nothing more to wait for."""
-        return self.ended and (not self.stays or self._working.exception() is not None)
+        working = self._working
+        if working is None or not working.done():
+            return False
+        return not self.stays or working.exception() is not None
 
-    def start(self) -> None:
-        """Begin."""
-        self._working = ThreadPoolExecutor(1, "feed").submit(self._work, self)
+    def start(self) -> Future[Result]:
+        """Begin, unless it has begun."""
+        if self._working is None:
+            self._working = ThreadPoolExecutor(1, "feed").submit(self._work, self)
+        return self._working
 
     def stop(self) -> None:
         """Make it end; returns at once."""
@@ -91,7 +96,7 @@ class Feed(Generic[Result]):
 
     def join(self) -> Result:
         """Wait for the end, and return what the work returned. Raises what the work raised."""
-        return self._working.result()
+        return self.start().result()
 
 
 def capture_feed(

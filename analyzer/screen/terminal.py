@@ -68,16 +68,14 @@ def shown(feed: Feed[Any], told: Told, stopper: Stopper) -> str | None:
     """Show a feed on the terminal until the screen is left, or until the stopper stops it.
 
     Returns the name of the file to keep the recording in, None for none. The feed has been told to
-    end then.
+    end then. Raises what made the screen fail, if anything did: then the feed goes on.
     """
     for name in ("COLUMNS", "LINES"):  # Textual believes them, and they do not change
         os.environ.pop(name, None)
     browser = Browser(feed, told, lambda: stopper.stopped, TerminalDriver)
     with reader_first():
-        try:
-            kept = browser.run()
-        finally:
-            feed.stop()
-    if browser.return_code and not stopper.stopped:
-        raise RuntimeError("the screen has failed")
+        kept = browser.run()
+    if browser.failure and not stopper.stopped:
+        raise browser.failure
+    feed.stop()
     return kept

@@ -271,3 +271,47 @@ def test_a_capture_without_traffic_can_be_browsed(tmp_path: Path) -> None:
         tmux.wait("  0 of 0")
         tmux.press("q")
         left(tmux)
+
+
+BREAKING = """
+from bilprov.analyzer.screen.frame_list import FrameList
+
+def fails(*arguments):
+    raise ValueError("a row that cannot be drawn")
+
+FrameList._what = fails
+"""
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_screen_that_fails_ends_no_recording(tmp_path: Path, named: bool) -> None:
+    (tmp_path / "sitecustomize.py").write_text(BREAKING)
+    places = f"{ROOT / 'src'}{os.pathsep}{tmp_path}"
+    words = ["-w", "run.mcap"] if named else []
+    with (
+        tapped() as (host, device),
+        terminal(
+            tmp_path, (100, 30), "sniff", host.name, device.name, *words, PYTHONPATH=places
+        ) as tmux,
+    ):
+        talk(host, device, tmux, "the screen has failed; listening goes on without it")
+        for _ in range(3):
+            os.write(host.master, b"\x11\x51")
+            time.sleep(0.05)
+        os.kill(pid_of(host.name), signal.SIGINT)
+        shown = left(tmux, code=2)
+        assert any("a row that cannot be drawn" in line for line in shown)
+        assert not any("│" in line for line in shown)
+    (path,) = tmp_path.glob("*.mcap")
+    events = open_capture(path)
+    assert not events.unfinished
+    heard = b"".join(e.data for e in events if isinstance(e, Chunk) and e.direction == "host")
+    assert heard.endswith(b"\x11\x51" * 3)
+
+
+def test_a_screen_that_fails_at_a_capture_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(BREAKING)
+    places = f"{ROOT / 'src'}{os.pathsep}{tmp_path}"
+    with terminal(tmp_path, (100, 50), "replay", str(SAMPLE), PYTHONPATH=places) as tmux:
+        shown = left(tmux, code=2)
+        assert any("this is a bug in bilprov" in line for line in shown)

@@ -1,0 +1,65 @@
+"""The screen over damaged traffic of grammars that are not the car's: every row, key and pane."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from textual.pilot import Pilot
+
+from bilprov.analyzer.decode.records import DeviceRecord
+from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.screen.browser import Browser
+from bilprov.analyzer.screen.details import details
+from bilprov.captures.schemas import MS, Chunk
+from bilprov.spec.codec import build, judge
+from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.replies import build_reply
+from tests.support.framed_traffic import FRAMED, odd_traffic
+from tests.support.screens import browser, operated, text_of
+from tests.support.traffic import told
+
+KEYS = (
+    *("enter", "j", "j", "k", "h", "l", "escape", "t", "t", "t", "r", "r", "m", "j", "apostrophe"),
+    *("n", "N", "e", "e", "y", "c", "space", "enter", "question_mark", "escape", "f", "f", "G"),
+)
+
+
+def on_screen(protocol: Protocol) -> Browser:
+    events = odd_traffic(protocol, count=25)
+    return browser(protocol, told(StreamDecoder(protocol), events, [len(events)]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(100, 30), (80, 24)])
+@pytest.mark.parametrize("grammar", FRAMED)
+def test_every_row_can_be_chosen_and_looked_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, grammar: str, size: tuple[int, int]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        for row in range(screen.frames.count):
+            await pilot.press("j")
+            assert screen.frames.cursor == min(row + 1, screen.frames.count - 1)
+        await pilot.press("g", *KEYS)
+        await pilot.press("x", *"rows.csv", "enter")
+        await screen.workers.wait_for_complete()
+        assert len(text_of(screen)) == size[1]
+
+    operated(on_screen(load(FRAMED[grammar])), steps, size)
+    assert (tmp_path / "rows.csv").read_text()
+
+
+def test_an_answer_shows_its_fields_and_what_it_answers() -> None:
+    protocol = load(FRAMED["roboclaw"])
+    asked = build(protocol, "MainBattery", {"address": 0x80})
+    answer = build_reply(protocol, judge(protocol, asked), {"voltage": 123})
+    events = [Chunk(0, "host", asked), Chunk(MS, "device", answer)]
+    (batch,) = told(StreamDecoder(protocol), events, [2])
+    record = batch.records()[1]
+    assert isinstance(record, DeviceRecord)
+    shown = {line.label: line.text for line in details(protocol, record, state=False)}
+    assert shown["voltage"] == "123"
+    assert shown["answers"] == f"{asked.hex(' ')}  @128 MainBattery"
