@@ -28,7 +28,7 @@ from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
 from bilprov.spec.data import DataSpec, Values, prose_of, unwrapped
 from bilprov.spec.fields import Answers
 from bilprov.spec.frame_words import Address, Data, Length, Same
-from bilprov.spec.numbers import LayoutError, Number, number_of
+from bilprov.spec.numbers import LayoutError, Number, number_of, path_of
 from bilprov.spec.value_checks import require_name, require_text, require_whole
 
 Role = Literal["constant", "address", "id", "length", "code", "other", "check"]
@@ -148,7 +148,8 @@ class Check:
 class Layout:
     """The parts of a frame in order: `head` bytes, the data, `tail` bytes.
 
-    `has_data` is false for an answer without a place for data.
+    `has_data` is false for an answer without a place for data. `covered` names the parts that a
+    check of the answer may count too: `asked.covered.data`.
     """
 
     parts: tuple[Part, ...]
@@ -156,6 +157,7 @@ class Layout:
     tail: int
     check: Check | None
     has_data: bool
+    covered: tuple[str, ...] = ()
 
     def part(self, role: Role) -> Part | None:
         """The part of that role; None if there is none."""
@@ -304,24 +306,27 @@ class Layout:
         return part.number.build(part.number.parse(before) | value << part.shift)
 
 
-def read_layout(what: str, declared: Construct) -> tuple[Layout, Any]:
+def read_layout(what: str, declared: Construct, asked: tuple[str, ...] = ()) -> tuple[Layout, Any]:
     """Read a declared frame into a layout, with the declaration of its data (None without one).
 
-    `what` is FRAME, REPLY or ERROR. Raises LayoutError.
+    `what` is FRAME, REPLY or ERROR, `asked` are the covered parts of the request. Raises
+    LayoutError.
     """
     body = unwrapped(declared)
     if isinstance(body, Answers):
         body = Struct("code" / body)
     if not isinstance(body, Struct):
         raise LayoutError(f"{what} is a {type(body).__name__}, it must be a Struct of parts")
-    reader = _Reader(what)
+    reader = _Reader(what, asked)
     reader.struct(body)
     return reader.layout(), reader.data
 
 
 class _Reader:
-    def __init__(self, what: str) -> None:
+    def __init__(self, what: str, asked: tuple[str, ...]) -> None:
         self._what = what
+        self._asked = asked
+        self._names = {"_"}  # of all that was read so far; `_` goes out of a Struct
         self._front: list[Part] = []
         self._behind: list[Part] = []  # offsets from the first byte behind the data
         self._at = 0
@@ -342,6 +347,7 @@ class _Reader:
 
     def _member(self, member: Construct) -> None:
         body, name = unwrapped(member), member.name or ""
+        self._names.add(name)
         require_text(f"the prose of a part of {self._what}", prose_of(member))
         if isinstance(body, RawCopy):
             self._covered(name, body)
@@ -370,7 +376,28 @@ class _Reader:
     def _place_of_data(self, body: Construct) -> None:
         if self.data is not None:
             raise LayoutError(f"{self._what} has two places for data")
+        inner = body
+        if isinstance(body, FixedSized):
+            self._require_path("FixedSized", body.length, "length")
+            inner = unwrapped(body.subcon)
+        elif any(part.role == "length" and not part.width for part in self._front):
+            raise LayoutError(
+                f"the data of {self._what} must be written FixedSized(this.length, ...), since "
+                f"{self._what} has a length"
+            )
+        if isinstance(inner, Switch) and any(part.role == "id" for part in self._front):
+            self._require_path("Switch", inner.keyfunc, "id")
         self.data, self._at, self._head = body, 0, self._at
+
+    def _require_path(self, word: str, expression: Any, name: str) -> None:
+        """Raise LayoutError unless an expression is the path to the part of that name."""
+        names = path_of(expression)
+        if names[-1:] != (name,) or not self._names.issuperset(names):
+            told = f"this.{'.'.join(names)}" if names else "..."
+            raise LayoutError(
+                f"{self._what} has {word}({told}, ...), allowed is the path to its part {name}: "
+                f"{word}(this.{name}, ...)"
+            )
 
     def _number(self, member: Construct, body: Construct) -> None:
         name = f"{self._what}.{member.name}"
@@ -402,6 +429,7 @@ class _Reader:
             if type(bits) is not BitsInteger or bits.signed or bits.swapped:
                 raise LayoutError(f"{name} must be written BitsInteger(width)")
             require_name(f"the name of a part of {self._what}", part.name)
+            self._names.add(part.name)
             require_text(f"the prose of {name}", prose_of(part))
             require_whole(f"the width of {name}", bits.length, 1, 64)
             total += bits.length
@@ -456,7 +484,8 @@ class _Reader:
         behind = [replace(part, offset=part.offset - tail) for part in self._behind]
         check = self._read_check(head, tail) if self._check else None
         front = [check.part if check and part.role == "check" else part for part in self._front]
-        return Layout((*front, *behind), head, tail, check, has_data)
+        counted = [self._covered_name(self._check[1])[0]] if self._check else self._spans
+        return Layout((*front, *behind), head, tail, check, has_data, tuple(counted))
 
     def _read_check(self, head: int, tail: int) -> Check:
         assert self._check is not None
@@ -478,26 +507,19 @@ class _Reader:
         """Which covered part a check counts, and whether the request's stands before it."""
         for name in self._spans:
             context = Container({name: Container(data=_HERE)})
-            context["_params"] = Container(asked=_Anything())
+            covered = Container(data=_ASKED)
+            context["_params"] = Container(asked=Container(dict.fromkeys(self._asked, covered)))
             try:
                 found = declared.bytesfunc(context)
             except Exception:
                 continue
             if found in (_HERE, _ASKED + _HERE):
                 return name, found != _HERE
+        besides = f", or asked.{self._asked[0]}.data + this.covered.data," if self._asked else ""
         raise LayoutError(
-            f"the check of {self._what} must cover one part: write this.covered.data behind "
-            '"covered" / RawCopy(Struct(...))'
+            f"the check of {self._what} must cover one part: write this.covered.data{besides} "
+            'behind "covered" / RawCopy(Struct(...))'
         )
-
-
-class _Anything(Container):  # type: ignore[misc]  # construct ships no types
-    """A request of which every covered part is `_ASKED`."""
-
-    def __getitem__(self, name: str) -> Any:
-        return Container(data=_ASKED)
-
-    __getattr__ = __getitem__
 
 
 def _is_bits(body: Construct) -> bool:

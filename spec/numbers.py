@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from construct import Construct, Enum, FlagsEnum
 
@@ -44,6 +44,27 @@ class Number:
     def build(self, value: int) -> bytes:
         """The bytes of a number. Raises OverflowError for one that does not fit."""
         return value.to_bytes(self.size, self.order, signed=self.signed)
+
+
+class _Path:
+    """Stands for what was parsed before, and remembers the names by which it is looked into."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def __getitem__(self, name: str) -> _Path:
+        return _Path(*self.names, name)
+
+    __getattr__ = __getitem__
+
+
+def path_of(expression: Any) -> tuple[str, ...]:
+    """The names in an expression like `this.header.id`; none for any other."""
+    try:
+        found = expression(_Path())
+    except Exception:  # it computes, or is no expression
+        return ()
+    return found.names if isinstance(found, _Path) else ()
 
 
 def number_of(declared: Construct, what: str) -> Number:

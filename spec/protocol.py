@@ -545,7 +545,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         require_whole("an ID in INSTRUCTIONS", identity)
         if not 0 <= identity <= identities.most:
             raise GrammarError(f"the header cannot carry the ID {identity}")
-    reply, acknowledgement, errors, flags = _replies(space)
+    reply, acknowledgement, errors, flags = _replies(space, layout.covered)
     specs = [_instruction(i, declared[i], layout, reply) for i in sorted(declared)]
     _require_each_name_once("two instructions are named", (spec.name for spec in specs))
     effects = {identity: unwrapped(one).effect for identity, one in declared.items()}
@@ -757,7 +757,9 @@ def _require_place_of_data(declared: Any, instructions: dict[Any, Any]) -> None:
         raise GrammarError('FRAME must have "data" / Switch(this.id, INSTRUCTIONS)')
 
 
-def _replies(space: dict[str, Any]) -> tuple[Layout, Layout, tuple[Layout, ...], bool]:
+def _replies(
+    space: dict[str, Any], covered: tuple[str, ...]
+) -> tuple[Layout, Layout, tuple[Layout, ...], bool]:
     """The layouts of an answer, of one without data, of errors, and whether codes are flags."""
     response = space.get("RESPONSE")
     if "REPLY" not in space:
@@ -765,13 +767,13 @@ def _replies(space: dict[str, Any]) -> tuple[Layout, Layout, tuple[Layout, ...],
         if reply.head != 1:
             raise GrammarError("RESPONSE must be one byte")
         return reply, reply, (), False
-    reply, _ = read_layout("REPLY", space["REPLY"])
+    reply, _ = read_layout("REPLY", space["REPLY"], covered)
     acknowledgement = reply
     if "ACK" in space:
-        acknowledgement, _ = read_layout("ACK", space["ACK"])
+        acknowledgement, _ = read_layout("ACK", space["ACK"], covered)
     declared = space.get("ERROR", ())
     declared = declared if isinstance(declared, tuple) else (declared,)
-    errors = tuple(read_layout("ERROR", one)[0] for one in declared)
+    errors = tuple(read_layout("ERROR", one, covered)[0] for one in declared)
     return reply, acknowledgement, errors, isinstance(response, Answers) and response.flags
 
 

@@ -12,6 +12,8 @@ from tests.support import ROOT
 from tests.support.grammars import mutated
 
 TEXT = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+ID = '"id" / Byte'
+REPLY = TEXT[TEXT.index("REPLY =") : TEXT.index("SILENT =")]  # the answer's layout
 SUM = "Checksum(Byte, Sum(8), this.covered.data)"
 
 # What is replaced by what, a piece of the sentence, and the text whose line it must tell.
@@ -25,6 +27,39 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         {SUM: "Checksum(Byte, Crc(16, 0x1021), this.covered.data)", " Data,": " Crc, Data,"},
         "FRAME.sum is a Crc of up to 65535 in a type of up to 255",
         '"sum" /',
+    ),
+    (
+        {"Switch(this.id,": "Switch(this.idd,"},
+        "FRAME has Switch(this.idd, ...), allowed is the path to its part id",
+        "FRAME =",
+    ),
+    (
+        {"Switch(this.id,": "Switch(this.sum.id,"},
+        "FRAME has Switch(this.sum.id, ...), allowed",
+        "FRAME =",
+    ),
+    (
+        {ID: f'"length" / Length(Byte), {ID}', " Data,": " Data, Length,"},
+        "the data of FRAME must be written FixedSized(this.length, ...)",
+        "FRAME =",
+    ),
+    (
+        {
+            ID: f'"length" / Length(Byte), {ID}',
+            " Data,": " Data, Length,",
+            "Const,": "Const, FixedSized,",
+            "Switch(this.id, INSTRUCTIONS)": "FixedSized(this.size, Switch(this.id, INSTRUCTIONS))",
+        },
+        "FRAME has FixedSized(this.size, ...), allowed is the path to its part length",
+        "FRAME =",
+    ),
+    (
+        {
+            REPLY: REPLY.replace("this.covered", "asked.coverd.data + this.covered"),
+            " Data,": " asked, Data,",
+        },
+        "the check of REPLY must cover one part: write this.covered.data, or asked.covered.data",
+        "REPLY =",
     ),
 ]
 
