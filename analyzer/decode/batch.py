@@ -136,7 +136,7 @@ class HostRows:
     that no more follow. A row has `size` bytes of `data` from `offset` on. `kind` is a place in
     `KINDS`, `verdict` one in `OUTCOMES` or NO_VERDICT, `sequence` the instruction's number or -1.
     `reasons` gives the reasons why some rows are faulty. `keys` are those of `Judgement.key`; None
-    if that is the first byte.
+    if that is the first byte. `due` tells to which an answer is due; None: to every frame.
     """
 
     t: NDArray[np.int64]
@@ -151,6 +151,7 @@ class HostRows:
     states: StateColumns
     reasons: Callable[[NDArray[np.int64]], Sequence[str]]
     keys: NDArray[np.uint8] | None = None
+    due: Mask | None = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -375,6 +376,7 @@ class Records(Batch):
     def hosts(self) -> HostRows:
         """The host's rows."""
         listed = [record for record in self._listed if isinstance(record, HostRecord)]
+        judged = [record.judgement for record in listed]
         size = np.array([len(record.data) for record in listed], np.int64)
         return HostRows(
             t=times([record.t for record in listed]),
@@ -389,6 +391,7 @@ class Records(Batch):
             states=_states_of(listed),
             reasons=lambda rows: [listed[row].reason for row in rows.tolist()],
             keys=_keys(listed),
+            due=np.array([bool(one and one.answer_due) for one in judged], np.bool_),
         )
 
     @cached_property

@@ -94,6 +94,7 @@ class FramedBatch(ColumnBatch):
             states=StateColumns(type(self.before), count, alone._host_states),
             reasons=lambda rows: [""] * len(rows),
             keys=self.decoding.requests.keys.take(self.requests.kind),
+            due=self.requests.due,
         )
 
     @cached_property

@@ -35,6 +35,11 @@ SERIES = ("frames", "faults", "host_bytes", "device_bytes")
 """What is counted by time, each frame when it ended."""
 
 
+def _verdicts(verdict: NDArray[np.uint8]) -> list[int]:
+    """How many frames there are of each verdict."""
+    return [int(np.count_nonzero(verdict == place)) for place in range(len(OUTCOMES))]
+
+
 def _numbered(name: str) -> tuple[int, str]:
     """Orders the names of unused codes by their numbers."""
     number = name.removeprefix("unused ")
@@ -77,6 +82,7 @@ class Totals:
         self._groups = np.array(groups, np.int64)
         self._headers = np.zeros(256, np.int64)
         self._verdicts = np.zeros(len(OUTCOMES), np.int64)
+        self._due = np.zeros(len(OUTCOMES), np.int64)  # of these, the ones to be answered
         self._answers: Counter[str] = Counter()
         self._paired: Counter[tuple[int, str]] = Counter()  # by ID and name of the answer
         self.latencies = Latencies(protocol.timing, len(places) + 1)
@@ -108,6 +114,7 @@ class Totals:
         """Count another recording, of the same protocol; times and rates have no meaning then."""
         self._headers += other._headers
         self._verdicts += other._verdicts
+        self._due += other._due
         self._answers += other._answers
         self._paired += other._paired
         self.latencies.merge(other.latencies)
@@ -150,7 +157,7 @@ class Totals:
     def expected(self) -> dict[str, int]:
         """How often each response is the one that a conforming device gives."""
         found: dict[str, int] = {}
-        for outcome, count in zip(OUTCOMES, self._verdicts.tolist(), strict=True):
+        for outcome, count in zip(OUTCOMES, self._due.tolist(), strict=True):
             spec = self._protocol.answers[outcome]
             if spec.outcomes:
                 found[spec.name] = found.get(spec.name, 0) + count
@@ -210,7 +217,11 @@ class Totals:
             frames = verdict != NO_VERDICT
             header, verdict, end = header[frames], verdict[frames], end[frames]
         self._headers += np.bincount(header, minlength=256)
-        self._verdicts += [np.count_nonzero(verdict == place) for place in range(len(OUTCOMES))]
+        verdicts = _verdicts(verdict)
+        self._verdicts += verdicts
+        if hosts.due is not None:
+            verdicts = _verdicts(hosts.verdict[rows][hosts.due[rows]])
+        self._due += verdicts
         self.rates.count("frames", end)
         self._ended(end)
         return [start, last]

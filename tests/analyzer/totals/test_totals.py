@@ -23,8 +23,9 @@ from bilprov.analyzer.totals.latencies import Bin, Latencies, Spread
 from bilprov.analyzer.totals.rates import BUCKETS, SECOND, Rates
 from bilprov.analyzer.totals.totals import SERIES, Totals
 from bilprov.captures.schemas import Chunk
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event, devices, hosts
+from tests.support.framed_traffic import FRAMED, Traffic, exchanges
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
 
 # Slow: more than make quick has time for.
@@ -282,3 +283,14 @@ def test_wider_steps_hold_what_the_narrow_ones_held(steps: list[float]) -> None:
 
     assert (one.start, one.width) == (other.start, other.width)
     assert one.series("frames") == other.series("frames")
+
+
+@pytest.mark.parametrize("grammar", FRAMED)
+@pytest.mark.parametrize("odd", [0.0, 0.5])
+def test_only_answers_that_are_due_are_expected(grammar: str, odd: float) -> None:
+    protocol = load(FRAMED[grammar])
+    events = exchanges(protocol, Random(1), 60, Traffic(odd=odd))
+    batches = told(StreamDecoder(protocol), events, [len(events)])
+    judged = [record.judgement for record in hosts(records_of(batches)) if record.judgement]
+    due = Counter(one.response.name for one in judged if one.answer_due)
+    assert without_none(totals(protocol, batches).expected()) == due
