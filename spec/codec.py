@@ -94,8 +94,8 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
         if self.id < 0:
             return f"{to}{self.name}"
         if self.truncated:
-            return f"{to}{self.name}, {self._arrived} of {_bytes(self.length)}"
-        return f"{to}{self.name}, {_bytes(self.length)}"
+            return f"{to}{self.name}, {self._arrived} of {data_bytes(self.length)}"
+        return f"{to}{self.name}, {data_bytes(self.length)}"
 
     @property
     def _arrived(self) -> int:
@@ -111,7 +111,8 @@ def spaced(data: bytes) -> str:
     return data.hex(" ")
 
 
-def _bytes(count: int) -> str:
+def data_bytes(count: int) -> str:
+    """A number of data bytes in words."""
     return "1 data byte" if count == 1 else f"{count} data bytes"
 
 
@@ -140,7 +141,9 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     identity, length = protocol.headers[frame[0]]
     arrived = len(frame) - 1
     if arrived > length:
-        raise ValueError(f"frame {spaced(frame)} has {_bytes(arrived)}, its header says {length}")
+        raise ValueError(
+            f"frame {spaced(frame)} has {data_bytes(arrived)}, its header says {length}"
+        )
     instruction = protocol.by_id.get(identity)
     fields: tuple[tuple[str, int], ...] = ()
     clause, reading = protocol.clauses.instructions, ""
@@ -151,12 +154,14 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         reading = "R-truncated-unused" if arrived < length else "R-unused-length" if length else ""
     elif arrived < length:
         outcome = Outcome.TOO_FEW
-        reason = f"{instruction.name}: {_bytes(length)} announced, {arrived} came"
+        reason = f"{instruction.name}: {data_bytes(length)} announced, {arrived} came"
         clause = protocol.clauses.responses
         reading = "R-truncated-long" if length > instruction.length else "R-truncated-known"
     elif length != instruction.length:
         outcome = Outcome.TOO_MANY if length > instruction.length else Outcome.TOO_FEW
-        reason = f"{instruction.name} takes {_bytes(instruction.length)}, the header says {length}"
+        reason = (
+            f"{instruction.name} takes {data_bytes(instruction.length)}, the header says {length}"
+        )
         clause = protocol.clauses.responses
         reading = "R-known-length"
     else:
@@ -306,10 +311,10 @@ def _fault(
     needed = spec.data.measure(data)
     more = spec.data.counted is not None and spec.data.counted.how == "rest"
     if needed is None or len(data) < needed:
-        reason = f"{spec.name} takes {_bytes(needed or spec.length)}, {len(data)} came"
+        reason = f"{spec.name} takes {data_bytes(needed or spec.length)}, {len(data)} came"
         return Outcome.TOO_FEW, reason, ""
     if len(data) > needed and not more:
-        return Outcome.TOO_MANY, f"{spec.name} takes {_bytes(needed)}, {len(data)} came", ""
+        return Outcome.TOO_MANY, f"{spec.name} takes {data_bytes(needed)}, {len(data)} came", ""
     part_wrong = spec.data.wrong(data)
     if part_wrong is None:
         return Outcome.VALID, "", ""
@@ -361,8 +366,8 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
     counted, needed = spec.data.counted, spec.data.measure(data)
     if counted and counted.how == "expression" and needed != len(data):
         raise ValueError(
-            f"{spec.name}.{spec.fields[-1].name} makes {_bytes(len(data))}, the fields before it "
-            f"ask for {_bytes(needed or 0)}"
+            f"{spec.name}.{spec.fields[-1].name} makes {data_bytes(len(data))}, the fields before "
+            f"it ask for {data_bytes(needed or 0)}"
         )
     parts = {part.name: _built_part(spec.name, part, given) for part in free_parts(protocol)}
     if given:

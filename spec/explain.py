@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, repeat
 
 from bilprov.spec.codec import Judgement, judge, nearest, spaced
-from bilprov.spec.data import FieldSpec, Many
+from bilprov.spec.data import DataSpec, FieldSpec, Many
 from bilprov.spec.errata import Finding, check
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import READINGS, Erratum, Reading
+from bilprov.spec.replies import Reply, Way, covered, read_reply, reply_size, way_of_reply
 from bilprov.spec.state import Effect, assigned, value_words
 
 
@@ -65,14 +67,20 @@ class FrameExplanation:
 
 @dataclass(frozen=True, slots=True)
 class ResponseExplanation:
-    """One byte of the device; `response` is None for an unused code."""
+    """One answer of the device, mostly a byte: its bits, and what it means.
+
+    `offset` is the index of its first byte in the explained bytes, `words` is what it is in short.
+    `response` is None for an unused code. `reply` is an answer of a layout of its own, else None.
+    """
 
     offset: int
-    byte: int
-    group: BitGroup
+    frame: bytes
+    groups: tuple[BitGroup, ...]
+    words: str
     response: ResponseSpec | None
     meaning: str
     clause: str
+    reply: Reply | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,32 +98,71 @@ def explain(protocol: Protocol, data: bytes) -> Explanation:
     An incomplete last frame counts as truncated by the time-out. Raises ValueError for bytes that
     begin no frame.
     """
-    cutter = Framer(protocol, None)
     findings = check(protocol) if protocol.plain else ()
     frames, offset = [], 0
+    for judgement in judged_frames(protocol, data):
+        frames.append(_frame(protocol, judgement, offset, data[offset:], findings))
+        offset += len(judgement.frame)
+    return Explanation(data, frames=tuple(frames))
+
+
+def judged_frames(protocol: Protocol, data: bytes) -> Iterator[Judgement]:
+    """The frames in bytes that the host sends. Raises ValueError for bytes that begin none."""
+    cutter = Framer(protocol, None)
     for framed in (*cutter.feed(data, 0), *cutter.drop(0, "truncated")):
         if framed.kind == "garbage":
             sync = protocol.layout.sync
             begin = f"; a frame begins with {spaced(sync)}" if sync else ""
             raise ValueError(f"the bytes {spaced(framed.data)} belong to no frame{begin}")
-        rest = data[offset:]
-        frames.append(_frame(protocol, judge(protocol, framed.data), offset, rest, findings))
-        offset += len(framed.data)
-    return Explanation(data, frames=tuple(frames))
+        yield judge(protocol, framed.data)
 
 
-def explain_responses(protocol: Protocol, data: bytes) -> Explanation:
-    """Explain bytes that the device sends: one response each.
+def requests_of(protocol: Protocol, asked: bytes) -> tuple[Judgement, ...]:
+    """The requests in some bytes, each of which is answered. Raises ValueError if one is not."""
+    found = tuple(judged_frames(protocol, asked))
+    for one in found:
+        if not one.answer_due:
+            why = one.reason or "it asks for no answer"
+            raise ValueError(f"the request {spaced(one.frame)} is not answered: {why}")
+    return found
 
-    Raises ValueError where answers are more than one byte: what they hold follows from the request.
+
+def explain_responses(
+    protocol: Protocol, data: bytes, asked: Sequence[Judgement] = ()
+) -> Explanation:
+    """Explain the answers that the device sends.
+
+    `asked` are the requests that they answer. Without them, what only these tell is left open.
     """
-    if not protocol.plain:
-        raise ValueError(
-            f"what an answer of {protocol.name} holds follows from its request; decode a capture "
-            "or JSON lines of both, with decode or spec check"
-        )
-    responses = tuple(_response(protocol, offset, byte) for offset, byte in enumerate(data))
-    return Explanation(data, responses=responses)
+    if protocol.plain:
+        responses = [_response(protocol, offset, byte) for offset, byte in enumerate(data)]
+        return Explanation(data, responses=tuple(responses))
+    responses, offset = [], 0
+    for one in chain(asked, repeat(None)):
+        held = data[offset:]
+        if not held:
+            break
+        size = reply_size(protocol, held, one) or 0
+        frame = held[:size] if 0 < size <= len(held) else held
+        responses.append(explain_reply(protocol, frame, one, offset))
+        offset += len(frame)
+    return Explanation(data, responses=tuple(responses))
+
+
+def explain_reply(
+    protocol: Protocol, frame: bytes, asked: Judgement | None, offset: int = 0
+) -> ResponseExplanation:
+    """Explain one answer of a layout of its own, to a request; None if that is not known."""
+    reply = read_reply(protocol, frame, asked, alone=asked is None)
+    way = way_of_reply(protocol, frame, asked, alone=asked is None)
+    known = reply.response
+    meaning = reply.reason or (known.prose if known else "")
+    if way:
+        groups = tuple(_reply_groups(protocol, reply, way, asked))
+    else:
+        groups = tuple(_byte_group(frame, at, "data", "no answer") for at in range(len(frame)))
+    words, clause = reply.describe(), protocol.clauses.responses
+    return ResponseExplanation(offset, frame, groups, words, known, meaning, clause, reply)
 
 
 def _response(protocol: Protocol, offset: int, byte: int) -> ResponseExplanation:
@@ -127,8 +174,9 @@ def _response(protocol: Protocol, offset: int, byte: int) -> ResponseExplanation
         if response.outcome is not Outcome.VALID and protocol.stops(protocol.on_fault):
             meaning += f"; the {protocol.device} stops ({protocol.clauses.safety})"
     name = response.name if response else "unused"
-    group = BitGroup(0, 1, 7, 0, f"{byte:08b}", "code", byte, name, fault=response is None)
-    return ResponseExplanation(offset, byte, group, response, meaning, protocol.clauses.responses)
+    group = _byte_group(bytes([byte]), 0, "code", name, response is None)
+    frame, clause = bytes([byte]), protocol.clauses.responses
+    return ResponseExplanation(offset, frame, (group,), name, response, meaning, clause)
 
 
 def _frame(
@@ -237,23 +285,55 @@ def bit_groups(protocol: Protocol, judgement: Judgement) -> tuple[BitGroup, ...]
 
 
 def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
-    frame, layout = judgement.frame, protocol.layout
-    whole = not judgement.truncated
+    def meaning(part: Part, raw: bytes) -> tuple[str, bool]:
+        return _part_meaning(protocol.layout, judgement, part, raw)
+
+    spec = judgement.instruction
+    read = judgement.outcome in (Outcome.VALID, Outcome.BAD_DATA)
+    data = spec.data if spec and read else None
+    yield from _laid_out(protocol.layout, judgement, data, meaning, _no_fields(judgement))
+
+
+def _reply_groups(
+    protocol: Protocol, reply: Reply, way: Way, asked: Judgement | None
+) -> Iterator[BitGroup]:
+    def meaning(part: Part, raw: bytes) -> tuple[str, bool]:
+        return _reply_part_meaning(protocol, reply, way.layout, asked, part, raw)
+
+    data = way.data if reply.fields else None
+    open_data = "the answer is damaged" if reply.reason else "means nothing"
+    if way.data is None and asked is None:
+        open_data = "its request is needed to read it"
+    yield from _laid_out(way.layout, reply, data, meaning, open_data)
+
+
+def _laid_out(
+    layout: Layout,
+    one: Judgement | Reply,
+    data: DataSpec | None,
+    meaning: Callable[[Part, bytes], tuple[str, bool]],
+    no_fields: str,
+) -> Iterator[BitGroup]:
+    """Groups that hold every bit of a frame or an answer once, in order: its parts, and its data.
+
+    `meaning` gives what a part means, and whether it is wrong; `no_fields` is what data mean that
+    are not read as fields (`data` is None).
+    """
+    frame, whole = one.frame, isinstance(one, Reply) or not one.truncated
     for part in layout.parts:
         if part.offset >= 0 and part.offset + part.size <= len(frame):
-            yield from _part_groups(layout, judgement, part, part.offset)
+            yield from _part_groups(frame, part, part.offset, meaning)
     begun = [p.offset + p.size for p in layout.parts if p.offset + p.size <= len(frame)]
     at = max((end for end in begun if end <= layout.head), default=0)
-    end = len(frame) - (layout.tail if whole else 0)
-    if judgement.instruction and judgement.outcome in (Outcome.VALID, Outcome.BAD_DATA):
-        yield from _data_groups(judgement, judgement.instruction)
-    else:
-        for place in range(at, end):
-            yield _byte_group(frame, place, "data", _no_fields(judgement))
+    if data is not None:
+        yield from _data_groups(one, data)
+    elif layout.has_data:
+        for place in range(at, len(frame) - (layout.tail if whole else 0)):
+            yield _byte_group(frame, place, "data", no_fields)
     if whole:
         for part in layout.parts:
             if part.offset < 0:
-                yield from _part_groups(layout, judgement, part, len(frame) + part.offset)
+                yield from _part_groups(frame, part, len(frame) + part.offset, meaning)
 
 
 def _no_fields(judgement: Judgement) -> str:
@@ -281,18 +361,19 @@ def _bits(raw: bytes) -> str:
     return f"{int.from_bytes(raw, 'big'):0{8 * len(raw)}b}"
 
 
-def _part_groups(layout: Layout, judgement: Judgement, part: Part, at: int) -> Iterator[BitGroup]:
+def _part_groups(
+    frame: bytes, part: Part, at: int, meaning: Callable[[Part, bytes], tuple[str, bool]]
+) -> Iterator[BitGroup]:
     """The group of a part; of constant bytes each is one."""
-    frame, size = judgement.frame, part.size
+    size = part.size
     if part.role == "constant":
         yield from _fixed_bytes(frame, at, part.constant, part)
         return
     raw = frame[at : at + size]
     high = part.shift + part.width - 1 if part.width else 8 * size - 1
     bits = _bits(raw)[8 * size - 1 - high : 8 * size - part.shift]
-    meaning, fault = _part_meaning(layout, judgement, part, raw)
     value = int(bits, 2) if part.width else part.number.parse(raw)
-    yield BitGroup(at, size, high, part.shift, bits, part.name, value, meaning, fault)
+    yield BitGroup(at, size, high, part.shift, bits, part.name, value, *meaning(part, raw))
 
 
 def _fixed_bytes(
@@ -329,7 +410,33 @@ def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) 
     return part.prose or "a number", False
 
 
-def _data_groups(judgement: Judgement, instruction: InstructionSpec) -> Iterator[BitGroup]:
+def _reply_part_meaning(
+    protocol: Protocol,
+    reply: Reply,
+    layout: Layout,
+    asked: Judgement | None,
+    part: Part,
+    raw: bytes,
+) -> tuple[str, bool]:
+    """What a part of an answer means, and whether it is wrong."""
+    if part.role == "id":
+        spec = protocol.by_id.get((part.read(reply.frame) - part.plus) & part.most)
+        marked = f", marked by {part.plus:02x}: an error" if part.plus else ""
+        return (_instruction(spec) if spec else "unused: no instruction has it") + marked, False
+    if part.role == "length":
+        return f"{_bytes(max(0, part.read(reply.frame)))} announced", False
+    if part.role == "code":
+        return " ".join(reply.names) or "unused", reply.response is None
+    if part.role == "check" and layout.check:
+        if asked is None and layout.check.asked:
+            return "counts the request too", False
+        before = covered(protocol, asked.frame) if asked else b""
+        right = part.number.build(layout.check.due(reply.frame, before))
+        return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
+    return part.prose or ("who answers" if part.role == "address" else "a number"), False
+
+
+def _data_groups(judgement: Judgement | Reply, data: DataSpec) -> Iterator[BitGroup]:
     """The groups of the data: a field each, its named bits, or the elements that it has.
 
     The bytes of a named register are one group.
@@ -337,16 +444,16 @@ def _data_groups(judgement: Judgement, instruction: InstructionSpec) -> Iterator
     head = judgement.head
     named = {head + one.offset: (one, value) for one, value in judgement.registers}
     inside = {at + more for at, (one, _) in named.items() for more in range(one.size)}
-    for group in _field_groups(judgement, instruction):
+    for group in _field_groups(judgement, data):
         if group.byte in named:
             yield _whole_group(judgement, group.byte, *named[group.byte])
         elif group.byte not in inside:
             yield group
 
 
-def _field_groups(judgement: Judgement, instruction: InstructionSpec) -> Iterator[BitGroup]:
+def _field_groups(judgement: Judgement | Reply, data: DataSpec) -> Iterator[BitGroup]:
     frame, values = judgement.frame, dict(judgement.fields)
-    for spec in instruction.fields:
+    for spec in data.fields:
         at = judgement.head + spec.offset
         if spec.many:
             yield from _elements(spec, spec.many, at, frame, values[spec.name])
@@ -389,7 +496,7 @@ def _named_bits(spec: FieldSpec, at: int, frame: bytes, value: int) -> Iterator[
         yield BitGroup(at, spec.size, low, low, bit, name, int(bit), meaning, wrong)
 
 
-def _whole_group(judgement: Judgement, at: int, spec: FieldSpec, value: int) -> BitGroup:
+def _whole_group(judgement: Judgement | Reply, at: int, spec: FieldSpec, value: int) -> BitGroup:
     """The group of a field that is one number."""
     raw = judgement.frame[at : at + spec.size]
     fault = not spec.in_range(value)

@@ -55,7 +55,10 @@ class Length(Adapter):  # type: ignore[misc]  # construct ships no types
 
 
 class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
-    """The part of a reply that repeats the request's part `name`, with `plus` added to it."""
+    """The part of a reply that repeats the request's part `name`, with `plus` added to it.
+
+    What does not fit into the type is cut off.
+    """
 
     def __init__(self, name: str, subcon: Construct, plus: int = 0) -> None:
         require_name("the part that a Same repeats", name)
@@ -67,15 +70,19 @@ class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
 
     def _parse(self, stream: Any, context: Any, path: str) -> int:
         value = int(self.subcon._parsereport(stream, context, path))
-        expected = context._params.asked[self.part] + self.plus
+        expected = self._repeated(context)
         if value != expected:
             raise ValidationError(f"{self.part} is {value}, the request has {expected}", path)
         return value
 
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> int:
-        value = int(context._params.asked[self.part] + self.plus)
+        value = self._repeated(context)
         self.subcon._build(value, stream, context, path)
         return value
+
+    def _repeated(self, context: Any) -> int:
+        value = context._params.asked[self.part] + self.plus
+        return int(value % (1 << 8 * self.subcon.sizeof()))
 
 
 class Data(Construct):  # type: ignore[misc]  # construct ships no types

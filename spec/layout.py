@@ -103,6 +103,10 @@ class Part:
         """The largest value that it can have."""
         return ((1 << self.width) - 1 if self.width else self.number.high) - self.also
 
+    def repeating(self, value: int) -> int:
+        """The value with which it repeats one of the request, cut to the part's bits."""
+        return (value + self.plus) & self.most
+
 
 @dataclass(frozen=True, slots=True)
 class Check:
@@ -238,10 +242,18 @@ class Layout:
         """The first part that does not repeat the request's, and its right value."""
         for part in self.parts:
             if part.same and part.offset >= 0 and part.offset + part.size <= len(held):
-                right = asked.get(part.same, -1) + part.plus  # type: ignore[operator]
-                if part.read(held) != right:
+                right = part.repeating(asked.get(part.same, -1))  # type: ignore[arg-type]
+                if part.same not in asked or part.read(held) != right:
                     return part, right
         return None
+
+    def may_repeat(self, held: bytes) -> bool:
+        """Whether the parts that repeat some request's can, as far as the bytes go."""
+        return all(
+            part.read(held) >= part.plus
+            for part in self.parts
+            if part.same and part.offset >= 0 and part.offset + part.size <= len(held)
+        )
 
     def values(self, frame: bytes) -> dict[str, int]:
         """The parts of a whole frame by name, without constants, length and check."""

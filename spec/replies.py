@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
-from bilprov.spec.codec import Judgement, Registers, registers_in, spaced, with_registers
+from bilprov.spec.codec import (
+    Judgement,
+    Registers,
+    data_bytes,
+    registers_in,
+    spaced,
+    with_registers,
+)
 from bilprov.spec.data import DataSpec, FieldSpec, shown_value
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
@@ -30,6 +37,8 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     `registers` are the named registers that it tells, as in a Judgement.
     """
 
+    framed: ClassVar[bool] = True
+
     frame: bytes
     response: ResponseSpec | None
     names: tuple[str, ...]
@@ -46,17 +55,15 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         """The values of its fields and of its registers, by name."""
         return with_registers(self.fields, self.registers)
 
-    @property
-    def shown(self) -> list[tuple[str, str]]:
-        """The names of its fields and of its registers, each with its value in words."""
-        fields = [(name, _shown(value)) for name, value in self.fields]
-        return fields + [(one.name, shown_value(one, value)) for one, value in self.registers]
-
     def describe(self) -> str:
         """The answer in words: its names, its fields and its registers."""
         to = f"@{self.address} " if self.address is not None else ""
         known = " ".join(self.names) or (self.response.name if self.response else "unreadable")
-        return to + " ".join([known, *(f"{name}={value}" for name, value in self.shown)])
+        more = len(self.frame) - self.head - self.tail if self.response and not self.fields else 0
+        data = f", {data_bytes(more)}" if more > 0 else ""
+        shown = [f"{name}={_shown(value)}" for name, value in self.fields]
+        shown += [f"{one.name}={shown_value(one, value)}" for one, value in self.registers]
+        return to + " ".join([known, *shown]) + data
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
@@ -71,7 +78,7 @@ def _shown(value: Any) -> str:
 
 
 class Way(NamedTuple):
-    """One way in which an answer can be laid out."""
+    """One way in which an answer can be laid out; `data` is None where only the request tells."""
 
     layout: Layout
     data: DataSpec | None
@@ -89,32 +96,36 @@ def reply_size(protocol: Protocol, held: bytes, asked: Judgement | None) -> int 
     `asked` is the request that it answers, None if there is none.
     """
     values = asked_values(protocol, asked) if asked else {}
-    for way in _ways(protocol, asked):
+    ways = list(_ways(protocol, asked, held))
+    for way in ways:
         size = _size(protocol, way, held, asked, values)
         if size is None or size > len(held):
             return size if size is not None and size > 0 else None
         if size > 0 and _is_right(protocol, way, held[:size], asked):
             return size
-    sizes = [_size(protocol, way, held, asked, values) for way in _ways(protocol, asked)]
+    sizes = [_size(protocol, way, held, asked, values) for way in ways]
     return next((size for size in sizes if size is not None and size > 0), -1)
 
 
-def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Reply:
-    """Read one answer, whole or damaged, to a request (None if there is none)."""
+def read_reply(
+    protocol: Protocol, frame: bytes, asked: Judgement | None, *, alone: bool = False
+) -> Reply:
+    """Read one answer, whole or damaged, to a request (None if there is none).
+
+    With `alone` no request was heard: what only that tells is left open.
+    """
+    way = way_of_reply(protocol, frame, asked, alone=alone)
     values = asked_values(protocol, asked) if asked else {}
-    ways = list(_ways(protocol, asked))
-    sized = [way for way in ways if _size(protocol, way, frame, asked, values) == len(frame)]
-    right = [way for way in sized if _is_right(protocol, way, frame, asked)]
-    if not sized:
-        return Reply(frame, None, (), reason=_unlike(ways[0].layout, frame, values))
-    way = (right or sized)[0]
+    if way is None:
+        usual = next(_ways(protocol, asked, frame))
+        return Reply(frame, None, (), reason=_unlike(usual.layout, frame, values))
     layout = way.layout
     names, response = meaning(protocol, layout.code_of(frame))
+    right = _is_right(protocol, way, frame, asked)
     reason = "" if right else _damage(protocol, layout, frame, asked)
     fields: tuple[tuple[str, Any], ...] = ()
     registers: Registers = ()
-    unknown = asked is not None and asked.instruction is None  # so is what its answer has
-    if layout.has_data and way.data is not None and not reason and not unknown:
+    if layout.has_data and way.data is not None and not reason:
         data = layout.data_of(frame)
         needed = way.data.measure(data, values)
         if needed == len(data) or _takes_rest(way.data):
@@ -125,6 +136,7 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
         elif data or (response and Outcome.VALID in response.outcomes):
             reason = f"it has {len(data)} data bytes, {needed} are due"
     address = layout.address_of(frame)
+    checked = layout.check is not None and not layout.check.asked
     return Reply(
         frame,
         response,
@@ -134,7 +146,27 @@ def read_reply(protocol: Protocol, frame: bytes, asked: Judgement | None) -> Rep
         reason,
         layout.head,
         layout.tail,
+        open_end=alone and not checked and _size(protocol, way, frame, asked, values) is None,
         registers=registers,
+    )
+
+
+def way_of_reply(
+    protocol: Protocol, frame: bytes, asked: Judgement | None, *, alone: bool = False
+) -> Way | None:
+    """The way in which an answer is laid out, also a damaged one; None if it is none.
+
+    The arguments are those of `read_reply`.
+    """
+    values = asked_values(protocol, asked) if asked else {}
+    sized: list[Way] = []
+    for way in _ways(protocol, asked, frame):
+        size = _size(protocol, way, frame, asked, values)
+        open_end = alone and size is None and len(frame) >= way.layout.head + way.layout.tail
+        if size == len(frame) or open_end:
+            sized.append(way)
+    return next((way for way in sized if _is_right(protocol, way, frame, asked)), None) or next(
+        iter(sized), None
     )
 
 
@@ -159,7 +191,7 @@ def build_reply(
     if way.layout.has_data and way.data is not None and Outcome.VALID in response.outcomes:
         data = _filled(way.data, parts, values)
     told = {
-        part.name: parts.get(part.same, 0) + part.plus for part in way.layout.parts if part.same
+        part.name: part.repeating(parts.get(part.same, 0)) for part in way.layout.parts if part.same
     }
     if response.code >= 0:
         told |= {part.name: response.code for part in way.layout.parts if part.role == "code"}
@@ -197,16 +229,36 @@ def usual_way(protocol: Protocol, spec: InstructionSpec | None) -> Way:
     return Way(protocol.acknowledgement, data or DataSpec())
 
 
-def _ways(protocol: Protocol, asked: Judgement | None) -> Iterator[Way]:
-    """The ways in which a request can be answered, the likelier first."""
-    yield usual_way(protocol, asked.instruction if asked else None)
-    for layout in protocol.errors:
-        yield Way(layout, DataSpec())
+def _ways(protocol: Protocol, asked: Judgement | None, held: bytes) -> Iterator[Way]:
+    """The ways in which a request can be answered, the likelier first.
+
+    Without a request, `held` tells the instruction if answers repeat its ID.
+    """
+    spec = asked.instruction if asked else _repeated_id(protocol, held)
+    errors = [Way(layout, DataSpec()) for layout in protocol.errors]
+    if spec is None:
+        data = None if protocol.reply.has_data else DataSpec()
+        yield from errors if asked is None else ()
+        yield Way(protocol.reply if asked is None else protocol.acknowledgement, data)
+        yield from errors if asked is not None else ()
+        return
+    yield usual_way(protocol, spec)
+    yield from errors
+
+
+def _repeated_id(protocol: Protocol, held: bytes) -> InstructionSpec | None:
+    """The instruction whose ID an answer repeats; None where it repeats none that is known."""
+    part = protocol.reply.part("id")
+    if part is None or part.same != "id" or part.offset + part.size > len(held):
+        return None
+    spec = protocol.by_id.get(part.read(held) - part.plus)
+    counted = spec.answer.counted if spec and spec.answer else None
+    return None if counted and counted.how == "expression" else spec
 
 
 def _way_of(protocol: Protocol, asked: Judgement, response: ResponseSpec) -> Way:
     """The way in which a response is given: errors in a layout of their own, if there is one."""
-    ways = list(_ways(protocol, asked))
+    ways = list(_ways(protocol, asked, b""))
     valid = Outcome.VALID in response.outcomes
     if valid or (ways[0].layout.part("code") is not None and not protocol.errors):
         return ways[0]
@@ -218,14 +270,22 @@ def _size(
     protocol: Protocol, way: Way, held: bytes, asked: Judgement | None, values: Mapping[str, Any]
 ) -> int | None:
     """As `reply_size`, for one way."""
-    if asked is not None and not way.layout.repeats(held, values):
+    layout = way.layout
+    if asked is not None and not layout.repeats(held, values):
         return -1
-    if way.layout.has_data and way.layout.part("length") is None:
+    if asked is None and not layout.may_repeat(held):
+        return -1
+    whole = len(held) >= layout.head
+    if asked is None and not layout.has_data and whole and layout.length_of(held):
+        return -1  # it has data
+    if layout.has_data and layout.part("length") is None and way.data is None:
+        check = layout.check
+        if check and (asked or (check.part.size > 1 and not check.asked)):
+            before = covered(protocol, asked.frame) if asked else b""
+            return _checked_size(protocol, layout, held, before)
         if asked is None:
-            return None  # only the request tells
-        if asked.instruction is None and way.layout.check:
-            return _checked_size(protocol, way.layout, held, covered(protocol, asked.frame))
-    return way.layout.size(held, way.data, values)
+            return None if layout.begins(held) else -1
+    return layout.size(held, way.data, values)
 
 
 def _checked_size(protocol: Protocol, layout: Layout, held: bytes, before: bytes) -> int | None:
@@ -245,6 +305,8 @@ def _is_right(protocol: Protocol, way: Way, frame: bytes, asked: Judgement | Non
     code = layout.code_of(frame)
     if code is not None and meaning(protocol, code)[1] is None:
         return False
+    if asked is None and layout.check and layout.check.asked:
+        return True  # what it covers is not known
     before = covered(protocol, asked.frame) if asked else b""
     return layout.check is None or layout.check.holds(frame, before)
 
@@ -269,7 +331,7 @@ def _unlike(layout: Layout, frame: bytes, asked: Mapping[str, Any]) -> str:
         found = frame[offset : offset + len(raw)]
         if offset >= 0 and found != raw:
             return f"{spaced(found)} stands where {spaced(raw)} must be"
-    unrepeated = layout.unrepeated(frame, asked)
+    unrepeated = layout.unrepeated(frame, asked) if asked else None
     if unrepeated:
         part, right = unrepeated
         return f"{part.name} is {part.read(frame)}, right is {right}"

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
+from msgspec.structs import replace
 
 from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
-from bilprov.analyzer.cli.options import compiled, filter_option, sender_option
+from bilprov.analyzer.cli.options import (
+    compiled,
+    filter_option,
+    request_option,
+    sender_option,
+)
 from bilprov.analyzer.cli.reading import opened_captures
-from bilprov.analyzer.cli.typed_input import file_or_bytes
-from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.cli.typed_input import file_or_bytes, requests_typed
+from bilprov.analyzer.decode.records import DeviceRecord, Record
+from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
@@ -34,6 +41,7 @@ class DecodeOptions:
 
     words: tuple[str, ...] = argument(metavar="[FILE|-|HEX]...", nargs=-1)
     sender: Direction = sender_option()
+    request: str | None = request_option()
     style: Literal["lines", "jsonl"] = option(
         "--format",
         type=click.Choice(["lines", "jsonl"]),
@@ -49,9 +57,11 @@ def decode(options: DecodeOptions) -> None:
     """Examples:
       bilprov decode 81 05 20
       bilprov decode --from device --format jsonl answers.bin
+      bilprov decode 14 03 10 --from device --request 418120 --grammar stk500v1
 
     HEX is bytes like 81 05, FILE a file of raw bytes or a capture, - standard input. The bytes are
-    taken as sent without a pause: only the last frame can be cut short.
+    taken as sent without a pause: only the last frame can be cut short. The data of some answers
+    can be read only with their --request.
     """
     sender = options.sender
     if not options.words and sys.stdin.isatty():
@@ -61,8 +71,11 @@ def decode(options: DecodeOptions) -> None:
     if isinstance(source, bytes):
         protocol = protocol_in_use()
         test = compiled(options.expression, protocol)
-        session = Session(protocol, heard=frozenset({sender}))
+        asked = _asked(options, protocol)
+        session = Session(protocol, heard=BOTH if asked else frozenset({sender}))
+        session.feed(Chunk(0, "host", asked))
         records = session.feed(Chunk(0, sender, source)) + session.finish()
+        records = _answers(records) if asked else records
         if test is None:  # and so without numpy, which takes longer to load than all else here
             out.records(records)
             return
@@ -70,7 +83,7 @@ def decode(options: DecodeOptions) -> None:
 
         Shown(out, test.started(0)).show(Records(records))
         return
-    batches, start, protocol = _decoded(source, sender)
+    batches, start, protocol = _decoded(source, options)
     test = compiled(options.expression, protocol)
     shown = Shown(out, test and test.started(start))
     for batch in batches:
@@ -82,14 +95,31 @@ def _source(words: Sequence[str]) -> bytes | Path | None:
     return None if tuple(words) in ((), ("-",)) else file_or_bytes(words)
 
 
-def _decoded(path: Path | None, sender: Direction) -> tuple[Iterator[Batch], int, Protocol]:
+def _asked(options: DecodeOptions, protocol: Protocol) -> bytes:
+    """The requests that are answered, b"" where they are not known."""
+    try:
+        asked = requests_typed(protocol, options.request, options.sender)
+    except ValueError as error:
+        raise click.ClickException(str(error)) from None
+    return b"".join(one.frame for one in asked)
+
+
+def _answers(records: Iterable[Record]) -> list[Record]:
+    """The answers; how long they took nobody knows."""
+    return [replace(one, latency=None) for one in records if isinstance(one, DeviceRecord)]
+
+
+def _decoded(path: Path | None, options: DecodeOptions) -> tuple[Iterator[Batch], int, Protocol]:
     """What is decoded from a file, or from standard input as it comes.
 
     And the wall clock (ns since 1970) at its start, 0 where nobody knows it, and the protocol.
     """
     if path is None or not (kept_parts(path) or _begins_like_a_capture(path)):
         protocol = protocol_in_use()
-        return _of_bytes(path, sender, protocol), 0, protocol
+        asked = _asked(options, protocol)
+        return _of_bytes(path, options.sender, protocol, asked), 0, protocol
+    if options.request is not None:
+        raise click.UsageError("a capture has the requests: leave out --request")
     from bilprov.analyzer.replay.capture_parts import decoded
     from bilprov.analyzer.replay.capture_session import capture_decoder
 
@@ -110,19 +140,28 @@ def _begins_like_a_capture(path: Path) -> bool:
         raise _unreadable(path, error) from error
 
 
-def _of_bytes(path: Path | None, sender: Direction, protocol: Protocol) -> Iterator[Batch]:
-    """Yield what is decoded from the bytes of a file, or of standard input as they come."""
+def _of_bytes(
+    path: Path | None, sender: Direction, protocol: Protocol, asked: bytes
+) -> Iterator[Batch]:
+    """Yield what is decoded from the bytes of a file, or of standard input as they come.
+
+    `asked` are the requests that they answer, b"" where they are not known.
+    """
+    from bilprov.analyzer.decode.batch import Records
     from bilprov.analyzer.decode.stream import StreamDecoder
 
-    decoder = StreamDecoder(protocol, heard=frozenset({sender}))
+    decoder = StreamDecoder(protocol, heard=BOTH if asked else frozenset({sender}))
+    decoder.feed([Chunk(0, "host", asked)])
     try:
         # Unbuffered, so that bytes from a pipe are shown at once.
         with FileIO(path or sys.stdin.fileno(), closefd=path is not None) as file:
             while data := file.read(PIECE):
-                yield from decoder.feed([Chunk(0, sender, data)])
+                for batch in decoder.feed([Chunk(0, sender, data)]):
+                    yield Records(_answers(batch.records())) if asked else batch
     except OSError as error:
         raise _unreadable(path or Path("standard input"), error) from error
-    yield from decoder.finish()
+    for batch in decoder.finish():
+        yield Records(_answers(batch.records())) if asked else batch
 
 
 def _unreadable(path: Path, error: OSError) -> CaptureError:

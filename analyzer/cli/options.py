@@ -64,6 +64,11 @@ sender_option = partial(
     show_default=True,
     help="Who sent the bytes.",
 )
+request_option = partial(
+    option,
+    metavar="HEX",
+    help="What --from device answers: one request or several, in hex.",
+)
 text_format_option = partial(
     option,
     "--format",

@@ -9,7 +9,11 @@ from typing import Any
 import click
 
 from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
-from bilprov.analyzer.cli.options import sender_option, text_format_option
+from bilprov.analyzer.cli.options import (
+    request_option,
+    sender_option,
+    text_format_option,
+)
 from bilprov.analyzer.output.console import show_as
 
 
@@ -19,6 +23,7 @@ class ExplainOptions:
 
     words: tuple[str, ...] = argument(metavar="HEX...", nargs=-1, required=True)
     sender: str = sender_option()
+    request: str | None = request_option()
     style: str = text_format_option()
 
 
@@ -27,18 +32,22 @@ def explain(options: ExplainOptions) -> None:
     """Examples:
       bilprov explain 81 09
       bilprov explain --from device 02
+      bilprov explain 14 03 10 --from device --request 418120 --grammar stk500v1
 
     For each frame: what its bits mean, what a conforming device answers and does, why, the clause,
     reading or erratum of the document that this rests on, and the nearest valid frame.
     """
-    from bilprov.analyzer.cli.typed_input import bytes_from_hex
+    from bilprov.analyzer.cli.typed_input import bytes_from_hex, requests_typed
     from bilprov.analyzer.output.explanation import as_json, drawn
     from bilprov.spec import explain as explaining
 
     data = _or_sentence(bytes_from_hex, " ".join(options.words))
     protocol = protocol_in_use()
-    make = explaining.explain if options.sender == "host" else explaining.explain_responses
-    explanation = _or_sentence(make, protocol, data)
+    asked = _or_sentence(requests_typed, protocol, options.request, options.sender)
+    if options.sender == "host":
+        explanation = _or_sentence(explaining.explain, protocol, data)
+    else:
+        explanation = explaining.explain_responses(protocol, data, asked)
     show_as(options.style, lambda: as_json(explanation), lambda: drawn(explanation))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from bilprov.captures.parts import kept_parts
-from bilprov.spec.codec import build, free_parts
+from bilprov.spec.codec import Judgement, build, free_parts
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.layout import Part
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -54,6 +54,20 @@ def bytes_or_pause(protocol: Protocol, item: str, others: Iterable[str] = ()) ->
     except ValueError as error:
         guess = meant(name, [*names, *others])
         raise ValueError(f"{error}, or an instruction{guess or ': ' + ', '.join(names)}") from error
+
+
+def requests_typed(protocol: Protocol, text: str | None, sender: str) -> tuple[Judgement, ...]:
+    """The requests of `--request`, which the `sender` answers; none where it is not given.
+
+    Raises ValueError, in one sentence, for what is no request that is answered.
+    """
+    if text is None:
+        return ()
+    if sender == "host":
+        raise ValueError("--request is what an answer is to: give --from device too")
+    from bilprov.spec.explain import requests_of
+
+    return requests_of(protocol, bytes_from_hex(text))
 
 
 def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:

@@ -124,6 +124,8 @@ def _of_reply(protocol: Protocol, reply: Reply, asked: Judgement) -> tuple[bool,
 def of_unpaired(protocol: Protocol, held: Held, why: Cause) -> AnswerCheck:
     """Check a device byte that answers no instruction; `why` is the cause."""
     found = [*([why] if why.kind else []), *_open_end(held)]
+    if held.reply and held.reply.reason and not why.kind:
+        found.insert(0, Cause("damaged answer", Severity.ERROR, held.reply.reason))
     if held.reply:
         return AnswerCheck(None, tuple(Anomaly(held.t, *one) for one in found))
     unused = held.byte not in protocol.codes

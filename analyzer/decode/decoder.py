@@ -383,7 +383,7 @@ class Decoder:
         """Take what is held of an answer that is not continued, or that no request waits for."""
         waiting = self._pairing.waiting
         heard = self._replies.take_unasked() if not waiting else None
-        heard = heard or self._replies.take_rest()
+        heard = heard or self._replies.take_rest(alone=not self._both_heard)
         if heard is None:
             return
         if self._paired and waiting:

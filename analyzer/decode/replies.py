@@ -101,12 +101,16 @@ class ReplyFramer:
         reply = read_reply(self._protocol, bytes(self._held[:size]), None)
         return self._taken(Heard(reply, self._times[0], self._times[size - 1]))
 
-    def take_rest(self) -> Heard | None:
-        """Take all that is held as one damaged answer; None if nothing is held."""
+    def take_rest(self, *, alone: bool = False) -> Heard | None:
+        """Take all that is held as one answer, mostly a damaged one; None if nothing is held.
+
+        With `alone` no requests are heard.
+        """
         if not self._held:
             return None
-        reply = read_reply(self._protocol, bytes(self._held), None)
-        reply = replace(reply, open_end=bool(reply.reason))  # a right one ends by itself
+        reply = read_reply(self._protocol, bytes(self._held), None, alone=alone)
+        if reply.reason:  # a right one ends by itself
+            reply = replace(reply, open_end=True)
         return self._taken(Heard(reply, self._times[0], self._times[-1]))
 
     def _taken(self, heard: Heard) -> Heard:

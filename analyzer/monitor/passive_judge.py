@@ -14,6 +14,7 @@ import msgspec
 
 from bilprov.analyzer.decode.decoder import SIDES, UNREAD
 from bilprov.analyzer.decode.records import (
+    UNCERTAIN,
     Anomaly,
     DeviceRecord,
     FaultRecord,
@@ -232,7 +233,8 @@ class PassiveJudge:
         """Judge a device byte that answers no instruction, or none that was heard."""
         errors = [fault for fault in record.faults if fault.severity is Severity.ERROR]
         # A banner before the first instruction, an answer around a loss: see R-unsolicited.
-        uncertain = any(fault.severity is Severity.INFO for fault in record.faults)
+        doubts = {fault.kind for fault in record.faults if fault.severity is Severity.INFO}
+        uncertain = bool(doubts - {UNCERTAIN})  # bytes that answer nothing, wherever they end
         if uncertain or not errors or record.t < self._in_step_from:
             self._findings.not_judged[_UNSEEN if self._paired else _DEAF] += 1
             return

@@ -68,12 +68,12 @@ def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
 
 def _response(response: ResponseExplanation) -> Iterator[RenderableType]:
     known = response.response
-    title = heading(f"{response.byte:02x}")
-    title.append(f"  {response.group.meaning}", style="" if known else "red")
+    title = heading(spaced(response.frame))
+    title.append(f"  {response.words}", style="" if known else "red")
     yield title
-    yield _bits((response.group,), bytes([response.byte]))
+    yield _bits(response.groups, response.frame)
     yield Text()
-    document = f' ("{known.document}")' if known else ""
+    document = f' ("{known.document}")' if known and known.document else ""
     yield facts([("meaning", response.meaning + document), ("clause", response.clause)])
 
 
@@ -157,12 +157,13 @@ def _response_json(response: ResponseExplanation) -> dict[str, Any]:
     known = response.response
     return {
         "offset": response.offset,
-        "hex": f"{response.byte:02x}",
+        "hex": spaced(response.frame),
         "name": known.name if known else None,
+        **({"fields": plain_values(response.reply.told)} if response.reply else {}),
         "document": known.document if known else None,
         "meaning": response.meaning,
         "clause": response.clause,
-        "bits": _groups_json((response.group,)),
+        "bits": _groups_json(response.groups),
     }
 
 

@@ -19,9 +19,8 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, se
 from bilprov.analyzer.screen.signs import FOLDED, ORDINARY, UNFOLDED, Look, look_of
 from bilprov.captures.text import escape_controls
 from bilprov.spec.codec import spaced
-from bilprov.spec.explain import BitGroup, explain, explain_responses
+from bilprov.spec.explain import BitGroup, explain, explain_reply, explain_responses
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.replies import Reply
 
 _LEAST_WIDTH = 24  # columns in which text is wrapped
 
@@ -80,11 +79,11 @@ def _device(
     protocol: Protocol, record: DeviceRecord, look: Look, state: Iterable[Detail]
 ) -> Iterator[Detail]:
     if record.reply:
-        yield from _reply(record.reply)
+        response = explain_reply(protocol, record.data, record.answered)
     else:
         response = explain_responses(protocol, record.data).responses[0]
-        yield _bits(response.group, look)
-        yield Detail("means", response.meaning)
+    yield from (_bits(group, look) for group in response.groups)
+    yield Detail("means", response.meaning)
     yield from state
     if record.answered is not None:
         answered, odd = record.answered, ORDINARY if record.agrees else look
@@ -95,15 +94,6 @@ def _device(
     if record.latency is not None:
         yield Detail("latency", f"{record.latency / 1e6:.3f} ms")
     yield Detail("document", protocol.clauses.responses)
-
-
-def _reply(reply: Reply) -> Iterator[Detail]:
-    """What an answer of several bytes holds."""
-    if reply.address is not None:
-        yield Detail("from", str(reply.address))
-    yield from (Detail(name, value) for name, value in reply.shown)
-    if reply.response:
-        yield Detail("means", reply.response.prose)
 
 
 def _bits(group: BitGroup, look: Look) -> Detail:

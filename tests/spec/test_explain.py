@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import judge
-from bilprov.spec.explain import explain, explain_responses
+from bilprov.spec.explain import explain
 from bilprov.spec.protocol import load
 from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
 from tests.frame_vectors import RequestVector
@@ -129,5 +129,3 @@ def test_fixed_data_are_explained_byte_by_byte(sent: str, meanings: list[str], r
 def test_what_belongs_to_no_frame_is_refused_with_the_right_beginning() -> None:
     with pytest.raises(ValueError, match="ff fe belong to no frame; a frame begins with ff ff"):
         explain(load_protocol("dynamixel1"), bytes.fromhex("FFFE FFFF 01 02 01 FB"))
-    with pytest.raises(ValueError, match="follows from its request"):
-        explain_responses(load_protocol("dynamixel1"), bytes.fromhex("FFFF 01 02 00 FC"))

@@ -61,5 +61,5 @@ def test_an_answer_shows_its_fields_and_what_it_answers() -> None:
     record = batch.records()[1]
     assert isinstance(record, DeviceRecord)
     shown = {line.label: line.text for line in details(protocol, record, state=False)}
-    assert shown["voltage"] == "123"
+    assert shown["voltage"] == "0000 0000 0111 1011  123  tenths of a volt"
     assert shown["answers"] == f"{asked.hex(' ')}  @128 MainBattery"
