@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.decode.checkpoint import encoded_or_none
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
 
@@ -101,11 +101,7 @@ class Pipeline:
     def _save(self, now: int) -> None:
         """Write a checkpoint at `now` (ns), if one is due: every recorded event is decoded."""
         if self.recorder:
-            self.recorder.checkpoint(now, self._saved)
-
-    def _saved(self) -> str | None:
-        state = self.decoder.saved()
-        return None if state is None else checkpoint.encoded(state)
+            self.recorder.checkpoint(now, lambda: encoded_or_none(self.decoder.saved()))
 
     def _handled(self, batches: list[Batch], now: int) -> list[Batch]:
         for batch in batches:

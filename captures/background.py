@@ -46,9 +46,9 @@ class _Made(NamedTuple):
 class BackgroundWriter(Closing):
     """A capture writer with a bounded queue before it; a context manager, for one thread.
 
-    Its arguments and the errors of its constructor are those of `CaptureWriter`. What is handed
-    over is written in order and reaches the operating system at most 0.1 s later, or at once when
-    256 KiB wait. While 16 MiB wait, handing over waits too; `waited_ns` adds up for how long.
+    The `writer` is a new one, which nobody else uses from then on. What is handed over is written
+    in order and reaches the operating system at most 0.1 s later, or at once when 256 KiB wait.
+    While 16 MiB wait, handing over waits too; `waited_ns` adds up for how long.
 
     The capture may go on in further files. `paths` are those that are there, the newest last, and
     `oldest` is the time (ns since the start) with which the first of them begins.
@@ -58,20 +58,10 @@ class BackgroundWriter(Closing):
     error is wrong use, which every later call raises, `close` only if no call did.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        *,
-        start_wall: int,
-        metadata: Mapping[str, str],
-        version: str,
-        shapes: topics.Shapes = topics.CAR_SHAPES,
-    ) -> None:
+    def __init__(self, writer: CaptureWriter) -> None:
         self.waited_ns = 0
         self.failure = ""
-        self._writer = CaptureWriter(
-            path, start_wall=start_wall, metadata=metadata, version=version, shapes=shapes
-        )
+        self._writer = writer
         self.oldest = 0
         self._made = [_Made(self._writer.path, 0)]
         # With t and size.

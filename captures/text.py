@@ -68,12 +68,6 @@ def quantity(count: int, noun: str, plural: str = "") -> str:
     return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
 
 
-def ordinal(number: int) -> str:
-    """An ordinal number in digits: `1st`, `2nd`, `13th`."""
-    last = "th" if 10 <= number % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
-    return f"{number}{last}"
-
-
 PRINTABLE_CHARACTERS = 200
 
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +14,7 @@ from typing import Any, NamedTuple
 from bilprov.spec.codec import build, judge
 from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.state import Effect, FromField, FromOld, State
+from bilprov.spec.state import Effect, FromField, FromOld, State, Step, ways_on
 
 
 def moves(spec: InstructionSpec) -> bool:
@@ -87,23 +86,12 @@ def frames_to(protocol: Protocol, state: State, known: State | None = None) -> t
     start -= {"motion"}
     if wanted.motion == Motion.STOPPED:
         start |= {"motion"}
-    # From the variables that are right already to those that are right after each frame.
-    paths: dict[frozenset[str], tuple[bytes, ...]] = {start: ()}
-    ahead = deque(paths)
-    while ahead:
-        right = ahead.popleft()
-        for frame, sets, spoils in frames:
-            reached = (right - spoils) | sets
-            if reached not in paths:
-                paths[reached] = (*paths[right], frame)
-                ahead.append(reached)
+    paths = dict(ways_on(start, frames))
     best = max(paths, key=lambda right: ("motion" in right, "speed" in right, len(right)))
     return paths[best]
 
 
-def _candidates(
-    protocol: Protocol, wanted: State
-) -> list[tuple[bytes, frozenset[str], frozenset[str]]]:
+def _candidates(protocol: Protocol, wanted: State) -> list[Step[bytes]]:
     """Frames with the variables that they set as wanted, and otherwise, in order of preference."""
     late = ("steering", "motion") if rotates(wanted.motion) else ("motion", "steering")
     order = ("speed", "led", *late)

@@ -8,10 +8,10 @@ whether it is `moving`. A value that is not known is None.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 import msgspec
 
@@ -456,6 +456,11 @@ def plain(value: Any) -> Any:
 Request: TypeAlias = tuple[str, dict[str, Any]]
 """An instruction's name, and its fields."""
 
+Sent = TypeVar("Sent")
+
+Step: TypeAlias = tuple[Sent, frozenset[str], frozenset[str]]
+"""What is sent, with the variables that are right after it, and those that are wrong."""
+
 
 class Setter(NamedTuple):
     """An instruction that sets variables: its name, its fields (of FieldSpec), its effect."""
@@ -473,25 +478,32 @@ def rest_requests(setters: Iterable[Setter], at_rest: Condition) -> tuple[Reques
     """
     wanted = at_rest.values
     ordered = sorted(setters, key=lambda one: len(dict(one.effect.assignments).keys() - wanted))
-    steps = [_towards(one, wanted) for one in ordered]
-    # From the variables that are at rest already to those that are after each request.
-    paths: dict[frozenset[str], tuple[Request, ...]] = {frozenset(): ()}
-    ahead = deque(paths)
-    while ahead:
-        right = ahead.popleft()
+    for right, requests in ways_on(frozenset(), [_towards(one, wanted) for one in ordered]):
         if at_rest.follows({name: wanted[name] for name in right}):
-            return paths[right]
-        for request, sets, spoils in steps:
-            reached = (right - spoils) | sets
-            if reached not in paths:
-                paths[reached] = (*paths[right], request)
-                ahead.append(reached)
+            return requests
     return None
 
 
-def _towards(
-    setter: Setter, wanted: Mapping[str, int | str]
-) -> tuple[Request, frozenset[str], frozenset[str]]:
+def ways_on(
+    right: frozenset[str], steps: Sequence[Step[Sent]]
+) -> Iterator[tuple[frozenset[str], tuple[Sent, ...]]]:
+    """Yield which variables can be right after some steps, each with the fewest: from these on.
+
+    Of equally few steps those come first that stand first.
+    """
+    paths: dict[frozenset[str], tuple[Sent, ...]] = {right: ()}
+    ahead = deque(paths)
+    while ahead:
+        right = ahead.popleft()
+        yield right, paths[right]
+        for sent, sets, spoils in steps:
+            reached = (right - spoils) | sets
+            if reached not in paths:
+                paths[reached] = (*paths[right], sent)
+                ahead.append(reached)
+
+
+def _towards(setter: Setter, wanted: Mapping[str, int | str]) -> Step[Request]:
     """The request of an instruction that sets what is wanted as far as its fields can.
 
     Beside it stand the variables that it sets so, and those that it sets otherwise. A field that

@@ -153,6 +153,11 @@ def encoded(state: DecoderState) -> str:
     return msgspec.json.encode(state).decode()
 
 
+def encoded_or_none(state: DecoderState | None) -> str | None:
+    """The same, where the state can be told."""
+    return None if state is None else encoded(state)
+
+
 def decoded(text: str, protocol: Protocol) -> DecoderState | None:
     """The state in a JSON text; None if it is none, or one that no session can be in."""
     try:

@@ -31,12 +31,11 @@ from bilprov.analyzer.edit.new_capture import write_resumption
 from bilprov.analyzer.edit.recorded_values import (
     Timed,
     batched,
+    copy_batch,
     events_in,
     first_state,
-    saved_text,
     size_of,
     timed,
-    write_values,
 )
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded
@@ -80,12 +79,7 @@ def write_window(
     behind: list[Timed] = []
     checkpoints = Checkpoints(protocol.sha256)
     for batch in batched(_before(values, window.after, behind)):
-        write_values(out, batch)
-        decoder.feed(events_in(batch))
-        kept += size_of(batch)
-        made = checkpoints.made(batch[-1].now, kept, lambda: saved_text(decoder))
-        if made:
-            out.write(made, made.t)
+        kept = copy_batch(out, decoder, checkpoints, batch, kept)
         progress(size_of(batch))
     end = decoder.saved()
     if behind and end and _cuts_through(protocol, settings, end, chain(behind, values)):

@@ -26,12 +26,10 @@ from bilprov.analyzer.edit.new_capture import decoding_metadata, said_of
 from bilprov.analyzer.edit.recorded_values import (
     Timed,
     batched,
-    events_in,
+    copy_batch,
     parted,
-    saved_text,
     size_of,
     timed,
-    write_values,
 )
 from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_settings
@@ -143,12 +141,7 @@ def write_joined(joined: Joined, protocol: Protocol, out: RecordWriter, progress
         if isinstance(first, Resumption):
             numbered = _numbered(first, decoder.saved(), protocol)
             batch[0] = Timed(batch[0].now, numbered)
-        write_values(out, batch)
-        decoder.feed(events_in(batch))
-        size += size_of(batch)
-        made = checkpoints.made(batch[-1].now, size, lambda: saved_text(decoder))
-        if made:
-            out.write(made, made.t)
+        size = copy_batch(out, decoder, checkpoints, batch, size)
         progress(size_of(batch))
     return size
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from bilprov.analyzer.decode import checkpoint
-from bilprov.analyzer.decode.checkpoint import DecoderState
+from bilprov.analyzer.decode.checkpoint import DecoderState, encoded_or_none
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.replay.recorder import RecordWriter
+from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Recorded, Resumption
 
 _BATCH_VALUES = 1 << 12
@@ -76,14 +75,28 @@ def write_values(out: RecordWriter, batch: list[Timed]) -> None:
             out.write(one.value, one.value.t)
 
 
+def copy_batch(
+    out: RecordWriter,
+    decoder: StreamDecoder,
+    checkpoints: Checkpoints,
+    batch: list[Timed],
+    size: int,
+) -> int:
+    """Write and decode a batch, and write a checkpoint if one is due.
+
+    `size` raw bytes were copied before; returns how many are now.
+    """
+    write_values(out, batch)
+    decoder.feed(events_in(batch))
+    size += size_of(batch)
+    made = checkpoints.made(batch[-1].now, size, lambda: encoded_or_none(decoder.saved()))
+    if made:
+        out.write(made, made.t)
+    return size
+
+
 def first_state(decoder: StreamDecoder) -> DecoderState:
     """The state of a decoder that was fed nothing since it was opened."""
     state = decoder.saved()
     assert state is not None  # boundaries are looked for only from a byte on
     return state
-
-
-def saved_text(decoder: StreamDecoder) -> str | None:
-    """The state of a decoder as a checkpoint holds it, None if it cannot be told now."""
-    state = decoder.saved()
-    return None if state is None else checkpoint.encoded(state)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bilprov.analyzer.decode import checkpoint
+from bilprov.analyzer.decode.checkpoint import encoded_or_none
 from bilprov.analyzer.decode.records import shapes_of
 from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_session
@@ -58,11 +58,6 @@ def _new_file(capture: Capture, protocol: Protocol, path: str | Path) -> RecordW
 def _write(capture: Capture, protocol: Protocol, out: RecordWriter, progress: Progress) -> None:
     session = capture_session(capture, protocol)
     checkpoints, size = Checkpoints(protocol.sha256), 0
-
-    def saved() -> str | None:
-        state = session.saved()
-        return None if state is None else checkpoint.encoded(state)
-
     for file in capture.attachments():
         out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
     for value in capture.recorded():
@@ -72,7 +67,7 @@ def _write(capture: Capture, protocol: Protocol, out: RecordWriter, progress: Pr
             for record in session.feed(value):
                 out.record(record)
             size += len(value.data) if isinstance(value, Chunk) else 0
-            if made := checkpoints.made(value.t, size, saved):
+            if made := checkpoints.made(value.t, size, lambda: encoded_or_none(session.saved())):
                 out.write(made, value.t)
         elif not isinstance(value, Checkpoint):
             out.write(value, value.t)

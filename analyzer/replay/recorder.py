@@ -178,9 +178,7 @@ class Recorder(Closing):
         require_new(self._name)
         if rotation:
             path, metadata = part_path(self._name, 1), {**metadata, topics.PART: "1"}
-        self._writer = BackgroundWriter(
-            path, start_wall=start_wall, metadata=metadata, version=kit_version(), shapes=shapes
-        )
+        self._writer = BackgroundWriter(RecordWriter(path, start_wall, metadata, shapes))
         self._throttle = Throttle()
         self._state: State | None = None
         self._checkpoints = Checkpoints(metadata[topics.GRAMMAR_HASH])

@@ -19,6 +19,7 @@ from bilprov.captures.background import EVENT_BYTES, QUEUE_BYTES, BackgroundWrit
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
+from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
 
 START = 1_790_000_000_000_000_000
@@ -28,7 +29,7 @@ FITS = QUEUE_BYTES // (64 * 1024)
 
 
 def writer(path: Path) -> BackgroundWriter:
-    return BackgroundWriter(path, start_wall=START, metadata={}, version="0.1.0")
+    return BackgroundWriter(CaptureWriter(path, start_wall=START, metadata={}, version="0.1.0"))
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -193,10 +194,12 @@ FULL = """
 import json, random, resource, signal, sys, time
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 sys.dont_write_bytecode = True  # a compiled file would be cut short too
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-capture = BackgroundWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
+writer = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
+capture = BackgroundWriter(writer)
 bytes_of = random.Random(1).randbytes
 for t in range(0, 10**12, 50_000_000):
     capture.chunk(Chunk(t, "host", bytes_of(1000)))
@@ -233,7 +236,9 @@ INTERRUPTED = """
 import sys, time
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.schemas import Chunk
-with BackgroundWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0") as capture:
+from bilprov.captures.writer import CaptureWriter
+writer = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
+with BackgroundWriter(writer) as capture:
     for t in range(10**9):
         capture.chunk(Chunk(t, "host", b"x"))
         print(t, flush=True)

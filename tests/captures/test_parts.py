@@ -269,7 +269,7 @@ def until_there(capture: BackgroundWriter, number: int) -> None:
 
 def rotating(folder: Path) -> BackgroundWriter:
     path = part_path(folder / "a", 1)
-    return BackgroundWriter(path, start_wall=START, metadata={}, version="0")
+    return BackgroundWriter(CaptureWriter(path, start_wall=START, metadata={}, version="0"))
 
 
 def turn(capture: BackgroundWriter, number: int, keep: int | None = None) -> None:
@@ -331,6 +331,7 @@ import resource, signal, sys
 from pathlib import Path
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 sys.dont_write_bytecode = True  # a compiled file would be cut short too
 class Filled(dict):
@@ -339,7 +340,8 @@ class Filled(dict):
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, 1_000))
         return super().items()
 folder = Path(sys.argv[1])
-capture = BackgroundWriter(folder / "a.00001", start_wall=10**18, metadata={}, version="0")
+writer = CaptureWriter(folder / "a.00001", start_wall=10**18, metadata={}, version="0")
+capture = BackgroundWriter(writer)
 capture.chunk(Chunk(10**9, "host", b"x"))
 capture.go_on_in(folder / "a.00002", Filled(), 10**9)
 capture.chunk(Chunk(10**9, "host", b"dropped"))
@@ -374,8 +376,10 @@ import sys, time
 from pathlib import Path
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.schemas import Chunk
+from bilprov.captures.writer import CaptureWriter
 base, number = Path(sys.argv[1]), 1
-with BackgroundWriter(f"{base}.00001", start_wall=10**18, metadata={}, version="0") as capture:
+writer = CaptureWriter(f"{base}.00001", start_wall=10**18, metadata={}, version="0")
+with BackgroundWriter(writer) as capture:
     for t in range(10**9):
         capture.chunk(Chunk(t, "host", b"x"))
         if capture.size:  # the part before is begun
