@@ -6,12 +6,14 @@ from collections.abc import Iterator
 
 import msgspec
 
+from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.state import State
 
 _KEPT = 1 << 16  # frames remembered of each kind: a limit for the memory of long, varied sessions
+_COUNTED = 1 << 16  # different data, up to which it makes sense to say how many of them were met
 
 
 class Covered(msgspec.Struct, frozen=True):
@@ -36,16 +38,17 @@ class Coverage:
         self._wrong: set[int] = set()
         self._wheels = protocol.wheels
         self._moving: set[tuple[Outcome | None, str]] = set()
-        self._codes: set[int] = set()
+        self._names: set[str] = set()
 
     def frame(self, judgement: Judgement, state: State) -> None:
         """Count a frame; `state` is the predicted state of the device before the frame."""
         motion = getattr(state, self._wheels.by) if self._wheels else ""
         frame = judgement.frame
         if judgement.valid:
-            met = self._valid[judgement.id]
-            if frame not in met and len(met) < _KEPT:
-                met.add(frame)
+            met, tail = self._valid[judgement.id], self._protocol.layout.tail
+            data = frame[judgement.head : len(frame) - tail]
+            if data not in met and len(met) < _KEPT:
+                met.add(data)
                 self._headers.add(frame[0])
             return
         self._headers.add(frame[0])
@@ -62,26 +65,48 @@ class Coverage:
         elif len(self._bad_data) < _KEPT:
             self._bad_data.add(frame)
 
-    def answer(self, byte: int) -> None:
-        """Count a response code."""
-        self._codes.add(byte)
+    def answer(self, record: DeviceRecord) -> None:
+        """Count the names of an answer's codes."""
+        self._names.update(record.reply.names if record.reply else {record.name or ""})
 
     def covered(self) -> Iterator[Covered]:
-        """Every count, in the order of the document's clauses."""
+        """Every count, in the order of the document's clauses.
+
+        Where frames have other parts besides the header and data, only those of what is said.
+        """
+        if self._protocol.plain:
+            yield from self._of_headers()
+            return
+        yield self._instructions()
+        for spec in self._protocol.instructions:
+            if 1 < spec.valid_count <= _COUNTED:
+                yield self._data(spec)
+        if self._protocol.codes:
+            yield self._answers()
+
+    def _instructions(self) -> Covered:
+        met = sum(1 for frames in self._valid.values() if frames)
+        clause = self._protocol.clauses.instructions
+        return Covered(clause, "instructions", met, len(self._protocol.instructions))
+
+    def _data(self, spec: InstructionSpec) -> Covered:
+        clause, met = self._protocol.clauses.instructions, len(self._valid[spec.id])
+        return Covered(clause, f"data of {spec.name}", met, spec.valid_count)
+
+    def _answers(self) -> Covered:
+        protocol = self._protocol
+        met = len(self._names & {code.name for code in protocol.responses})
+        return Covered(protocol.clauses.responses, "response codes", met, len(protocol.codes))
+
+    def _of_headers(self) -> Iterator[Covered]:
         protocol, clauses = self._protocol, self._protocol.clauses
         specs = protocol.instructions
         yield Covered(clauses.header, "headers", len(self._headers), len(protocol.headers))
-        met = sum(1 for frames in self._valid.values() if frames)
-        yield Covered(clauses.instructions, "instructions", met, len(specs))
+        yield self._instructions()
         of = sum(spec.valid_count for spec in specs)
         done = sum(len(frames) for frames in self._valid.values())
         yield Covered(clauses.instructions, "valid frames", done, of)
-        for spec in specs:
-            if spec.fields:
-                what = f"data of {spec.name}"
-                yield Covered(
-                    clauses.instructions, what, len(self._valid[spec.id]), spec.valid_count
-                )
+        yield from (self._data(spec) for spec in specs if spec.fields)
         unused = len(protocol.unused_ids) * len(protocol.data_lengths)
         yield Covered(clauses.instructions, "headers with an unused ID", len(self._unused), unused)
         bad = sum(spec.bad_data_count for spec in specs)
@@ -90,8 +115,7 @@ class Coverage:
         yield Covered(clauses.responses, "headers with a wrong length", len(self._wrong), wrong)
         cuts = sum(protocol.lengths)
         yield Covered(clauses.responses, "frames cut short", len(self._cuts), cuts)
-        codes = len(self._codes & set(protocol.codes))
-        yield Covered(clauses.responses, "response codes", codes, len(protocol.codes))
+        yield self._answers()
         if self._wheels:
             turns = self._wheels.turns
             yield Covered(

@@ -39,6 +39,7 @@ _UNSEEN = "it is not clear which instruction was answered"
 _LOST = "bytes were lost before the answer"
 _OVER = "the traffic ended before the answer was due"
 _DEAF = "the other direction was not listened to"
+_SILENT = "no answer is due"
 _GARBAGE = "bytes that belong to no frame"
 
 
@@ -196,6 +197,9 @@ class PassiveJudge:
             self._out_of_step()  # the device may have given up on it (R-truncation-timeout)
         lost = record.t <= self._flushes_until
         self._newest = number
+        if not judgement.answer_due:
+            self._findings.not_judged[_SILENT] += 1
+            return
         if lost or not (judgement.valid or _is_short(judgement)):
             self._flushes_until = record.end + self._idle
         if self._paired and not self._away:
@@ -222,7 +226,7 @@ class PassiveJudge:
             self._findings.not_judged[_UNSEEN] += 1
             return
         self._findings.judged += 1
-        self._coverage.answer(record.byte)
+        self._coverage.answer(record)
         for fault in record.faults:
             if fault.severity is Severity.ERROR and record.answered:
                 self._violate(fault, record.answered.clause, record.answered.reading)
@@ -289,6 +293,7 @@ class PassiveJudge:
         return next(choice.reading for choice in choices if choice.code == byte)
 
     def _violate(self, fault: Anomaly, clause: str, reading: str) -> None:
+        reading = reading if self._protocol.plain else ""  # they are those of the car's document
         self._findings.violations[fault.kind] += 1
         if len(self._findings.listed) < KEPT:
             self._findings.listed.append(

@@ -23,10 +23,12 @@ from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.runner.listeners.listener import RunListener
-from bilprov.spec.codec import judge
+from bilprov.spec.codec import build, judge
 from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.replies import build_reply, read_reply
 from tests.support import ROOT
+from tests.support.framed_traffic import FRAMED
 from tests.support.recordings import recorded
 from tests.support.robots import MS
 from tests.support.wires import PtyRobot, running, served
@@ -518,3 +520,29 @@ def test_sniff_judges_what_passes_a_bridge(
     else:
         last = err.decode().splitlines()[-1]
         assert last == ("1 violation: 1 disagreeing" if wrong else "no violation was seen")
+
+
+def test_frames_of_another_layout_are_covered_by_what_can_be_counted_there() -> None:
+    protocol = load(FRAMED["relay_board"])
+    frames = [build(protocol, name, {"address": to}) for name, to in (("On", 1), ("On", 2))]
+    damaged = frames[0][:-1] + bytes([frames[0][-1] ^ 1])
+    events: list[Event] = []
+    for at, frame in enumerate([*frames, damaged]):
+        events.append(Chunk(at * 200 * MS, "host", frame))
+        if frame is not damaged:
+            answer = build_reply(protocol, judge(protocol, frame))
+            events.append(Chunk(at * 200 * MS + MS, "device", answer))
+
+    found = judged(protocol, events)
+
+    covered = {one.what: (one.done, one.of) for one in found.coverage}
+    assert covered == {"instructions": (1, len(protocol.instructions))}
+    assert (found.instructions, found.judged) == (3, 2)
+    assert found.not_judged == {"no answer is due": 1}
+    assert not found.violations
+
+
+def test_an_answer_that_nobody_asked_for_is_not_told_a_right_address() -> None:
+    protocol = load(FRAMED["relay_board"])
+    stray = build_reply(protocol, judge(protocol, build(protocol, "On", {"address": 2})))
+    assert read_reply(protocol, stray, None).reason == "the bytes are not an answer"
