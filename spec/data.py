@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import prod
 from typing import Any, Literal, TypeAlias
@@ -20,6 +20,7 @@ from construct import (
     Renamed,
 )
 
+from bilprov.spec.errors import one_line
 from bilprov.spec.fields import Ranged
 from bilprov.spec.numbers import LayoutError, Number, named_flags, named_values, number_of
 from bilprov.spec.value_checks import require_name, require_text, require_whole
@@ -185,6 +186,11 @@ class DataSpec:
     length: int = 0
 
     @property
+    def numbers(self) -> tuple[str, ...]:
+        """The names of the fields that are one number each."""
+        return tuple(part.name for part in self.fields if part.number)
+
+    @property
     def counted(self) -> Many | None:
         """How the last field is counted; None where all data have the same length."""
         last = self.fields[-1].many if self.fields else None
@@ -258,10 +264,13 @@ def prose_of(declared: Construct) -> str:
     return declared.docs if isinstance(declared, Renamed) else ""
 
 
-def read_data(owner: str, members: list[Construct], *, framed: bool) -> DataSpec:
+def read_data(
+    owner: str, members: list[Construct], *, framed: bool, asked: Iterable[str] = ()
+) -> DataSpec:
     """Read the fields of `owner`, an instruction or an answer. Raises LayoutError, in one sentence.
 
     `framed` says that the frame has a length, so that the last field may take what is left.
+    `asked` names what an answer may be counted by: numbers of the request.
     """
     if len(members) > _MOST_FIELDS:
         raise LayoutError(f"{owner} has {len(members)} fields, allowed are {_MOST_FIELDS}")
@@ -272,6 +281,8 @@ def read_data(owner: str, members: list[Construct], *, framed: bool) -> DataSpec
         how = one.many.how if one.many else "fixed"
         if how != "fixed" and place < len(members) - 1:
             raise LayoutError(f"{owner}.{one.name} is counted; only the last field may be")
+        if one.many and one.many.expression:
+            _require_counted(f"{owner}.{one.name}", one.many.expression, fields, asked)
         if how == "rest" and not framed:
             raise LayoutError(f"{owner}.{one.name} takes the rest of a frame without a length")
         fields.append(one)
@@ -290,6 +301,25 @@ def read_register(memory: str, declared: Any) -> FieldSpec:
     if one.number is None:
         raise LayoutError(f"the register {one.name} of {memory} must be one number")
     return one
+
+
+def _require_counted(
+    name: str, expression: Callable[[Any], Any], before: list[FieldSpec], asked: Iterable[str]
+) -> None:
+    """Raise LayoutError for a count of what is no number before it, or in the request."""
+    own = [part.name for part in before if part.number]
+    context = Container(dict.fromkeys(own, 1))
+    context["_params"] = Container(asked=Container(dict.fromkeys(asked, 1)))
+    try:
+        int(expression(context))
+    except ArithmeticError:  # it depends on the numbers, which are there
+        return
+    except Exception as error:
+        allowed = [*(f"this.{one}" for one in own), *(f"asked.{one}" for one in asked)]
+        raise LayoutError(
+            f"{name} is counted by {one_line(error, 40)}; allowed are "
+            f" {', '.join(allowed) or 'a number or Prefixed(Byte, ...)'}"
+        ) from error
 
 
 def _field(owner: str, member: Construct, offset: int) -> FieldSpec:

@@ -255,13 +255,15 @@ class Layout:
             if part.same and part.offset >= 0 and part.offset + part.size <= len(held)
         )
 
+    @cached_property
+    def told(self) -> Mapping[str, Part]:
+        """The parts that tell something by name: all but constants, length and check."""
+        roles = ("address", "id", "code", "other")
+        return {part.name: part for part in self.parts if part.role in roles}
+
     def values(self, frame: bytes) -> dict[str, int]:
-        """The parts of a whole frame by name, without constants, length and check."""
-        return {
-            part.name: part.read(frame)
-            for part in self.parts
-            if part.role in ("address", "id", "code", "other")
-        }
+        """The value in a whole frame of each part that tells something."""
+        return {name: part.read(frame) for name, part in self.told.items()}
 
     def size(self, held: bytes, data: DataSpec | None, asked: Values | None = None) -> int | None:
         """How many bytes the frame has that begins so, with data laid out as `data`.

@@ -547,6 +547,10 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
             raise GrammarError(f"the header cannot carry the ID {identity}")
     reply, acknowledgement, errors, flags = _replies(space, layout.covered)
     specs = [_instruction(i, declared[i], layout, reply) for i in sorted(declared)]
+    asked = {*layout.told, *(name for spec in specs for name in spec.data.numbers)}
+    _require_repeated("FRAME", layout, set())
+    for what, one in (("REPLY", reply), ("ACK", acknowledgement), *(("ERROR", e) for e in errors)):
+        _require_repeated(what, one, asked)
     _require_each_name_once("two instructions are named", (spec.name for spec in specs))
     effects = {identity: unwrapped(one).effect for identity, one in declared.items()}
     space = _with_state(space, effects.values())
@@ -777,6 +781,14 @@ def _replies(
     return reply, acknowledgement, errors, isinstance(response, Answers) and response.flags
 
 
+def _require_repeated(what: str, layout: Layout, asked: set[str]) -> None:
+    """Raise GrammarError for a Same of what no request has."""
+    for part in layout.parts:
+        if part.same and part.same not in asked:
+            allowed = ", ".join(sorted(asked)) or "none, since it answers nothing"
+            raise GrammarError(f"{what}.{part.name} is Same({part.same!r}), allowed are {allowed}")
+
+
 def _responses(space: dict[str, Any]) -> tuple[ResponseSpec, ...]:
     """The responses that RESPONSE declares."""
     if "REPLY" in space and "RESPONSE" not in space:
@@ -858,7 +870,7 @@ def _instruction(
         prose=prose_of(declaration),
         data=data,
         effect=Effect(),
-        answer=_answer(name, body.answer, reply),
+        answer=_answer(name, body.answer, reply, [*layout.told, *data.numbers]),
         changes=body.changes,
     )
 
@@ -938,15 +950,20 @@ def _addresses(spec: InstructionSpec, memory: Memory, how: str) -> bool:
     return memory.only in ("", how) and named and placed and of
 
 
-def _answer(name: str, declared: Construct | None, reply: Layout) -> DataSpec | None:
-    """The data of an instruction's answer; None where it is not answered."""
+def _answer(
+    name: str, declared: Construct | None, reply: Layout, asked: Iterable[str]
+) -> DataSpec | None:
+    """The data of an instruction's answer; None where it is not answered.
+
+    `asked` names the numbers of the request.
+    """
     if declared is None:
         return None
     members = declared.subcons if isinstance(declared, Struct) else [declared]
     if members and not reply.has_data:
         raise GrammarError(f"the answer of {name} has data; REPLY has no part Data()")
     framed = reply.part("length") is not None
-    return read_data(f"the answer of {name}", members, framed=framed)
+    return read_data(f"the answer of {name}", members, framed=framed, asked=asked)
 
 
 def _effect(

@@ -269,11 +269,8 @@ class RequestTables:
     def numbers(self, data: Bytes, requests: Requests, kind: int) -> Mapping[str, Places]:
         """The parts and the fields of requests of one kind that are numbers, by name."""
         start, end = requests.offset, requests.end
-        roles = ("address", "id", "code", "other")
         parts = {
-            part.name: part_values(part, data, start, end)
-            for part in self.layout.parts
-            if part.role in roles
+            name: part_values(part, data, start, end) for name, part in self.layout.told.items()
         }
         at = start + self.layout.head
         fields = {

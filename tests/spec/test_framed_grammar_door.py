@@ -11,10 +11,24 @@ from bilprov.spec.protocol import GrammarError, load
 from tests.support import ROOT
 from tests.support.grammars import mutated
 
-TEXT = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+MORE = {
+    " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized,",
+    " Data,": " Crc, Data, Length, asked,",
+}
+TEXT = mutated((ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8"), MORE)
 ID = '"id" / Byte'
 REPLY = TEXT[TEXT.index("REPLY =") : TEXT.index("SILENT =")]  # the answer's layout
 SUM = "Checksum(Byte, Sum(8), this.covered.data)"
+
+
+def read(fields: str, answer: str = "STATUS") -> dict[str, str]:
+    """What gives Read other data, or another answer."""
+    return {
+        'Instruction(document="read", answer=STATUS)': (
+            f'Instruction({fields}document="read", answer={answer})'
+        )
+    }
+
 
 # What is replaced by what, a piece of the sentence, and the text whose line it must tell.
 WRONG: list[tuple[dict[str, str], str, str]] = [
@@ -24,7 +38,7 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         '"sum" /',
     ),
     (
-        {SUM: "Checksum(Byte, Crc(16, 0x1021), this.covered.data)", " Data,": " Crc, Data,"},
+        {SUM: "Checksum(Byte, Crc(16, 0x1021), this.covered.data)"},
         "FRAME.sum is a Crc of up to 65535 in a type of up to 255",
         '"sum" /',
     ),
@@ -39,15 +53,13 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         "FRAME =",
     ),
     (
-        {ID: f'"length" / Length(Byte), {ID}', " Data,": " Data, Length,"},
+        {ID: f'"length" / Length(Byte), {ID}'},
         "the data of FRAME must be written FixedSized(this.length, ...)",
         "FRAME =",
     ),
     (
         {
             ID: f'"length" / Length(Byte), {ID}',
-            " Data,": " Data, Length,",
-            "Const,": "Const, FixedSized,",
             "Switch(this.id, INSTRUCTIONS)": "FixedSized(this.size, Switch(this.id, INSTRUCTIONS))",
         },
         "FRAME has FixedSized(this.size, ...), allowed is the path to its part length",
@@ -56,10 +68,39 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
     (
         {
             REPLY: REPLY.replace("this.covered", "asked.coverd.data + this.covered"),
-            " Data,": " asked, Data,",
         },
         "the check of REPLY must cover one part: write this.covered.data, or asked.covered.data",
         "REPLY =",
+    ),
+    (
+        {'Same("address", Byte)': 'Same("adress", Byte)'},
+        "REPLY.address is Same('adress'), allowed are address, id",
+        '"address" / Same',
+    ),
+    (
+        {ID: f'"copy" / Same("relay", Byte), {ID}'},
+        "FRAME.copy is Same('relay'), allowed are none",
+        '"copy"',
+    ),
+    (
+        read('"n" / Byte, "text" / Bytes(this.m), '),
+        "Read.text is counted by 'm'; allowed are this.n",
+        '"text"',
+    ),
+    (
+        read('"text" / Bytes(asked.n), '),
+        "Read.text is counted by 'n'; allowed are a number or",
+        '"text"',
+    ),
+    (
+        read('"n" / Byte, ', 'Struct("text" / Bytes(asked.m))'),
+        "the answer of Read.text is counted by 'm'; allowed are asked.address, asked.id, asked.n",
+        '"text"',
+    ),
+    (
+        read('"n" / Byte, ', 'Struct("text" / Bytes(this.n))'),
+        "the answer of Read.text is counted by 'n'",
+        '"text"',
     ),
 ]
 
