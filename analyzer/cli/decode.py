@@ -20,6 +20,7 @@ from bilprov.analyzer.cli.options import (
     sender_option,
 )
 from bilprov.analyzer.cli.reading import opened_captures
+from bilprov.analyzer.cli.recorded_lines import are_json_lines, recorded_chunks
 from bilprov.analyzer.cli.typed_input import file_or_bytes, requests_typed
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session
@@ -59,9 +60,10 @@ def decode(options: DecodeOptions) -> None:
       bilprov decode --from device --format jsonl answers.bin
       bilprov decode 14 03 10 --from device --request 418120 --grammar stk500v1
 
-    HEX is bytes like 81 05, FILE a file of raw bytes or a capture, - standard input. The bytes are
-    taken as sent without a pause: only the last frame can be cut short. The data of some answers
-    can be read only with their --request.
+    HEX is bytes like 81 05, FILE a file of raw bytes, a capture, or JSON lines like {"t": 0.5,
+    "dir": "host", "hex": "8105"}, - standard input. Raw bytes are taken as sent without a pause:
+    only the last frame can be cut short. The data of some answers can be read only with their
+    --request.
     """
     sender = options.sender
     if not options.words and sys.stdin.isatty():
@@ -114,12 +116,16 @@ def _decoded(path: Path | None, options: DecodeOptions) -> tuple[Iterator[Batch]
 
     And the wall clock (ns since 1970) at its start, 0 where nobody knows it, and the protocol.
     """
-    if path is None or not (kept_parts(path) or _begins_like_a_capture(path)):
+    kind = _kind(path)
+    if path is None or kind == "bytes":
         protocol = protocol_in_use()
         asked = _asked(options, protocol)
         return _of_bytes(path, options.sender, protocol, asked), 0, protocol
     if options.request is not None:
-        raise click.UsageError("a capture has the requests: leave out --request")
+        raise click.UsageError(f"{kind} have the requests: leave out --request")
+    if kind == "JSON lines":
+        protocol = protocol_in_use()
+        return _of_lines(path, options.sender, protocol), 0, protocol
     from bilprov.analyzer.replay.capture_parts import decoded
     from bilprov.analyzer.replay.capture_session import capture_decoder
 
@@ -128,16 +134,29 @@ def _decoded(path: Path | None, options: DecodeOptions) -> tuple[Iterator[Batch]
     return batches, capture.start, protocol
 
 
-def _begins_like_a_capture(path: Path) -> bool:
+def _kind(path: Path | None) -> Literal["bytes", "captures", "JSON lines"]:
+    """What a file has in it, by how it begins; None stands for standard input."""
     from bilprov.captures.storage.records import MAGIC
 
-    if not path.is_file():  # a pipe's bytes can be read only once
-        return False
+    if path is None or not path.is_file():  # a pipe's bytes can be read only once
+        return "captures" if path and kept_parts(path) else "bytes"
     try:
         with path.open("rb") as file:
-            return file.read(len(MAGIC)) == MAGIC
+            if file.read(len(MAGIC)) == MAGIC:
+                return "captures"
+        return "JSON lines" if are_json_lines(path) else "bytes"
     except OSError as error:
         raise _unreadable(path, error) from error
+
+
+def _of_lines(path: Path, sender: Direction, protocol: Protocol) -> Iterator[Batch]:
+    """Yield what is decoded from a file of JSON lines."""
+    from bilprov.analyzer.decode.stream import StreamDecoder
+
+    chunks = recorded_chunks(path, sender)
+    decoder = StreamDecoder(protocol, heard=frozenset(chunk.direction for chunk in chunks))
+    yield from decoder.feed(chunks)
+    yield from decoder.finish()
 
 
 def _of_bytes(

@@ -4,41 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import msgspec
 
 from bilprov.analyzer.cli.command import argument, command
 from bilprov.analyzer.cli.options import note_each, sender_option, text_format_option
-from bilprov.analyzer.cli.typed_input import bytes_from_hex, file_or_bytes
+from bilprov.analyzer.cli.recorded_lines import recorded_chunks
+from bilprov.analyzer.cli.typed_input import file_or_bytes
 from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.files import read_bounded
-from bilprov.analyzer.foreign import from_json
 from bilprov.analyzer.grammar_file import load_protocol, not_carried
 from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.console import facts, heading, show_as
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
-from bilprov.captures.text import printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from bilprov.analyzer.decode.records import Record
     from bilprov.spec.protocol import Protocol
-
-_MOST = 1 << 26  # bytes of a file of JSON lines or hex
-
-
-class RecordedBytes(msgspec.Struct):
-    """A line of recorded bytes: its time in s, who sent them, and the bytes in hex."""
-
-    t: float
-    dir: Direction
-    hex: str
 
 
 @dataclass(frozen=True)
@@ -81,42 +67,11 @@ def _records(protocol: Protocol, words: Sequence[str], sender: Direction) -> Ite
         yield from read_capture(source, protocol)
         return
     else:
-        chunks = _chunks(source, sender)
+        chunks = recorded_chunks(source, sender)
     session = Session(protocol, heard=frozenset(chunk.direction for chunk in chunks))
     for chunk in chunks:
         yield from session.feed(chunk)
     yield from session.finish()
-
-
-def _chunks(path: Path, sender: Direction) -> list[Chunk]:
-    """The bytes in a file of JSON lines or of hex text. Raises ClickException."""
-    try:
-        text = read_bounded(path, _MOST).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise click.ClickException(
-            f"{printable(str(path))} cannot be read: {why}; name a capture (.mcap), JSON lines or "
-            "hex text"
-        ) from error
-    if not text.lstrip().startswith("{"):
-        try:
-            return [Chunk(0, sender, bytes_from_hex(text))]
-        except ValueError as error:
-            what = f"{printable(str(path))} is neither a capture nor JSON lines"
-            raise click.ClickException(f"{what}: {error}") from None
-    lines = enumerate(text.splitlines(), 1)
-    return [_chunk(path, number, line) for number, line in lines if line.strip()]
-
-
-def _chunk(path: Path, number: int, line: str) -> Chunk:
-    try:
-        row = from_json(line.encode(), RecordedBytes)
-        return Chunk(round(row.t * 1e9), row.dir, bytes.fromhex(row.hex))
-    except (ValueError, OverflowError) as error:
-        raise click.ClickException(
-            f"line {number} of {printable(str(path))} cannot be read: {error}; write "
-            '{"t": 0.5, "dir": "host", "hex": "5556"}'
-        ) from error
 
 
 def _drawn(protocol: Protocol, share: DecodedShare) -> Iterator[RenderableType]:
