@@ -17,7 +17,12 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_protocol, said_of_other
 from bilprov.analyzer.taps.sources import open_taps
-from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
+from bilprov.analyzer.transport.line_settings import (
+    LineSettings,
+    line_settings,
+    timeout_in_ns,
+)
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.spec import codec
@@ -115,7 +120,9 @@ def sniff(
     protocol = protocol or load_protocol()
     settings = settings or line_settings(protocol)
     with open_taps(settings, host, device) as taps:
-        session = Session(protocol, heard=taps.heard, attached=taps.attached)
+        least = Machine().least_pause(*taps.names.values())
+        timeout = max(timeout_in_ns(protocol, None), least)
+        session = Session(protocol, timeout=timeout, heard=taps.heard, attached=taps.attached)
         while not taps.ended:
             now, due = taps.now(), session.deadline
             wait = _LONGEST_WAIT if due is None else min(_LONGEST_WAIT, max(0, due - now) / 1e9)

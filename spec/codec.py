@@ -187,6 +187,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         reading=reading,
         truncated=arrived < length,
         key=frame[0],
+        registers=_registers(protocol, instruction, frame[1:], fields),
     )
 
 
@@ -226,10 +227,20 @@ def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
         head=layout.head,
         key=protocol.key_of(identity),
         framed=True,
-        registers=registers_in(protocol, spec.writes, spec.data, data, dict(fields))
-        if spec and fields
-        else (),
+        registers=_registers(protocol, spec, data, fields),
     )
+
+
+def _registers(
+    protocol: Protocol,
+    spec: InstructionSpec | None,
+    data: bytes,
+    fields: tuple[tuple[str, Any], ...],
+) -> Registers:
+    """The named registers that a frame writes."""
+    if not protocol.registers or spec is None or not fields:
+        return ()
+    return registers_in(protocol, spec.writes, spec.data, data, dict(fields))
 
 
 def registers_in(

@@ -114,14 +114,13 @@ def read_reply(
 
     With `alone` no request was heard: what only that tells is left open.
     """
-    way = way_of_reply(protocol, frame, asked, alone=alone)
+    way, right = _way_and_right(protocol, frame, asked, alone=alone)
     values = asked_values(protocol, asked) if asked else {}
     if way is None:
         usual = next(_ways(protocol, asked, frame))
         return Reply(frame, None, (), reason=_unlike(usual.layout, frame, values))
     layout = way.layout
     names, response = meaning(protocol, layout.code_of(frame))
-    right = _is_right(protocol, way, frame, asked)
     reason = "" if right else _damage(protocol, layout, frame, asked)
     fields: tuple[tuple[str, Any], ...] = ()
     registers: Registers = ()
@@ -130,7 +129,7 @@ def read_reply(
         needed = way.data.measure(data, values)
         if needed == len(data) or _takes_rest(way.data):
             fields = tuple(way.data.decode(data).items())
-            if asked and asked.instruction:
+            if asked and asked.instruction and protocol.registers:
                 told = asked.instruction.reads
                 registers = registers_in(protocol, told, way.data, data, values)
         elif data or (response and Outcome.VALID in response.outcomes):
@@ -158,16 +157,23 @@ def way_of_reply(
 
     The arguments are those of `read_reply`.
     """
+    return _way_and_right(protocol, frame, asked, alone=alone)[0]
+
+
+def _way_and_right(
+    protocol: Protocol, frame: bytes, asked: Judgement | None, *, alone: bool
+) -> tuple[Way | None, bool]:
+    """As `way_of_reply`, and whether the answer is not damaged."""
     values = asked_values(protocol, asked) if asked else {}
-    sized: list[Way] = []
+    sized: Way | None = None
     for way in _ways(protocol, asked, frame):
         size = _size(protocol, way, frame, asked, values)
         open_end = alone and size is None and len(frame) >= way.layout.head + way.layout.tail
         if size == len(frame) or open_end:
-            sized.append(way)
-    return next((way for way in sized if _is_right(protocol, way, frame, asked)), None) or next(
-        iter(sized), None
-    )
+            if _is_right(protocol, way, frame, asked):
+                return way, True
+            sized = sized or way
+    return sized, False
 
 
 def build_reply(

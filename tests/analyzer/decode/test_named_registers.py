@@ -24,7 +24,7 @@ from bilprov.analyzer.screen.details import details
 from bilprov.captures.reader import open_capture
 from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain
-from bilprov.spec.protocol import GrammarError, Protocol
+from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.safe_grammar import require_declarations
 from tests.analyzer.client.test_device import client_of
 from tests.support import ROOT
@@ -233,6 +233,24 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
     assert dict(judge(meter, write).fields)["quantity"] == 3
     single = build(meter, "WriteSingleRegister", {"address": 17, "voltage": 2300})
     assert judge(meter, single).describe().endswith("register=107 value=2300 voltage=2300")
+
+
+def test_a_car_may_have_registers_too(grammar_text: str) -> None:
+    poke = """INSTRUCTIONS = {
+    10: "Poke" / Instruction("place" / Byte, "cell" / Byte, document="Poke") * "Sets a cell.","""
+    text = grammar_text.replace("INSTRUCTIONS = {", poke)
+    text += """
+from construct import Byte
+from bilprov.spec.fields import Memory
+MEMORY = (Memory("cells", at="place", value="cell"),)
+REGISTERS = {"cells": {3: "horn" / Byte}}
+"""
+    text = text.replace("from construct import", "from construct import Byte,", 1)
+    car = load(text)
+    assert judge(car, bytes([0xA2, 3, 9])).describe() == "Poke place=3 cell=9 horn=9"
+    assert judge(car, bytes([0xA2, 4, 9])).describe() == "Poke place=4 cell=9"
+    (one,) = explain(car, bytes([0xA2, 3, 9])).frames
+    assert [group.name for group in one.groups] == ["id", "length", "place", "horn"]
 
 
 @pytest.mark.parametrize(

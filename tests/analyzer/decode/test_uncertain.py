@@ -5,11 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer import api
 from bilprov.analyzer.cli import sniff
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
@@ -171,6 +174,21 @@ def test_sniff_cuts_and_records_by_what_its_adapter_needs(
         done = command("sniff", *words, "--duration", "0.05", "--quiet")
     assert done.returncode == 0, done.stderr
     assert open_capture(path).metadata["truncation_timeout_ms"] == "20"
+
+
+def test_listening_from_python_does_not_cut_below_the_adapters_latency(
+    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(api, "Machine", lambda: machine)
+    frame = UNKNOWN + bytes.fromhex("6233")
+    with open_pty() as pair:
+        machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "255")
+        records = api.sniff(pair.name, protocol=MODBUS)
+        for wait, part in ((0.05, frame[:3]), (0.2, frame[3:])):
+            threading.Timer(wait, os.write, (pair.master, part)).start()
+        found = next(one for one in records if isinstance(one, HostRecord))
+        records.close()  # type: ignore[attr-defined]
+    assert found.data == frame
 
 
 def test_records_tell_whether_they_are_certain(protocol: Protocol) -> None:
