@@ -86,8 +86,8 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
             return f"{to}{self.name}, {self.outcome.value}"
         if self.instruction and self.fields:
             specs = {spec.name: spec for spec in self.instruction.fields}
-            shown = [_value(specs[name], value) for name, value in self.fields]
-            shown += [_value(spec, value) for spec, value in self.registers]
+            shown = [field_words(specs[name], value) for name, value in self.fields]
+            shown += [field_words(spec, value) for spec, value in self.registers]
             return f"{to}{self.name} {' '.join(shown)}"
         if self.instruction and self.valid:
             return f"{to}{self.name}"
@@ -122,7 +122,8 @@ def bit_names(spec: FieldSpec, value: int) -> tuple[str, ...]:
     return tuple(name for i, name in enumerate(spec.bits) if value >> (top - i) & 1)
 
 
-def _value(spec: FieldSpec, value: Value) -> str:
+def field_words(spec: FieldSpec, value: Value) -> str:
+    """A field and its value in words: `rgb=5 (R B)`."""
     if not spec.bits or not isinstance(value, int) or value > spec.high:
         return f"{spec.name}={shown_value(spec, value)}"
     return f"{spec.name}={value} ({' '.join(bit_names(spec, value)) or 'off'})"

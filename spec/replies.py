@@ -11,11 +11,12 @@ from bilprov.spec.codec import (
     Judgement,
     Registers,
     data_bytes,
+    field_words,
     registers_in,
     spaced,
     with_registers,
 )
-from bilprov.spec.data import DataSpec, FieldSpec, shown_value
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import (
@@ -34,7 +35,8 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     stands for an outcome. `names` are those of all. `fields` are its data, `address` is whose it
     is. `reason` tells why the answer is damaged, "" for one that is not. Around the data stand
     `head` bytes and `tail` bytes. With `open_end` nothing but silence tells where it ends.
-    `registers` are the named registers that it tells, as in a Judgement.
+    `registers` are the named registers that it tells, as in a Judgement, and `specs` those of its
+    fields.
     """
 
     framed: ClassVar[bool] = True
@@ -49,6 +51,7 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     tail: int = 0
     open_end: bool = False
     registers: Registers = ()
+    specs: tuple[FieldSpec, ...] = ()
 
     @property
     def told(self) -> tuple[tuple[str, Any], ...]:
@@ -61,20 +64,17 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         known = " ".join(self.names) or (self.response.name if self.response else "unreadable")
         more = len(self.frame) - self.head - self.tail if self.response and not self.fields else 0
         data = f", {data_bytes(more)}" if more > 0 else ""
-        shown = [f"{name}={_shown(value)}" for name, value in self.fields]
-        shown += [f"{one.name}={shown_value(one, value)}" for one, value in self.registers]
+        specs = [spec for spec in self.specs if spec.constant is None]
+        shown = [
+            field_words(spec, value) for spec, (_, value) in zip(specs, self.fields, strict=True)
+        ]
+        shown += [field_words(spec, value) for spec, value in self.registers]
         return to + " ".join([known, *shown]) + data
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
         """What it stands for; none for the device's own condition, or an unused code."""
         return self.response.outcomes if self.response else ()
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, bytes):
-        return value.hex(" ")
-    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 class Way(NamedTuple):
@@ -124,11 +124,13 @@ def read_reply(
     reason = "" if right else _damage(protocol, layout, frame, asked)
     fields: tuple[tuple[str, Any], ...] = ()
     registers: Registers = ()
+    specs: tuple[FieldSpec, ...] = ()
     if layout.has_data and way.data is not None and not reason:
         data = layout.data_of(frame)
         needed = way.data.measure(data, values)
         if needed == len(data) or _takes_rest(way.data):
             fields = tuple(way.data.decode(data).items())
+            specs = way.data.fields
             if asked and asked.instruction and protocol.registers:
                 told = asked.instruction.reads
                 registers = registers_in(protocol, told, way.data, data, values)
@@ -147,6 +149,7 @@ def read_reply(
         layout.tail,
         open_end=alone and not checked and _size(protocol, way, frame, asked, values) is None,
         registers=registers,
+        specs=specs,
     )
 
 

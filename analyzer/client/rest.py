@@ -6,7 +6,7 @@ from typing import Protocol
 
 from bilprov.analyzer.client.exchange import exchange
 from bilprov.analyzer.client.homing import home_once, stops
-from bilprov.analyzer.client.operations import Procedure, listen
+from bilprov.analyzer.client.operations import Ended, Procedure, listen
 from bilprov.captures.schemas import MS
 from bilprov.spec import protocol as spec_protocol
 from bilprov.spec.codec import build, judge
@@ -89,20 +89,25 @@ class Requests:
     def once(self) -> Procedure[bool]:
         """As in Rest."""
         timing = self._protocol.timing
-        yield from listen(None, 0)
+        pause = round(timing.truncation_timeout * MS)
+        frames = self.frames()
+        yield from listen(None, pause if frames else 0)  # an answer under way is none to these
         due: set[int | None] = set()
         silent: set[int | None] = set()
-        for frame in self.frames():
+        failed: Ended | None = None
+        for frame in frames:
             asked = judge(self._protocol, frame)
-            heard = yield from exchange(
-                self._protocol,
-                asked,
-                round(timing.answer_longest * MS),
-                round(timing.truncation_timeout * MS),
-            )
+            patience = round(timing.answer_longest * MS)
+            try:
+                heard = yield from exchange(self._protocol, asked, patience, pause)
+            except Ended as error:  # the others are sent all the same
+                failed = error
+                continue
             if asked.answer_due:
                 due.add(asked.address)
                 (self._heard if heard else silent).add(asked.address)
+        if failed:
+            raise failed
         return silent.isdisjoint(self._heard) and (not due or silent != due)
 
 

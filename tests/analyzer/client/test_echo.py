@@ -96,6 +96,21 @@ def test_an_echo_that_does_not_come_is_told() -> None:
             meter.write_single_coil(1, "on", address=0)
 
 
+def test_a_wrong_echo_keeps_no_other_motor_from_being_stopped() -> None:
+    bus = Bus(load_protocol("examples/roboclaw.py"))
+
+    def driven() -> None:
+        with Device(port, grammar="examples/roboclaw.py", address=0x80, echo=True) as motors:
+            motors.forward_m1(50)
+            motors.forward_m2(50)
+            bus.echo = lambda sent: sent if sent[1] else b"\x00"
+
+    with served_here(bus) as (port, _):
+        with pytest.raises(LinkError, match="carried 00 "):
+            driven()
+        assert not bus.state(0x80).moving
+
+
 DRIVING = """\
 import sys
 from bilprov import Device
@@ -116,7 +131,7 @@ def test_a_signal_within_an_echo_brings_the_device_to_rest() -> None:
             process.send_signal(signal.SIGINT)
         return sent
 
-    bus.echo, bus.delay = interrupted, 100 * MS
+    bus.echo, bus.delay = interrupted, 30 * MS
     with (
         served_here(bus) as (port, _),
         subprocess.Popen(
