@@ -8,8 +8,9 @@ import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
+from bilprov.captures.topics import CAR_STATE
 from bilprov.spec.emit.c import c_header
-from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 INSTALL = "no cc: apt-get install gcc libc6-dev"
@@ -71,7 +72,7 @@ class Ceiling:
         """The result for data from power-on on."""
         self.reset()
         count, _ = self.decode(data)
-        values = (ctypes.c_int16 * len(VARIABLES)).from_buffer_copy(self._state)
-        named = dict(zip(VARIABLES, values, strict=True))
+        values = (ctypes.c_int16 * len(CAR_STATE.variables)).from_buffer_copy(self._state)
+        named = dict(zip(CAR_STATE.variables, values, strict=True))
         state = tuple(MOTIONS[v] if n == "motion" else v for n, v in named.items())
         return Judged(bytes(memoryview(self._codes)[:count]), state)

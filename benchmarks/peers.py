@@ -19,9 +19,8 @@ from mcap.writer import CompressionType, Writer
 
 from benchmarks.ceiling import Ceiling, Judged
 from bilprov.captures.schemas import Chunk
-from bilprov.captures.topics import DEVICE_RAW, HOST_RAW, METADATA_NAME
+from bilprov.captures.topics import CAR_STATE, DEVICE_RAW, HOST_RAW, METADATA_NAME
 from bilprov.spec.fields import From, Outcome
-from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
 
 
@@ -89,7 +88,7 @@ class Construct:
         """The result for data from power-on on."""
         self.state = dict(self._space["POWER_ON"].values)
         codes = bytes(frame.code for frame in self.frames(data))
-        return Judged(codes, tuple(self.state[name] for name in VARIABLES))
+        return Judged(codes, tuple(self.state[name] for name in CAR_STATE.variables))
 
     def _code(self, identity: int, length: int, parsed: bool) -> int:
         takes = self._lengths.get(identity)

@@ -27,9 +27,10 @@ from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.topics import CAR_STATE
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.tables import frame_tables
 
@@ -62,7 +63,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
             part = buffer[at : at + _PART]
             offsets, used = found.offsets(part)
             frames = found.frames(part, offsets)
-            states = {name: found.state(name, part, frames, state) for name in VARIABLES}
+            states = {name: found.state(name, part, frames, state) for name in CAR_STATE.variables}
             columns.append(Columns(frames.verdict, states))
             state = [int(column[-1]) for column in states.values()]
             at += used or len(data)
@@ -74,7 +75,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
 def judged_columns(columns: list[Columns], protocol: Protocol) -> Judged:
     """The columns' response codes and last state, to compare with those of the peers."""
     codes = bytes(max(protocol.answers[outcome].code, 0) for outcome in OUTCOMES).ljust(256, b"\0")
-    last = {name: int(columns[-1].state[name][-1]) for name in VARIABLES}
+    last = {name: int(columns[-1].state[name][-1]) for name in CAR_STATE.variables}
     state = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())
     verdicts = b"".join(part.verdict.tobytes() for part in columns)
     return Judged(verdicts.translate(codes), state)
@@ -94,7 +95,7 @@ def decoded_records(path: Path) -> tuple[float, Judged]:
     state = records[-1].state
     return took, Judged(
         bytes(codes[value.judgement] for value in values if value.judgement is not None),
-        tuple(getattr(state, name) for name in VARIABLES),
+        tuple(getattr(state, name) for name in CAR_STATE.variables),
     )
 
 

@@ -30,8 +30,8 @@ from bilprov.captures.schemas import (
     Look,
     Response,
 )
-from bilprov.spec.motion import CAR_STATE
-from bilprov.spec.state import State
+from bilprov.spec import grammar
+from bilprov.spec.state import State, state_class
 
 Written: TypeAlias = (
     Instruction
@@ -118,6 +118,7 @@ BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
 Shapes: TypeAlias = Mapping[type, type]
 """The classes of which the values of a capture are, by the class that stands for them here."""
 
+CAR_STATE = state_class(grammar.STATE.specs.values(), grammar.AT_REST, grammar.WHEELS)
 CAR_SHAPES: Shapes = {State: CAR_STATE}
 _STAND_FOR: dict[type, type[msgspec.Struct]] = {
     FramedInstruction: Instruction,

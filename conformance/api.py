@@ -266,7 +266,7 @@ def run_suite(
             ended=runner.ended,
             device=environment.device,
             link=environment.link,
-            unseen=tuple(run.sight.sentences(grammar.limits)),
+            unseen=tuple(run.sight.sentences()),
             notices=tuple(run.notices),
             timing=meter.report(run.waiting.timeouts),
             causes=explains.causes() if explains else (),

@@ -45,7 +45,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.summary import show
 from bilprov.spec.codec import build, raw_frame
-from bilprov.spec.motion import MOTIONS, Moment, moment_of
+from bilprov.spec.motion import MOTIONS, Moment
 from bilprov.spec.protocol import Protocol
 from examples.demo import examples
 from tests.support.machines import FakeMachine
@@ -129,8 +129,9 @@ def drive(protocol: Protocol) -> list[Chunk]:
                 busy = due + int(random.lognormvariate(0, 0.6) * MS)
                 events.append(Chunk(busy, "device", answer))
 
-    moves = [spec for spec in protocol.instructions if moment_of(spec.effect) in MOTIONS]
-    sets = [spec for spec in protocol.instructions if moment_of(spec.effect) is Moment.SETTING]
+    moments = {spec: protocol.car.moment(spec.effect) for spec in protocol.instructions}
+    moves = [spec for spec, moment in moments.items() if moment in MOTIONS]
+    sets = [spec for spec, moment in moments.items() if moment is Moment.SETTING]
     turns = [spec for spec in sets if spec.effect.sets("steering")]
     speed = next(spec for spec in sets if spec.effect.sets("speed"))
     while now < 60_000 * MS:

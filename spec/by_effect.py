@@ -12,14 +12,8 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 from bilprov.spec.codec import build, judge
-from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.state import Effect, FromField, FromOld, State, Step, ways_on
-
-
-def moves(spec: InstructionSpec) -> bool:
-    """Return whether the instruction sets the robot moving."""
-    return spec.effect.motion not in (None, Motion.STOPPED)
 
 
 @lru_cache(maxsize=1 << 12)
@@ -56,7 +50,7 @@ def setting(protocol: Protocol, variable: str, value: int, beside: State | None 
     state = (beside or protocol.power_on).but(**{variable: value})
     found: list[tuple[int, bytes]] = []
     for spec in protocol.instructions:
-        if spec.effect.sets(variable) and not spec.effect.sets("motion"):
+        if spec.effect.sets(variable) and not spec.effect.sets(protocol.car.by):
             frame = fitted(protocol, spec, state)
             changed = _differing(after(spec, frame, state), state)
             if variable not in changed:
@@ -80,21 +74,23 @@ def frames_to(protocol: Protocol, state: State, known: State | None = None) -> t
     R-rotate-steering). Steering during a rotation may become a curve (R-steer-rotating): there it
     comes before the motion.
     """
-    wanted = _settable(protocol, state)
+    car, wanted = protocol.car, _settable(protocol, state)
     frames = _candidates(protocol, wanted)
     start = frozenset(state.variables) - _differing(known, wanted) if known else frozenset()
-    start -= {"motion"}
-    if wanted.motion == Motion.STOPPED:
-        start |= {"motion"}
+    start -= {car.by}
+    if not protocol.directed(wanted):
+        start |= {car.by}
     paths = dict(ways_on(start, frames))
-    best = max(paths, key=lambda right: ("motion" in right, "speed" in right, len(right)))
+    best = max(paths, key=lambda right: (car.by in right, car.speed in right, len(right)))
     return paths[best]
 
 
 def _candidates(protocol: Protocol, wanted: State) -> list[Step[bytes]]:
     """Frames with the variables that they set as wanted, and otherwise, in order of preference."""
-    late = ("steering", "motion") if rotates(wanted.motion) else ("motion", "steering")
-    order = ("speed", "led", *late)
+    car = protocol.car
+    late = (car.by, car.steering)
+    rotates = car.rotates(car.drive(wanted).motion)
+    order = (car.speed, *protocol.lights, *(reversed(late) if rotates else late))
     found = []
     for spec in protocol.instructions:
         frame = fitted(protocol, spec, wanted)
@@ -102,8 +98,8 @@ def _candidates(protocol: Protocol, wanted: State) -> list[Step[bytes]]:
         spoils = _differing(after(spec, frame, wanted), wanted)
         sets = touched - spoils
         if sets:
-            rank = min(map(order.index, {"motion"} & touched or touched))
-            last = spec.effect.motion == Motion.STOPPED
+            rank = min(map(order.index, {car.by} & touched or touched))
+            last = protocol.stops(spec.effect)
             found.append(((last, rank), (frame, frozenset(sets), spoils)))
     return [candidate for _, candidate in sorted(found, key=itemgetter(0))]
 
@@ -114,7 +110,7 @@ def _settable(protocol: Protocol, state: State) -> State:
     for spec in protocol.instructions:
         reached = after(spec, fitted(protocol, spec, state), state)
         for name, _ in spec.effect.assignments:
-            if name != "motion":
+            if name != protocol.car.by:
                 values.setdefault(name, []).append(getattr(reached, name))
     for name, ends in values.items():
         own = getattr(state, name)
@@ -136,21 +132,24 @@ def movers(protocol: Protocol) -> tuple[InstructionSpec, ...]:
 
     Where each instruction that sets a motion takes data, these.
     """
-    found = [spec for spec in protocol.instructions if moves(spec)]
-    short = {spec.effect.motion for spec in found if not spec.fields}
-    return tuple(s for s in found if not s.fields or s.effect.motion not in short)
+    car = protocol.car
+    found = [spec for spec in protocol.instructions if car.moves(spec.effect)]
+    short = {car.motion(spec.effect) for spec in found if not spec.fields}
+    return tuple(s for s in found if not s.fields or car.motion(s.effect) not in short)
 
 
 @lru_cache(maxsize=1 << 4)
-def moving_motions(protocol: Protocol) -> tuple[Motion, ...]:
-    """Return the kinds of motion, except stopped, that an instruction sets."""
-    found = {spec.effect.motion for spec in movers(protocol)}
-    return tuple(m for m in Motion if m in found)
+def moving_motions(protocol: Protocol) -> tuple[str, ...]:
+    """Return the kinds of motion in which wheels turn that an instruction sets."""
+    found = {protocol.car.motion(spec.effect) for spec in movers(protocol)}
+    return tuple(m for m in protocol.variables[protocol.car.by].words if m in found)
 
 
 def moving_to(protocol: Protocol, state: State) -> bytes:
     """Return the frame that sets a robot into the motion of a state, b"" if there is none."""
-    found = (spec for spec in movers(protocol) if spec.effect.motion == state.motion)
+    car = protocol.car
+    wanted = car.drive(state).motion
+    found = (spec for spec in movers(protocol) if car.motion(spec.effect) == wanted)
     return next((fitted(protocol, spec, state) for spec in found), b"")
 
 
@@ -159,7 +158,7 @@ def setters(protocol: Protocol) -> tuple[InstructionSpec, ...]:
     return tuple(
         s
         for s in protocol.instructions
-        if s.fields and s.effect.assignments and not s.effect.sets("motion")
+        if s.fields and s.effect.assignments and not s.effect.sets(protocol.car.by)
     )
 
 
@@ -183,8 +182,10 @@ class LinkCheck(NamedTuple):
 
 def link_check(protocol: Protocol, taken: int | None = None) -> LinkCheck:
     """Return the frames of the link check; `taken` is an unused ID to leave out."""
-    low, high = protocol.limits.get("speed", (0, 0))
-    frame = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.pad_byte])
+    frame = b""
+    if protocol.wheels:
+        frame = setting(protocol, protocol.car.speed, sum(protocol.speeds) // 2)
+    frame = frame or bytes([protocol.pad_byte])
     identity, length = protocol.headers[frame[0]]
     free = [one for one in protocol.unused_ids if one != taken]
     unused = bytes([protocol.header_bytes[free[0], 0]]) if free else b""
@@ -196,7 +197,7 @@ def link_check(protocol: Protocol, taken: int | None = None) -> LinkCheck:
 class Movement:
     """What frames make a robot do; `speed` is the greatest that is set, None if none is."""
 
-    motions: frozenset[Motion] = frozenset()
+    motions: frozenset[str] = frozenset()
     speed: int | None = None
 
     def __or__(self, other: Movement) -> Movement:
@@ -207,9 +208,10 @@ class Movement:
 
 def all_movement(protocol: Protocol) -> Movement:
     """What the instructions of a protocol can make a robot do."""
-    motions = {spec.effect.motion for spec in protocol.instructions}
-    speed = protocol.limits["speed"][1] if "speed" in protocol.limits else None
-    return Movement(frozenset(m for m in motions if m not in (None, Motion.STOPPED)), speed)
+    car = protocol.car
+    motions = {car.motion(spec.effect) for spec in protocol.instructions}
+    speed = protocol.speeds[1] if car.speed in protocol.limits else None
+    return Movement(frozenset(m for m in car.turns if m in motions), speed)
 
 
 def movement_of(protocol: Protocol, frames: Iterable[bytes]) -> Movement:
@@ -217,7 +219,7 @@ def movement_of(protocol: Protocol, frames: Iterable[bytes]) -> Movement:
 
     No more of them are taken once they do all that the protocol can.
     """
-    every, found = all_movement(protocol), Movement()
+    car, every, found = protocol.car, all_movement(protocol), Movement()
     known: set[bytes] = set()
     for frame in frames:
         if frame in known:
@@ -227,10 +229,10 @@ def movement_of(protocol: Protocol, frames: Iterable[bytes]) -> Movement:
             continue
         known.add(frame)
         effect = judged.instruction.effect
-        after = effect.apply(protocol.power_on, dict(judged.fields))
+        after = car.drive(effect.apply(protocol.power_on, dict(judged.fields)))
         found |= Movement(
-            frozenset({after.motion} - {Motion.STOPPED}),
-            after.speed if effect.sets("speed") else None,
+            frozenset({after.motion} & {*car.turns}),
+            after.speed if effect.sets(car.speed) else None,
         )
         if found == every:
             break
@@ -239,11 +241,12 @@ def movement_of(protocol: Protocol, frames: Iterable[bytes]) -> Movement:
 
 def movement_words(protocol: Protocol, movement: Movement) -> str:
     """What will move, how fast at most, and what to do before it does, in words."""
-    kinds = {rotates(motion): motion for motion in movement.motions}
+    car = protocol.car
+    kinds = {car.rotates(motion): motion for motion in movement.motions}
     verbs = [verb for turning, verb in ((False, "drives"), (True, "turns")) if turning in kinds]
     words = f"it {' and '.join(verbs)}" if verbs else "it is sent no motion"
-    if "speed" in protocol.limits:
-        fast = f"speeds up to {movement.speed} of {protocol.limits['speed'][1]}"
+    if car.speed in protocol.limits:
+        fast = f"speeds up to {movement.speed} of {protocol.speeds[1]}"
         if movement.speed is not None:
             words += f", at {fast}" if verbs else f", only {fast}"
         elif verbs:

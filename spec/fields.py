@@ -16,6 +16,7 @@ from construct import Construct, ExprAdapter, Struct, Validator
 
 from bilprov.spec.checks import Crc, Sum, Xor
 from bilprov.spec.frame_words import Address, Data, Length, Same, asked, question
+from bilprov.spec.motion import Wheels
 from bilprov.spec.state import (
     AllOf,
     AnyOf,
@@ -23,7 +24,6 @@ from bilprov.spec.state import (
     Changed,
     Unknown,
     Variables,
-    Wheels,
     Whole,
     Word,
 )

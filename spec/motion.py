@@ -1,37 +1,24 @@
-"""What only a car has: kinds of motion, and how its wheels turn in them."""
+"""What a car declares: the variables of its motion, and how its wheels turn."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any, NamedTuple
 
-from bilprov.spec import grammar
-from bilprov.spec.state import Effect, State, Wheels, state_class
-
-# What the built-in grammar declares stands for the car's in texts that do not declare it.
-CAR, CAR_AT_REST, CAR_WHEELS = grammar.STATE, grammar.AT_REST, grammar.WHEELS
-CAR_NOUN = grammar.DEVICE
+from bilprov.spec.state import Effect, State
+from bilprov.spec.value_checks import WrongValue, require_kind, require_name, shown
 
 
 class Motion(StrEnum):
-    """The kinds of motion of a two-wheeled car."""
+    """The words of the robot car's motion, as grammars import them that do not declare a state."""
 
     STOPPED = "stopped"
     FORWARD = "forward"
     BACKWARD = "backward"
     ROTATE_RIGHT = "rotate_right"
     ROTATE_LEFT = "rotate_left"
-
-
-# The direction in which the wheels (left, right) turn in each kind of motion.
-WHEELS = {motion: CAR_WHEELS.turns.get(motion, (0, 0)) for motion in Motion}
-
-
-def visible_motion(state: State) -> Motion:
-    """The motion that can be seen: `stopped` unless the wheels turn."""
-    return Motion(state.motion) if state.moving else Motion.STOPPED
-
-
-VARIABLES = tuple(CAR.kinds)
 
 
 class Moment(StrEnum):
@@ -47,44 +34,89 @@ class Moment(StrEnum):
 MOTIONS = (Moment.DRIVE, Moment.ROTATION)
 
 
-def rotates(motion: str) -> bool:
-    """Return whether a kind of motion turns the wheels against each other."""
-    left, right = CAR_WHEELS.turns.get(motion, (0, 0))
-    return left != right
+class Drive(NamedTuple):
+    """How a car drives, or is set to: a kind of motion, its speed, its steering (right positive).
 
-
-def moment_of(effect: Effect | None) -> Moment:
-    """Return the kind of a frame from its instruction's effect, None for a faulty frame."""
-    if effect is None:
-        return Moment.FAULT
-    if effect.motion is None:
-        return Moment.SETTING
-    if effect.motion == Motion.STOPPED:
-        return Moment.STOP
-    return Moment.ROTATION if rotates(effect.motion) else Moment.DRIVE
-
-
-def wheels(state: State, full_steering: int, car: Wheels = CAR_WHEELS) -> tuple[int, int]:
-    """Return the wheel speeds (left, right) of the reference robot, forward positive.
-
-    The document gives no mixing law: the reference slows the inner wheel in proportion to the
-    steering (at `full_steering` it stands still), and does not steer while it rotates. A test may
-    therefore judge only the signs and which wheel is faster.
+    Of a look each is None where the probe does not tell it.
     """
-    motion, speed, steering = (getattr(state, name) for name in (car.by, car.speed, car.steering))
-    left, right = car.turns.get(motion, (0, 0)) if state.moving else (0, 0)
-    inner = speed
-    if left == right and full_steering:
-        inner = speed * (full_steering - abs(steering)) // full_steering
-    return left * (inner if steering < 0 else speed), right * (inner if steering > 0 else speed)
+
+    motion: Any
+    speed: Any
+    steering: Any
 
 
-def car_state(
-    motion: str = Motion.STOPPED, speed: int = 0, steering: int = 0, led: int = 0
-) -> State:
-    """The state of a car with these values."""
-    values = {"motion": str(motion), "speed": speed, "steering": steering, "led": led}
-    return CAR_STATE.of(values)
+@dataclass(frozen=True, kw_only=True)
+class Wheels:
+    """The declaration of a car with two wheels, which is steered by their speeds.
+
+    `by` is the variable whose words are the kinds of motion: `turns` has how the wheels (left,
+    right) turn in each of them, 1 for forward and -1 for backward; in the others they stand still,
+    and `still` is the first of these. `speed` and `steering` (right positive) are the variables of
+    how fast.
+    """
+
+    by: str
+    speed: str
+    steering: str
+    turns: Mapping[str, tuple[int, int]] = field(hash=False)
+    still: str = ""
+
+    def __post_init__(self) -> None:
+        for name in (self.by, self.speed, self.steering):
+            require_name("a variable of Wheels", name)
+        require_kind("the turns of Wheels", self.turns, dict)
+        for word, both in self.turns.items():
+            if not (isinstance(both, tuple) and len(both) == 2 and {*both} <= {-1, 1}):
+                raise WrongValue(f"Wheels turns {shown(word)} by {shown(both)}, allowed is (1, -1)")
+
+    def drive(self, values: Any) -> Drive:
+        """The values of a state, or of a look, by what they are for."""
+        return Drive(*(getattr(values, name) for name in (self.by, self.speed, self.steering)))
+
+    def turn(self, motion: str) -> tuple[int, int]:
+        """How the wheels (left, right) turn in a kind of motion; 0 where they stand still."""
+        return self.turns.get(motion, (0, 0))
+
+    def motion(self, effect: Effect) -> str | None:
+        """The kind of motion that an instruction sets, None if it leaves it."""
+        return effect.constants.get(self.by)  # type: ignore[return-value]
+
+    def moves(self, effect: Effect) -> bool:
+        """Whether an instruction sets the car moving."""
+        return self.motion(effect) in self.turns
+
+    def rotates(self, motion: str) -> bool:
+        """Whether a kind of motion turns the wheels against each other."""
+        left, right = self.turn(motion)
+        return left != right
+
+    def moment(self, effect: Effect | None) -> Moment:
+        """The kind of a frame by its instruction's effect, None for a faulty frame."""
+        if effect is None:
+            return Moment.FAULT
+        motion = self.motion(effect)
+        if motion is None:
+            return Moment.SETTING
+        if motion not in self.turns:
+            return Moment.STOP
+        return Moment.ROTATION if self.rotates(motion) else Moment.DRIVE
+
+    def wheels(self, state: State, full_steering: int) -> tuple[int, int]:
+        """The wheel speeds (left, right) of the reference robot, forward positive.
+
+        The document gives no mixing law: the reference slows the inner wheel in proportion to the
+        steering (at `full_steering` it stands still), and does not steer while it rotates. A test
+        may therefore judge only the signs and which wheel is faster.
+        """
+        motion, speed, steering = self.drive(state)
+        left, right = self.turn(motion) if state.moving else (0, 0)
+        inner = speed
+        if left == right and full_steering:
+            inner = speed * (full_steering - abs(steering)) // full_steering
+        return left * (inner if steering < 0 else speed), right * (inner if steering > 0 else speed)
 
 
-CAR_STATE = state_class(tuple(kind.spec(name) for name, kind in CAR.kinds.items()), CAR_AT_REST)
+def visible_motion(state: State) -> str:
+    """The kind of motion of a car that can be seen: it stands still unless the wheels turn."""
+    car: Wheels = state.wheels
+    return car.drive(state).motion if state.moving else car.still

@@ -18,24 +18,26 @@ SILENCE_READING = "R-truncated-known"
 
 
 @cache
-def points_after(moment: Moment) -> dict[str, OpenPoint]:
-    """The open points about the state after frames of a kind, by variable."""
-    return {point.variable: point for point in POINTS.values() if moment in point.moments}
+def points_after(moment: Moment) -> tuple[OpenPoint, ...]:
+    """The open points about the state after frames of a kind."""
+    return tuple(point for point in POINTS.values() if moment in point.moments)
 
 
 @cache
-def open_after(effect: Effect, moment: Moment) -> dict[str, OpenPoint]:
-    """The open points about the state after frames of a kind that have this effect, by variable.
+def open_after(protocol: Protocol, effect: Effect | None) -> dict[str, OpenPoint]:
+    """The open points about the state after a frame of this effect, None for a fault, by variable.
 
     A point is open where the grammar says what the kit's own choice does. A grammar whose effect is
     another has decided the point, and a device is held to it.
     """
-    given = dict(effect.assignments)
+    given = dict((effect or protocol.on_fault).assignments)
     own = {Behaviour.KEPT: None, Behaviour.RESET: 0}
+    points = ((protocol.by_role.get(p.about), p) for p in points_after(protocol.car.moment(effect)))
     return {
         variable: point
-        for variable, point in points_after(moment).items()
-        if point.choices[0].does in own and given.get(variable) == own[point.choices[0].does]
+        for variable, point in points
+        if variable and point.choices[0].does in own
+        if given.get(variable) == own[point.choices[0].does]
     }
 
 

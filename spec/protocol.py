@@ -18,6 +18,7 @@ from typing import Any
 
 from construct import Construct, FixedSized, Struct, Switch
 
+from bilprov.spec import grammar
 from bilprov.spec.data import (
     DataSpec,
     FieldSpec,
@@ -40,7 +41,7 @@ from bilprov.spec.fields import (
     Timing,
 )
 from bilprov.spec.layout import Layout, read_layout
-from bilprov.spec.motion import CAR, CAR_AT_REST, CAR_NOUN, CAR_WHEELS
+from bilprov.spec.motion import Moment, Wheels
 from bilprov.spec.numbers import LayoutError
 from bilprov.spec.state import (
     Changed,
@@ -55,7 +56,6 @@ from bilprov.spec.state import (
     Unknown,
     Variables,
     VariableSpec,
-    Wheels,
     plain,
     rest_requests,
     state_class,
@@ -213,7 +213,7 @@ class Protocol:
         """The class of its states."""
         return type(self.power_on)
 
-    def state(self, **values: int | str) -> State:
+    def state(self, **values: Any) -> State:
         """The state with these values; the other variables have the first word, or 0."""
         found = {name: spec.default for name, spec in self.variables.items()}
         return self.state_type.of({**found, **{n: plain(value) for n, value in values.items()}})
@@ -370,17 +370,57 @@ class Protocol:
 
         A car stops by its motion; that its speed is 0 is a setting.
         """
-        values = effect.constants
         if self.wheels:
-            by = self.wheels.by
-            return by in values and values[by] not in self.wheels.turns
-        return self.at_rest is not None and self.at_rest.follows(values)
+            return self.wheels.moment(effect) is Moment.STOP
+        return self.at_rest is not None and self.at_rest.follows(effect.constants)
 
     def directed(self, state: State) -> bool:
         """Whether the device moves, or is a car that has a direction in which to move."""
         if self.wheels:
-            return getattr(state, self.wheels.by) in self.wheels.turns
+            return self.wheels.drive(state).motion in self.wheels.turns
         return state.moving
+
+    @property
+    def car(self) -> Wheels:
+        """What a car declares. Raises GrammarError for a device that is none."""
+        if self.wheels is None:
+            raise GrammarError(f"{self.name} declares no WHEELS")
+        return self.wheels
+
+    @cached_property
+    def speeds(self) -> tuple[int, int]:
+        """The smallest and largest speed that instructions give a car; 0 if none sets it."""
+        return self.limits.get(self.car.speed, (0, 0))
+
+    @cached_property
+    def full_steering(self) -> int:
+        """The greatest strength of steering to either side; 0 if no instruction steers."""
+        return max(abs(end) for end in self.limits.get(self.car.steering, (0, 0)))
+
+    @cached_property
+    def settings(self) -> tuple[str, ...]:
+        """The variables of a car but its kind of motion."""
+        return tuple(name for name in self.variables if name != self.car.by)
+
+    @cached_property
+    def by_role(self) -> Mapping[str, str]:
+        """A car's variables by what readings and faults call them: motion, speed, steering, led.
+
+        The LED is the first of `lights`; the others have their own names.
+        """
+        car, lights = self.car, self.lights
+        found = {"motion": car.by, "speed": car.speed, "steering": car.steering}
+        return found | dict(zip(("led", *lights[1:]), lights, strict=False))
+
+    def noun(self, variable: str) -> str:
+        """A variable in a sentence: `LED` where the instruction of that name is written so."""
+        capital = variable.upper()
+        return capital if capital in self.by_name else variable
+
+    @cached_property
+    def lights(self) -> tuple[str, ...]:
+        """The variables of a car that do not change how it drives."""
+        return tuple(n for n in self.settings if n not in (self.car.speed, self.car.steering))
 
     @cached_property
     def stop_or_none(self) -> InstructionSpec | None:
@@ -555,9 +595,8 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     effects = {identity: unwrapped(one).effect for identity, one in declared.items()}
     space = _with_state(space, effects.values())
     at_rest: Condition | None = _given(space, "AT_REST", Condition)
-    wheels: Wheels | None = _given(space, "WHEELS", Wheels)
     faulty, at_power_on = (
-        _take(space, name, Sets) if wheels or name in space else Sets()
+        _take(space, name, Sets) if {"WHEELS", name} & {*space} else Sets()
         for name in ("FAULTY", "POWER_ON")
     )
     variables = _variables(space, specs, effects, (faulty, at_power_on))
@@ -568,8 +607,11 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     responses = _responses(space)
     _require_each_outcome(space, layout, instructions, responses)
     on_fault = _effect(faulty, variables)
-    _require_known(at_rest, wheels, variables)
-    made = state_class(tuple(variables.values()), at_rest)
+    _require_condition(at_rest, variables)
+    wheels = _given(space, "WHEELS", Wheels)
+    if wheels:
+        _require_wheels(wheels, at_rest, variables)
+    made = state_class(variables.values(), at_rest, wheels)
     first = made.of({name: spec.default for name, spec in variables.items()})
     power_on = _effect(at_power_on, variables).apply(first)
     protocol = Protocol(
@@ -589,7 +631,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         registers=_registers(space.get("REGISTERS", {}), instructions),
         variables=variables,
         at_rest=at_rest,
-        wheels=wheels,
+        wheels=made.wheels,
         on_fault=on_fault,
         power_on=power_on,
         timing=_take(space, "TIMING", Timing),
@@ -643,7 +685,7 @@ def _with_state(space: dict[str, Any], effects: Iterable[Sets]) -> dict[str, Any
     others = [space[name] for name in ("FAULTY", "POWER_ON") if name in space]
     if "STATE" in space or not any(getattr(one, "values", {}) for one in (*effects, *others)):
         return {"STATE": Variables(), **space}
-    car = {"STATE": CAR, "AT_REST": CAR_AT_REST, "WHEELS": CAR_WHEELS, "DEVICE": CAR_NOUN}
+    car = {name: getattr(grammar, name) for name in ("AT_REST", "WHEELS", "DEVICE")}
     return {**car, **space, "STATE": None}
 
 
@@ -658,8 +700,7 @@ def _variables(
     A grammar that does not declare its state sets the car's, to any numbers.
     """
     declared = space["STATE"]
-    kinds = CAR.kinds if declared is None else _take(space, "STATE", Variables).kinds
-    found = {name: kind.spec(name) for name, kind in kinds.items()}
+    found = (grammar.STATE if declared is None else _take(space, "STATE", Variables)).specs
     every = [*effects.values(), *others]
     for sets in every:
         for name, value in sets.values.items():
@@ -687,34 +728,46 @@ def _variables(
     return found
 
 
-def _require_known(
-    at_rest: Condition | None, wheels: Wheels | None, variables: Mapping[str, VariableSpec]
+def _require_condition(at_rest: Condition | None, variables: Mapping[str, VariableSpec]) -> None:
+    """Raise GrammarError where AT_REST names what STATE does not have."""
+    for name, value in at_rest.values.items() if at_rest else ():
+        _require_variable("AT_REST", name, variables)
+        if not variables[name].holds(value):
+            raise GrammarError(
+                f"AT_REST names {name}={shown(value)}, allowed is {variables[name].allowed}"
+            )
+
+
+def _require_variable(where: str, name: str, variables: Mapping[str, VariableSpec]) -> None:
+    if name not in variables:
+        raise GrammarError(
+            f"{where} names the variable {shown(name)}, allowed are {', '.join(variables)}"
+        )
+
+
+def _require_wheels(
+    wheels: Wheels, at_rest: Condition | None, variables: Mapping[str, VariableSpec]
 ) -> None:
-    """Raise GrammarError where AT_REST or WHEELS name what STATE does not have."""
-    told = [("AT_REST", name) for name in at_rest.values] if at_rest else []
-    if wheels:
-        told += [("WHEELS", name) for name in (wheels.by, wheels.speed, wheels.steering)]
-    for where, name in told:
-        if name not in variables:
-            raise GrammarError(
-                f"{where} names the variable {shown(name)}, allowed are {', '.join(variables)}"
-            )
-    if at_rest:
-        for name, value in at_rest.values.items():
-            if not variables[name].holds(value):
-                raise GrammarError(
-                    f"AT_REST names {name}={shown(value)}, allowed is {variables[name].allowed}"
-                )
-    if wheels:
-        words = variables[wheels.by].words
-        unknown = [word for word in wheels.turns if word not in words]
-        if unknown or set(words) <= set(wheels.turns):
-            raise GrammarError(
-                f"WHEELS turns by {', '.join(wheels.turns)}; allowed are words of {wheels.by}, and "
-                "one of them must be left out, in which the wheels stand still"
-            )
-        if at_rest is None:
-            raise GrammarError("it declares WHEELS and no AT_REST")
+    """Raise GrammarError where WHEELS names what STATE does not have."""
+    for name in (wheels.by, wheels.speed, wheels.steering):
+        _require_variable("WHEELS", name, variables)
+    words = variables[wheels.by].words
+    if {*words} <= {*wheels.turns} or not {*wheels.turns} <= {*words}:
+        raise GrammarError(
+            f"WHEELS turns by {', '.join(wheels.turns)}; allowed are words of {wheels.by}, and "
+            "one of them must be left out, in which the wheels stand still"
+        )
+    if at_rest is None:
+        raise GrammarError("it declares WHEELS and no AT_REST")
+    taken = [n for n in variables if n in _OF_WHEELS or (n == "motion" and n != wheels.by)]
+    if taken:
+        raise GrammarError(
+            f"STATE has the variable {taken[0]}, which is a reading of the wheels of a "
+            "car; allowed is another name"
+        )
+
+
+_OF_WHEELS = ("t", "left", "right", "wheels", "curve", "answer")
 
 
 def _given(space: dict[str, Any], name: str, kind: type) -> Any:

@@ -61,13 +61,14 @@ class OpenPoint:
     The suite's accepted answers, its model of the state, the experiments that find out a device's
     choices, `--allow` and the simulated devices that choose otherwise read it.
 
-    A point about the state is about one `variable`, after frames of these `moments`. `skipped` is
-    the value of `--allow` with which it is not tested, "" where there is none.
+    A point about the state is about one variable, after frames of these `moments`: `about` is
+    speed, steering or led, whatever the grammar calls it. `skipped` is the value of `--allow`
+    with which it is not tested, "" where there is none.
     """
 
     id: str
     choices: tuple[Choice, ...]
-    variable: str = ""
+    about: str = ""
     moments: tuple[Moment, ...] = ()
     skipped: str = ""
 
@@ -209,9 +210,9 @@ def _points(
 ) -> tuple[OpenPoint, ...]:
     """The open points of the parts of a reading; the reading puts its own id before each."""
     first = default if isinstance(default, Choice) else Choice(default)
-    variable, *moments = on
+    about, *moments = on
     choices = (first, *others)
-    return tuple(OpenPoint(part, choices, variable, tuple(moments), skipped) for part in parts)
+    return tuple(OpenPoint(part, choices, about, tuple(moments), skipped) for part in parts)
 
 
 _TOO_MANY, _TOO_FEW = Choice("too-many", Outcome.TOO_MANY), Choice("too-few", Outcome.TOO_FEW)
@@ -554,7 +555,7 @@ POINTS = {
 SPLIT = {("R-drive-steering", "straight"): ("R-rotate-steering", "reset")}
 """Choices that meant another one too, before their point was split: older profiles hold them."""
 
-STATE_POINTS = tuple(ident for ident, point in POINTS.items() if point.variable)
+STATE_POINTS = tuple(ident for ident, point in POINTS.items() if point.about)
 """The open points about the robot's state after a frame."""
 
 FLUSH_POINTS = tuple(

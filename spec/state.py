@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
@@ -17,7 +17,6 @@ import msgspec
 
 from bilprov.spec.value_checks import (
     WrongValue,
-    require_kind,
     require_name,
     require_whole,
     shown,
@@ -139,6 +138,11 @@ class Variables:
                 )
         self.kinds = kinds
 
+    @property
+    def specs(self) -> dict[str, VariableSpec]:
+        """The variables by name."""
+        return {name: kind.spec(name) for name, kind in self.kinds.items()}
+
 
 class Condition:
     """What the state must be: some variables with the values that they must have."""
@@ -180,27 +184,6 @@ class AllOf(Condition):
     """The state has all of these values."""
 
     _enough = all
-
-
-class Wheels:
-    """The declaration of a car with two wheels, which is steered by their speeds.
-
-    `by` is the variable whose words say how the wheels (left, right) turn: `turns` has 1 for
-    forward and -1 for backward for each word in which they do. `speed` and `steering` (right
-    positive) are the variables of how fast.
-    """
-
-    def __init__(
-        self, *, by: str, speed: str, steering: str, turns: Mapping[str, tuple[int, int]]
-    ) -> None:
-        for name in (by, speed, steering):
-            require_name("a variable of Wheels", name)
-        require_kind("the turns of Wheels", turns, dict)
-        for word, both in turns.items():
-            if not (isinstance(both, tuple) and len(both) == 2 and {*both} <= {-1, 1}):
-                raise WrongValue(f"Wheels turns {shown(word)} by {shown(both)}, allowed is (1, -1)")
-        self.by, self.speed, self.steering = by, speed, steering
-        self.turns = {str(word): both for word, both in turns.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,11 +268,6 @@ class Effect:
             if value is not None and not isinstance(value, FromField | FromOld)
         }
 
-    @property
-    def motion(self) -> Any:
-        """The kind of motion that a car's instruction sets, None if it leaves it."""
-        return self.constants.get("motion")
-
 
 Assigned: TypeAlias = tuple[tuple[str, Any], ...]
 """Variables with their new values, or the FromOld that is applied to the old one."""
@@ -343,6 +321,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     signed: ClassVar[frozenset[str]] = frozenset()
     at_rest: ClassVar[Condition | None] = None
+    wheels: ClassVar[Any] = None  # what a car declares, of class Wheels
     moving: ClassVar[bool] = False  # a field, where the grammar says when the device is at rest
 
     if TYPE_CHECKING:
@@ -406,22 +385,29 @@ class State(msgspec.Struct, frozen=True, gc=False):
         return cls.of({n: cls.value(n, c) for n, c in zip(cls.variables, codes, strict=True)})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (self.made_of, self.at_rest, msgspec.structs.astuple(self))
+        declared = self.made_of, self.at_rest, self.wheels
+        return _restored, (*declared, msgspec.structs.astuple(self))
 
 
 def _restored(
-    made_of: tuple[_Made, ...], at_rest: Condition | None, values: tuple[Any, ...]
+    made_of: tuple[_Made, ...], at_rest: Condition | None, wheels: Any, values: tuple[Any, ...]
 ) -> State:
-    return _class(made_of, at_rest)(*values)
+    return _class(made_of, at_rest, wheels)(*values)
 
 
-def state_class(variables: tuple[VariableSpec, ...], at_rest: Condition | None) -> type[State]:
+def state_class(
+    variables: Iterable[VariableSpec], at_rest: Condition | None, wheels: Any = None
+) -> type[State]:
     """The class of the states with these variables; with `at_rest` they also have `moving`."""
-    return _class(tuple((v.name, v.words, v.low < 0, v.unknown) for v in variables), at_rest)
+    made_of = tuple((v.name, v.words, v.low < 0, v.unknown) for v in variables)
+    if wheels:
+        (words,) = (words for name, words, *_ in made_of if name == wheels.by)
+        wheels = replace(wheels, still=next(word for word in words if word not in wheels.turns))
+    return _class(made_of, at_rest, wheels)
 
 
 @lru_cache(maxsize=64)
-def _class(made_of: tuple[_Made, ...], at_rest: Condition | None) -> type[State]:
+def _class(made_of: tuple[_Made, ...], at_rest: Condition | None, wheels: Any) -> type[State]:
     what = "The state" if at_rest is None else "The motion state"
     kinds: list[tuple[str, Any]] = []
     for name, words, _, unknown in made_of:
@@ -440,6 +426,7 @@ def _class(made_of: tuple[_Made, ...], at_rest: Condition | None) -> type[State]
             "words": {name: words for name, words, *_ in made_of if words},
             "signed": frozenset(name for name, _, signed, _ in made_of if signed),
             "at_rest": at_rest,
+            "wheels": wheels,
         },
         frozen=True,
         gc=False,

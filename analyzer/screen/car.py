@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rich.text import Text
 
-from bilprov.spec.motion import wheels
+from bilprov.spec.motion import Wheels
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.state import State, VariableSpec, Wheels
+from bilprov.spec.state import State, VariableSpec
 
 WIDTH = 26
 ROWS = 8
@@ -27,7 +27,7 @@ def picture(protocol: Protocol, state: State) -> list[Text]:
 
 def _car(protocol: Protocol, car: Wheels, state: State) -> list[Text]:
     full = max((abs(end) for end in protocol.limits.get(car.steering, (0, 0))), default=0)
-    left, right = wheels(state, full, car)
+    left, right = car.wheels(state, full)
     style = "bold" if state.moving else "dim"
     motion = getattr(state, car.by)
     sign = _SIGNS[car.turns[motion]] if motion in car.turns else "■"

@@ -11,7 +11,6 @@ from bilprov.analyzer.taps.sources import Events, Source
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.spec.by_effect import moves
 from bilprov.spec.codec import judge, raw_frame
 from bilprov.spec.protocol import Protocol
 
@@ -37,7 +36,8 @@ def drive(protocol: Protocol, byte_time: int, seed: int = 1) -> Iterator[Chunk]:
         else:
             frame = _valid_frame(protocol, chance)
         judgement = judge(protocol, frame)
-        begins = judgement.instruction is not None and moves(judgement.instruction)
+        known = judgement.instruction
+        begins = known is not None and protocol.car.moves(known.effect)
         moving = 0 if frame[0] == protocol.pad_byte else moving + (begins or moving > 0)
         yield Chunk(t, "host", frame)
         t += len(frame) * byte_time + chance.randint(*_LATENCIES) * 1_000

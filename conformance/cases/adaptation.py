@@ -27,7 +27,8 @@ S = TypeVar("S", bound=Step)
 
 def led_instruction(protocol: Protocol) -> InstructionSpec | None:
     """The instruction that switches the LED (R-led-id, R-version)."""
-    return next((s for s in protocol.instructions if s.effect.sets("led") and s.fields), None)
+    lit = (s for s in protocol.instructions if any(map(s.effect.sets, protocol.lights)))
+    return next((spec for spec in lit if spec.fields), None)
 
 
 def on_the_wire(protocol: Protocol, choices: Choices, frame: bytes) -> bytes:

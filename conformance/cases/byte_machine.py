@@ -51,7 +51,7 @@ def byte_machine(protocol: Protocol, variables: tuple[str, ...] | None) -> ByteM
     because it decides what moves. Raises UserError for a grammar with fields that are no integers.
     """
     frames = _Frames(protocol)
-    counted = () if variables is None else tuple(dict.fromkeys(("speed", *variables)))
+    counted = () if variables is None else tuple(dict.fromkeys((protocol.car.speed, *variables)))
     bytes_of = input_classes(explore(None, 256, frames.take))
     silence = len(bytes_of)
 
@@ -82,8 +82,9 @@ def byte_machine(protocol: Protocol, variables: tuple[str, ...] | None) -> ByteM
 def _first(protocol: Protocol, variables: tuple[str, ...]) -> State:
     """The first state: stopped, at a speed above zero where one can be set."""
     at_rest = protocol.stop.effect.apply(protocol.power_on)
-    fast = protocol.limits.get("speed", (0, at_rest.speed))[1]
-    return _signs(at_rest.but(speed=fast), variables)
+    speed = protocol.car.speed
+    fast = protocol.limits.get(speed, (0, getattr(at_rest, speed)))[1]
+    return _signs(at_rest.but(**{speed: fast}), variables)
 
 
 def _signs(state: State, variables: tuple[str, ...]) -> State:

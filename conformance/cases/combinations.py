@@ -26,7 +26,6 @@ from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, setting
-from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
@@ -45,7 +44,9 @@ BYTE_CLASSES: tuple[Sequence[int], ...] = (*((value,) for value in _BOUNDARIES),
 
 _CLASS = {value: number for number, some in enumerate(BYTE_CLASSES, 1) for value in some}
 # The factors, by their index in a row.
-_ID, _LENGTH, _FIRST, _SECOND, _LAST, _MOTION, _STEERING, _SPEED, _LED, _BEFORE, _WAY = range(11)
+_ID, _LENGTH, _FIRST, _SECOND, _LAST, _STATE = range(6)
+# From _STATE on stands each variable of the state, then what was before, and the delivery.
+_BEFORE, _WAY = -2, -1
 _BYTES = ((_FIRST, 1), (_SECOND, 3), (_LAST, 2))  # and from how many data bytes on each stands
 WAITED, PIPELINED, SPLIT = range(3)
 DELIVERED, RANDOM = ("waited", "pipelined", "split"), "random"
@@ -83,6 +84,11 @@ class Space:
         return (ids, lengths, *data, *states, 1 + len(self.faults), len(DELIVERED))
 
     @cached_property
+    def way(self) -> int:
+        """The factor of the delivery; that of the outcome before is the one before it."""
+        return _STATE + len(self.states) + 1
+
+    @cached_property
     def _possible(self) -> dict[tuple[int | None, ...], bool]:
         return {}
 
@@ -91,11 +97,11 @@ class Space:
         get = chosen.get
         first, second, last = get(_FIRST, -1), get(_SECOND, -1), get(_LAST, -1)
         # Of a byte it counts whether it is there: 1 is the first of its classes.
-        key = (get(_LENGTH), get(_WAY), min(first, 1), min(second, 1), min(last, 1))
+        key = (get(_LENGTH), get(self.way), min(first, 1), min(second, 1), min(last, 1))
         possible = self._possible.get(key)
         if possible is None:
             possible = self._possible[key] = any(True for _ in self.fitting(chosen))
-        if possible and get(_BEFORE):
+        if possible and get(self.way - 1):
             return all(get(factor, only) == only for factor, only in self._left_by_fault)
         return possible
 
@@ -145,7 +151,7 @@ class Space:
                     for factor, least in _BYTES
                     if factor in chosen
                 )
-                if bytes_fit and chosen.get(_WAY, shape.way) == shape.way:
+                if bytes_fit and chosen.get(self.way, shape.way) == shape.way:
                     yield shape
 
     @cached_property
@@ -155,7 +161,7 @@ class Space:
         left = on_fault.apply(self.protocol.power_on)
         return tuple(
             (factor, number)
-            for factor, (name, values) in enumerate(self.states, _MOTION)
+            for factor, (name, values) in enumerate(self.states, _STATE)
             for number, some in enumerate(values)
             if on_fault.sets(name) and getattr(left, name) in some
         )
@@ -163,21 +169,20 @@ class Space:
 
 def state_classes(protocol: Protocol) -> tuple[tuple[str, tuple[Sequence[object], ...]], ...]:
     """The variables of the state, with the values of each class of them."""
-    motions = tuple((motion,) for motion in (Motion.STOPPED, *moving_motions(protocol)))
-    low, high = _limits(protocol, "steering")
+    car = protocol.car
+    motions = tuple((motion,) for motion in (car.still, *moving_motions(protocol)))
+    low, high = _limits(protocol, car.steering)
     steerings = (range(low, 0), (0,), range(1, high + 1)) if low < high else ((low,),)
-    low, high = _limits(protocol, "speed")
+    low, high = _limits(protocol, car.speed)
     half = (low + high + 1) // 2
     speeds = ((low,), range(low + 1, half), range(half, high), (high,)) if low < high else ((low,),)
-    low, high = _limits(protocol, "led")
-    bits = [1 << bit for bit in range(high.bit_length())]
-    leds = range(low, high + 1) if high - low < 8 else sorted({low, high, *bits})
-    classes = {
-        "motion": motions,
-        "steering": steerings,
-        "speed": speeds,
-        "led": tuple((value,) for value in leds),
-    }
+    classes: dict[str, tuple[Sequence[object], ...]]
+    classes = {car.by: motions, car.steering: steerings, car.speed: speeds}
+    for name in protocol.lights:
+        low, high = _limits(protocol, name)
+        bits = [1 << bit for bit in range(high.bit_length())]
+        values = range(low, high + 1) if high - low < 8 else sorted({low, high, *bits})
+        classes[name] = tuple((value,) for value in values)
     return tuple((name, tuple(filter(len, values))) for name, values in classes.items())
 
 
@@ -216,7 +221,7 @@ def _rows(protocol: Protocol) -> tuple[Row, ...]:
     They are the same in each run: a run's seed draws their data, and the values of their states.
     """
     space, draw = space_of(protocol), random.Random("combinations")
-    dear = {(_WAY, SPLIT)}  # a pause each
+    dear = {(space.way, SPLIT)}  # a pause each
     return CoveringArray(space.sizes, STRENGTH, space.feasible, draw, dear=dear).rows
 
 
@@ -276,11 +281,12 @@ class Combinations:
 
     def _bursts(self, space: Space, rows: Iterable[Row]) -> Iterator[Burst]:
         """For each row the frames that lead to its state, and its frame."""
-        protocol, motion = self._protocol, Motion.STOPPED
+        protocol, motion = self._protocol, self._protocol.car.still
         for row in rows:
             before, motion = self._before(row, space, motion)
             step = self._frame(row, space)
-            motion = (step.frame_effect.effect or protocol.on_fault).motion or motion
+            effect = step.frame_effect.effect or protocol.on_fault
+            motion = protocol.car.motion(effect) or motion
             if self._way == PIPELINED:
                 yield Burst((*before, step))
                 continue
@@ -290,28 +296,30 @@ class Combinations:
             split = self._way == SPLIT
             yield Burst((step,), (self._draw.randrange(1, len(step.frame)),) if split else ())
 
-    def _before(self, row: Row, space: Space, motion: Motion) -> tuple[list[Step], Motion]:
+    def _before(self, row: Row, space: Space, motion: str) -> tuple[list[Step], str]:
         """The frames that lead from a kind of motion to the row's state, and the motion after."""
-        protocol, pick = self._protocol, self._draw.choice
+        protocol, car, pick = self._protocol, self._protocol.car, self._draw.choice
         drawn: dict[str, Any] = {
             name: pick(values[row[factor]])
-            for factor, (name, values) in enumerate(space.states, _MOTION)
+            for factor, (name, values) in enumerate(space.states, _STATE)
         }
         fault = row[_BEFORE]
         if fault:
             # The fault is to stop a robot that moves and steers.
             (_, motions), (_, steerings), *_ = space.states
-            drawn |= {"motion": pick(motions[1:] or motions)[0], "steering": pick(pick(steerings))}
+            drawn[car.by] = pick(motions[1:] or motions)[0]
+            drawn[car.steering] = pick(pick(steerings))
         state = protocol.power_on.but(**drawn)
         steps = []
         # Steering while it rotates may make a curve of it (R-steer-rotating).
-        if state.motion == Motion.STOPPED or rotates(motion):
+        wanted = car.drive(state).motion
+        if wanted not in car.turns or car.rotates(motion):
             steps.append(step_of(protocol, bytes([protocol.pad_byte])))
         steps += steps_to(protocol, state)
         if fault:
             steps.append(self._inputs.next(space.faults[fault - 1]))
-            return steps, protocol.on_fault.motion or state.motion
-        return steps, state.motion
+            return steps, car.motion(protocol.on_fault) or wanted
+        return steps, wanted
 
     def _frame(self, row: Row, space: Space) -> Step:
         """The frame of a row, its bytes drawn from their classes."""

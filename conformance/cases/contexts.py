@@ -26,7 +26,6 @@ from bilprov.conformance.cases.steps import (
     step_of,
 )
 from bilprov.spec.by_effect import moving_motions
-from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
@@ -311,15 +310,15 @@ class _Walk:
 
         Returns the frames; the last is that of the kind.
         """
-        draw, protocol = self._draw, self._protocol
+        draw, protocol, car = self._draw, self._protocol, self._protocol.car
         known, steps = self._state, list[Step]()
         state = known or protocol.power_on
         if known is None or not state.moving or draw.random() < _SETS_ALL:
-            wanted = state.but(motion=draw.choice(self._motions or [Motion.STOPPED]))
-            if known is None or not state.speed or draw.random() < _SETS_ALL:
+            wanted = state.but(**{car.by: draw.choice(self._motions or [car.still])})
+            if known is None or not car.drive(state).speed or draw.random() < _SETS_ALL:
                 wanted = wanted.but(**self._any_settings())
             # Steering while it rotates may make a curve of it (R-steer-rotating).
-            if rotates(state.motion):
+            if car.rotates(car.drive(state).motion):
                 steps.append(self.took(step_of(protocol, bytes([protocol.pad_byte]))))
             steps += map(self.took, steps_to(protocol, wanted, known))
         return (*steps, self.took(self.inputs.next(kind)))
@@ -334,7 +333,8 @@ class _Walk:
         """A speed, a steering and a light, each of any of its classes; it moves if it can."""
         found: dict[str, Any] = {}
         for name, values in self._classes.items():
-            if name != "motion":
-                moving = [v for v in values if name != "speed" or len(v) > 1 or v[0] != 0]
+            if name != self._protocol.car.by:
+                speed = name == self._protocol.car.speed
+                moving = [v for v in values if not speed or len(v) > 1 or v[0] != 0]
                 found[name] = self._draw.choice(self._draw.choice(moving or values))
         return found

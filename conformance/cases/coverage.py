@@ -26,8 +26,8 @@ from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.preamble import state_after
 from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step, kind_of, one_of_each
-from bilprov.spec.by_effect import moves, moving_motions
-from bilprov.spec.motion import Motion, visible_motion
+from bilprov.spec.by_effect import moving_motions
+from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol
 
 Fact = tuple[str, object]
@@ -51,7 +51,7 @@ def facts(protocol: Protocol, case: AnyCase) -> Iterator[Fact]:
     yield from _sent(protocol, case, visible_motion(case.setup), "waited")
 
 
-def _sent(protocol: Protocol, step: Step, motion: Motion, way: str) -> Iterator[Fact]:
+def _sent(protocol: Protocol, step: Step, motion: str, way: str) -> Iterator[Fact]:
     kind = kind_of(protocol, step)
     yield HEADERS, step.frame[0]
     yield STATES, (kind, motion)
@@ -84,14 +84,14 @@ def _run(protocol: Protocol, sequence: SequenceCase) -> Iterator[Fact]:
 def totals(protocol: Protocol) -> dict[str, int]:
     """How many facts of each kind there are."""
     lengths, specs = protocol.lengths, protocol.instructions
-    motions = (Motion.STOPPED, *moving_motions(protocol))
+    motions = (protocol.car.still, *moving_motions(protocol))
     # Every protocol can truncate a frame, if only one with an unused ID.
     faults = len({FrameClass.TRUNCATED, *one_of_each(protocol)})
     kinds = len(specs) + faults
     # After a motion the robot moves so, or stands still (speed 0); a setting leaves any motion on.
     reached = (
         sum(
-            2 if moves(s) else 1 if s.effect.motion == Motion.STOPPED else len(motions)
+            2 if protocol.car.moves(s.effect) else 1 if protocol.stops(s.effect) else len(motions)
             for s in specs
         )
         + faults

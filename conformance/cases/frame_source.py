@@ -54,7 +54,9 @@ class Inputs:
         self.valid_kinds = tuple(spec.name for spec in protocol.instructions)
         self.faulty_kinds = tuple(k for k in self.kinds if k not in self.valid_kinds)
         self.movers = tuple(s.name for s in movers(protocol))
-        self.settings = tuple(s.name for s in protocol.instructions if not s.effect.sets("motion"))
+        self.settings = tuple(
+            s.name for s in protocol.instructions if not s.effect.sets(protocol.car.by)
+        )
 
     def next(self, kind: str) -> Step:
         """The next frame of a kind."""

@@ -12,7 +12,6 @@ from bilprov.conformance.cases.preamble import state_after
 from bilprov.conformance.cases.steps import kind_of, step_of
 from bilprov.conformance.oracle.verdicts import Accepted, Verdict
 from bilprov.spec.by_effect import link_check as frames_of_link_check
-from bilprov.spec.by_effect import moves
 from bilprov.spec.protocol import Protocol
 
 
@@ -50,7 +49,9 @@ def motion_first(protocol: Protocol) -> Case | None:
 
     None where every motion takes data.
     """
-    spec = next((s for s in protocol.instructions if moves(s) and not s.length), None)
+    spec = next(
+        (s for s in protocol.instructions if protocol.car.moves(s.effect) and not s.length), None
+    )
     if spec is None:
         return None
     requirement = "a motion as the first instruction is taken; without a speed nothing moves"

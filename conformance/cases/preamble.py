@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.spec.by_effect import frames_to, reached
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.state import State
 
 
 def full_state(protocol: Protocol, mover: InstructionSpec) -> State:
     """A state in a motion, with every variable far from its value at rest."""
+    car = protocol.car
     ends = {
         # To the right where it steers both ways, and no speed backward.
-        name: high if name == "speed" else max(high, low, key=abs)
+        name: high if name == car.speed else max(high, low, key=abs)
         for name, (low, high) in protocol.limits.items()
     }
-    return reached(protocol, protocol.state(motion=mover.effect.motion or Motion.STOPPED, **ends))
+    motion = car.motion(mover.effect) or car.still
+    return reached(protocol, protocol.state(**ends, **{car.by: motion}))
+
+
+def in_motion(protocol: Protocol, motion: str | None, speed: int | None = None) -> State:
+    """A robot's state in a motion (None: it stands) at a speed, the greatest if none is given."""
+    car, fast = protocol.car, protocol.speeds[1]
+    driving = {car.by: motion or car.still, car.speed: fast if speed is None else speed}
+    return protocol.state(**driving)
 
 
 def steps_to(protocol: Protocol, state: State, known: State | None = None) -> tuple[Step, ...]:

@@ -35,35 +35,46 @@ _PAUSES = 4  # of one frame: more could reach a time-out that counts over the wh
 class Proof:
     """One machine and the suite that proves it.
 
-    `facets` are what a probe must tell for it; `variables` those that the machine's outputs show
-    beside the kind of motion, None for a machine of answers alone.
+    `looks` says that its outputs show the kind of motion, and `settings` that they show what is set
+    besides, but for the speed.
     """
 
     name: str
-    seen: str
-    facets: tuple[str, ...]
-    variables: tuple[str, ...] | None
+    looks: bool = False
+    settings: bool = False
+
+    def variables(self, protocol: Protocol) -> tuple[str, ...]:
+        """The variables that the outputs show beside the kind of motion."""
+        shown = protocol.settings if self.settings else ()
+        return tuple(name for name in shown if name != protocol.car.speed)
+
+    def facets(self, protocol: Protocol) -> tuple[str, ...]:
+        """What a probe must tell for it."""
+        return (protocol.car.by, *self.variables(protocol)) if self.looks else ()
+
+    def seen(self, protocol: Protocol) -> str:
+        """What the outputs show, in words."""
+        if not self.looks:
+            return "answers"
+        *shown, last = ("the kind of motion", *map(protocol.noun, self.variables(protocol)))
+        return f"{', '.join(('answers', *shown))} and {last}"
 
     def machine(self, protocol: Protocol) -> ByteMachine:
         """The protocol's machine, as far as this proof sees it."""
-        if self.variables is None:
+        if not self.looks:
             return byte_machine(protocol, None)
-        return byte_machine(protocol, tuple(v for v in self.variables if _settable(protocol, v)))
+        shown = (name for name in self.variables(protocol) if _settable(protocol, name))
+        return byte_machine(protocol, tuple(shown))
 
     def applies(self, protocol: Protocol) -> bool:
         """Whether the reset can bring a robot of this protocol into the machine's first state."""
-        return self.variables is None or _settable(protocol, "speed")
+        return not self.looks or _settable(protocol, protocol.car.speed)
 
 
 PROOFS = (
-    Proof("answers", "answers", (), None),
-    Proof("motion", "answers and the kind of motion", ("motion",), ()),
-    Proof(
-        "state",
-        "answers, the kind of motion, steering and LED",
-        ("motion", "steering", "led"),
-        ("steering", "led"),
-    ),
+    Proof("answers"),
+    Proof("motion", looks=True),
+    Proof("state", looks=True, settings=True),
 )
 """What is proven, from what is seen through the wire alone to all that a probe may tell."""
 
@@ -75,7 +86,8 @@ def _settable(protocol: Protocol, variable: str) -> bool:
 
 def _first_setting(protocol: Protocol, variable: str) -> bytes:
     """A frame that gives a variable a value of the machine's first state; b"" if there is none."""
-    return setting(protocol, variable, 0 if variable != "speed" else protocol.limits[variable][1])
+    speed = variable == protocol.car.speed
+    return setting(protocol, variable, protocol.speeds[1] if speed else 0)
 
 
 def announcement(protocol: Protocol, extra: int, groups: Container[str]) -> str:
@@ -85,8 +97,9 @@ def announcement(protocol: Protocol, extra: int, groups: Container[str]) -> str:
         if proof.applies(protocol) and f"{GROUP}/{proof.name}" in groups:
             machine, words = proof.machine(protocol), suite(protocol, proof, extra).words
             told.append(
-                f"{proof.seen}: {len(machine.machine)} states, {len(machine.classes)} byte classes "
-                f"and the silence, {quantity(len(words), 'word')} in "
+                f"{proof.seen(protocol)}: {len(machine.machine)} states, "
+                f"{len(machine.classes)} byte classes and the silence, "
+                f"{quantity(len(words), 'word')} in "
                 f"{quantity(sequences(protocol, proof, extra), 'sequence')}"
             )
     return "; ".join(told)
@@ -99,7 +112,7 @@ def suite(protocol: Protocol, proof: Proof, extra: int) -> Suite:
     most = most_words(machine.machine, extra)
     if most > MOST_WORDS:
         raise UserError(
-            f"--extra {extra} takes {most:,} words or more for {proof.seen}, and at most "
+            f"--extra {extra} takes {most:,} words or more for {proof.seen(protocol)}, and at most "
             f"{MOST_WORDS:,} are made; give a smaller N, or choose a smaller machine with "
             f"--only '{GROUP}/{PROOFS[0].name}/*'"
         )
@@ -142,7 +155,7 @@ def proof_sequences(
             setup=(),
             bursts=tuple(bursts),
             seeded=True,
-            facets=proof.facets,
+            facets=proof.facets(protocol),
             proving=True,
         )
 
@@ -204,5 +217,5 @@ class _Frames:
         """The frames that bring a stopped robot into the machine's first state."""
         for name in self._variables:
             _, high = self._protocol.limits[name]
-            value = self._draw.randint(1, high) if name == "speed" else 0
+            value = self._draw.randint(1, high) if name == self._protocol.car.speed else 0
             yield setting(self._protocol, name, value) or _first_setting(self._protocol, name)

@@ -24,7 +24,6 @@ from bilprov.conformance.cases.steps import (
 )
 from bilprov.spec.by_effect import after, fitted, movers, moving_motions, reached
 from bilprov.spec.codec import spaced
-from bilprov.spec.motion import Motion, rotates
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
@@ -37,39 +36,34 @@ class _Setups:
     def __init__(self, protocol: Protocol, seed: int) -> None:
         draw = random.Random(seed)
         self._motions = _blocks(draw, _motions(protocol))
-        limits = protocol.limits
-        fast = limits.get("speed", (0, 0))[1]
+        self._car, fast = protocol.car, protocol.speeds[1]
         # At least half speed: a wheel must be seen to turn, also the inner one of a curve.
-        self._speeds, self._steers, self._leds = (
-            cycle(draw.sample(values := evenly(low, high, _VALUES), len(values)))
-            for low, high in (
-                (min(fast, max(1, fast // 2)), fast),
-                limits.get("steering", (0, 0)),
-                limits.get("led", (0, 0)),
-            )
-        )
+        ranges = {name: protocol.limits.get(name, (0, 0)) for name in protocol.settings}
+        ranges[self._car.speed] = min(fast, max(1, fast // 2)), fast
+        self._values = {
+            name: cycle(draw.sample(values := evenly(low, high, _VALUES), len(values)))
+            for name, (low, high) in ranges.items()
+        }
         self._protocol = protocol
-        self._power_on = protocol.power_on
 
-    def next(self, motion: Motion | None = None) -> State:
+    def next(self, motion: str | None = None) -> State:
         motion = motion or next(self._motions)
         # Steering in a rotation may become a curve (R-steer-rotating): a case tests it, no set-up.
-        steers = not rotates(motion)
-        state = self._power_on.but(
-            motion=motion,
-            speed=next(self._speeds),
-            steering=next(self._steers) if steers else self._power_on.steering,
-            led=next(self._leds),
-        )
-        return reached(self._protocol, state)
+        drawn: dict[str, int | str] = {
+            name: next(values)
+            for name, values in self._values.items()
+            if name != self._car.steering or not self._car.rotates(motion)
+        }
+        drawn[self._car.by] = motion
+        return reached(self._protocol, self._protocol.power_on.but(**drawn))
 
 
-def _motions(protocol: Protocol) -> tuple[Motion, ...]:
+def _motions(protocol: Protocol) -> tuple[str, ...]:
     """The motions in which frames are tried: those that move, if there are any."""
-    return moving_motions(protocol) or (Motion.STOPPED,)
+    return moving_motions(protocol) or (protocol.car.still,)
 
 
-def _blocks(draw: random.Random, motions: tuple[Motion, ...]) -> Iterator[Motion]:
+def _blocks(draw: random.Random, motions: tuple[str, ...]) -> Iterator[str]:
     """Motions without end, each as often as the others, in no fixed relation to what is sent."""
     while True:
         yield from draw.sample(motions, len(motions))
@@ -93,10 +87,11 @@ def all_cases(protocol: Protocol, seed: int, *, every_cut: bool) -> tuple[Case, 
 
 def _mark_thorough(found: list[Case]) -> Iterator[Case]:
     """The cases, the first of each class of fault in each kind of motion marked as thorough."""
-    seen: set[tuple[FrameClass, int, Motion]] = set()
+    seen: set[tuple[FrameClass, int, str]] = set()
     for case in found:
+        motion = case.setup.wheels.drive(case.setup).motion
         answer = case.accepted[0].codes[0] if case.kind is FrameClass.WRONG_LENGTH else -1
-        key = (case.kind, answer, case.setup.motion)
+        key = (case.kind, answer, motion)
         first = case.kind not in (FrameClass.VALID, FrameClass.RECOVERY) and key not in seen
         if first:
             seen.add(key)
@@ -118,7 +113,7 @@ def _valid(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
             requirement=f"{spec.name}: {spec.prose}",
             setup=setup,
             expected=expected,
-            stop=step.frame_effect.stops,
+            stop=protocol.stops(spec.effect),
         )
 
 
@@ -182,7 +177,7 @@ def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
     """After each class of fault, in each kind of motion, the next valid instruction works."""
     for name, step in one_of_each(protocol).items():
         for spec in movers(protocol):
-            setup = setups.next(spec.effect.motion)
+            setup = setups.next(protocol.car.motion(spec.effect))
             then = fitted(protocol, spec, setup)
             case = _faulty(protocol, setup, step)
             _, words = case.requirement.split(":", 1)

@@ -10,8 +10,8 @@ from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks
 from bilprov.conformance.cases.steps import FrameClass, Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, moving_to, setting
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 _LENGTH = 64  # bursts of a sequence
 _ROW, _ROWS = 150, 4  # instructions sent at once: more than a ring of 128 bytes holds
@@ -21,11 +21,11 @@ def data_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
     """Every value of every setting while the robot moves, in each kind of motion."""
     for motion in moving_motions(protocol):
         for spec in protocol.instructions:
-            if spec.effect.sets("motion") or not spec.fields:
+            if spec.effect.sets(protocol.car.by) or not spec.fields:
                 continue
             bursts = [Burst((step,)) for step in frames_of(protocol, spec.name)]
-            what = f"{spec.name} takes every value while the robot moves ({motion.value})"
-            name = f"sequence/data/{spec.name}-{motion.value}"
+            what = f"{spec.name} takes every value while the robot moves ({motion})"
+            name = f"sequence/data/{spec.name}-{motion}"
             yield from _sequences(protocol, name, what, motion, bursts)
 
 
@@ -37,24 +37,26 @@ def bad_data_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
             bad = frames_of(protocol, FrameClass.BAD_DATA)
             steps = [s for s in bad if protocol.headers[s.frame[0]][0] == spec.id]
             if steps:
-                what = f"{spec.name} refuses what is out of range, and stops ({motion.value})"
-                name = f"sequence/bad-data/{spec.name}-{motion.value}"
+                what = f"{spec.name} refuses what is out of range, and stops ({motion})"
+                name = f"sequence/bad-data/{spec.name}-{motion}"
                 yield from _sequences(protocol, name, what, motion, list(_driven(go, steps)))
 
 
 def header_sweep(protocol: Protocol) -> Iterator[SequenceCase]:
     """Every header with all the data it announces, filled in three ways, while the robot moves."""
     motions = moving_motions(protocol)
-    frame = setting(protocol, "speed", _speed(protocol))
+    frame = setting(protocol, protocol.car.speed, _speed(protocol))
     again = step_of(protocol, frame) if frame else None
     for turn in range(FILLS):
         for number, headers in enumerate(chunks(enumerate(protocol.headers), 32)):
-            motion = motions[(turn + number) % len(motions)] if motions else Motion.STOPPED
+            motion = motions[(turn + number) % len(motions)] if motions else protocol.car.still
             go = _moving(protocol, motion)
             steps = [framed(protocol, i, n, fill(protocol, n, turn)) for _, (i, n) in headers]
             what = "every header with the data it announces gets its answer, and stops if faulty"
             name = f"sequence/headers/{headers[0][0]:02x}-{turn + 1}"
-            yield _sequence(protocol, name, what, motion, list(_driven(go, steps, again)))
+            yield _sequence(
+                protocol, name, what, motion, list(_driven(go, steps, again, protocol.car.speed))
+            )
 
 
 def dense(protocol: Protocol) -> SequenceCase:
@@ -62,14 +64,14 @@ def dense(protocol: Protocol) -> SequenceCase:
     steps = cycle(framed(protocol, s.id, 0, b"") for s in protocol.instructions if not s.length)
     bursts = [Burst(tuple(islice(steps, _ROW))) for _ in range(_ROWS)]
     what = f"{_ROW} instructions sent at once, each as short as its answer, are all answered"
-    return _sequence(protocol, "pipelined/dense", what, Motion.STOPPED, bursts)
+    return _sequence(protocol, "pipelined/dense", what, protocol.car.still, bursts)
 
 
 def faults_in_a_row(protocol: Protocol, seed: int, count: int) -> SequenceCase:
     """A sequence of `count` faults, each sent while the robot moves; each must stop it."""
     what = f"{count} faults in a row stop it each time"
     bursts = list(_faults(protocol, seed, count))
-    return _sequence(protocol, "sequence/faults-in-a-row", what, Motion.STOPPED, bursts)
+    return _sequence(protocol, "sequence/faults-in-a-row", what, protocol.car.still, bursts)
 
 
 def faults_alone(protocol: Protocol, seed: int, count: int) -> SequenceCase:
@@ -79,7 +81,7 @@ def faults_alone(protocol: Protocol, seed: int, count: int) -> SequenceCase:
     bursts = [Burst((inputs.next(kinds[index % len(kinds)]),)) for index in range(count)]
     bursts += [Burst((inputs.next(kind),)) for kind in inputs.movers]
     what = f"{count} faults with nothing valid between them are answered, and change nothing else"
-    return _sequence(protocol, "sequence/faults-alone", what, Motion.STOPPED, bursts)
+    return _sequence(protocol, "sequence/faults-alone", what, protocol.car.still, bursts)
 
 
 def soak(protocol: Protocol, seed: int, count: int) -> Iterator[SequenceCase]:
@@ -90,7 +92,7 @@ def soak(protocol: Protocol, seed: int, count: int) -> Iterator[SequenceCase]:
     for number, sequence in enumerate(chunks(chunks(pairs, most // 2), _LENGTH)):
         bursts = [Burst(tuple(s for pair in chunk for s in pair)) for chunk in sequence]
         what = f"{count} faults and as many valid frames change nothing"
-        yield _sequence(protocol, f"pipelined/soak/{number:04}", what, Motion.STOPPED, bursts)
+        yield _sequence(protocol, f"pipelined/soak/{number:04}", what, protocol.car.still, bursts)
 
 
 def _faults(protocol: Protocol, seed: int, count: int) -> Iterator[Burst]:
@@ -102,43 +104,49 @@ def _faults(protocol: Protocol, seed: int, count: int) -> Iterator[Burst]:
         yield Burst((inputs.next(kinds[index % len(kinds)]),))
 
 
-def _driven(go: Step, steps: Sequence[Step], again: Step | None = None) -> Iterator[Burst]:
+def _driven(
+    go: Step, steps: Sequence[Step], again: Step | None = None, speed: str = ""
+) -> Iterator[Burst]:
     """Each step in a burst after one with the motion `go`; the robot is observed after the step.
 
-    `again` sets the speed anew after a step that has set another, which may be 0.
+    `again` sets the `speed` anew after a step that has set another, which may be 0.
     """
     for step in steps:
         yield Burst((go,), looks=False)
         yield Burst((step,))
-        if again and step.frame_effect.effect and step.frame_effect.effect.sets("speed"):
+        if again and step.frame_effect.effect and step.frame_effect.effect.sets(speed):
             yield Burst((again,), looks=False)
 
 
-def _moving(protocol: Protocol, motion: Motion) -> Step:
+def _moving(protocol: Protocol, motion: str) -> Step:
     """The frame that sets a robot into a motion, the stop for the motion `stopped`."""
-    frame = moving_to(protocol, protocol.state(motion=motion, speed=_speed(protocol))) or bytes(
-        [protocol.pad_byte]
-    )
-    return step_of(protocol, frame)
+    frame = moving_to(protocol, _state(protocol, motion))
+    return step_of(protocol, frame or bytes([protocol.pad_byte]))
+
+
+def _state(protocol: Protocol, motion: str) -> State:
+    """A state in this motion, fast and straight on, with every light."""
+    car = protocol.car
+    lights = {name: protocol.limits.get(name, (0, 0))[1] for name in protocol.lights}
+    driving = {car.by: motion, car.speed: _speed(protocol), car.steering: 0}
+    return protocol.state(**driving, **lights)
 
 
 def _speed(protocol: Protocol) -> int:
     """A speed high enough for every effect on the wheels to be observed."""
-    _, fast = protocol.limits.get("speed", (0, 0))
+    fast = protocol.speeds[1]
     return fast - fast // 8
 
 
 def _sequences(
-    protocol: Protocol, name: str, what: str, motion: Motion, bursts: Sequence[Burst]
+    protocol: Protocol, name: str, what: str, motion: str, bursts: Sequence[Burst]
 ) -> Iterator[SequenceCase]:
     for number, some in enumerate(chunks(bursts, _LENGTH)):
         yield _sequence(protocol, f"{name}/{number + 1}", what, motion, some)
 
 
 def _sequence(
-    protocol: Protocol, name: str, what: str, motion: Motion, bursts: Sequence[Burst]
+    protocol: Protocol, name: str, what: str, motion: str, bursts: Sequence[Burst]
 ) -> SequenceCase:
-    _, led = protocol.limits.get("led", (0, 0))
-    state = protocol.state(motion=motion, speed=_speed(protocol), steering=0, led=led)
-    setup = steps_to(protocol, state)
+    setup = steps_to(protocol, _state(protocol, motion))
     return SequenceCase(name, protocol.clauses.instructions, what, setup, tuple(bursts))

@@ -14,7 +14,6 @@ from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.preamble import state_after, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
@@ -40,10 +39,7 @@ class Tours:
         self._draw = random.Random(f"tours {seed}")
         self._inputs = Inputs(protocol, seed)
         self._met: dict[tuple[object, ...], set[str]] = {}  # the kinds met in each context
-        limits = protocol.limits
-        self._fast = limits.get("speed", (0, 0))[1]
-        self._leds = limits.get("led", (0, 0))
-        self._steers = limits.get("steering", (0, 0))
+        self._fast = protocol.speeds[1]
 
     def waited(self, name: str, number: int, bursts: int = _LENGTH, cuts: int = 1) -> SequenceCase:
         """A sequence that waits for each frame's answer; `cuts` of the frames are truncated."""
@@ -97,14 +93,12 @@ class Tours:
 
     def _begin(self) -> tuple[tuple[Step, ...], _Where]:
         """A preamble that sets the whole state and makes the robot drive, and where it leads."""
-        protocol = self._protocol
-        motions = [s.effect.motion for s in protocol.instructions if s.name in self._inputs.movers]
-        state = protocol.state(
-            motion=self._draw.choice([m for m in motions if m] or [Motion.STOPPED]),
-            speed=self._draw.randint(self._fast // 2, self._fast),
-            steering=0,
-            led=self._draw.randint(*self._leds),
-        )
+        protocol, car, draw = self._protocol, self._protocol.car, self._draw
+        movers = [s for s in protocol.instructions if s.name in self._inputs.movers]
+        motion = draw.choice([m for s in movers if (m := car.motion(s.effect))] or [car.still])
+        speed = draw.randint(self._fast // 2, self._fast)
+        lights = {n: draw.randint(*protocol.limits.get(n, (0, 0))) for n in protocol.lights}
+        state = protocol.state(**{car.by: motion, car.speed: speed, car.steering: 0, **lights})
         return steps_to(protocol, state), _Where(state)
 
     def _next(self, where: _Where) -> Step:
@@ -124,8 +118,9 @@ class Tours:
         if not where.state.moving and draw.random() < 0.5:
             # Standing still hides most faults.
             by_name = self._protocol.by_name
-            speeds = [k for k in inputs.settings if by_name[k].effect.sets("speed")]
-            if not where.state.speed and speeds:
+            car = self._protocol.car
+            speeds = [k for k in inputs.settings if by_name[k].effect.sets(car.speed)]
+            if not car.drive(where.state).speed and speeds:
                 return draw.choice(speeds)
             if inputs.movers:
                 return draw.choice(inputs.movers)
@@ -141,17 +136,17 @@ class Tours:
 
     def _kinds_met(self, where: _Where) -> list[set[str]]:
         """The kinds of frames met so far in each context of this position."""
-        state = where.state
-        motion, moving = state.motion, state.moving
-        side = (state.steering > 0) - (state.steering < 0)
+        motion, speed, steering = self._protocol.car.drive(where.state)
+        side = (steering > 0) - (steering < 0)
+        lights = tuple(getattr(where.state, name) for name in self._protocol.lights)
         contexts = (
-            (0, motion, moving),
+            (0, motion, where.state.moving),
             (1, where.last),
             (2, where.last, motion),
             (3, side, motion),
-            (4, state.led),
+            (4, lights),
             (5, where.last, where.before),
-            (6, state.led, motion),
-            (7, 2 * state.speed > self._fast, side),
+            (6, lights, motion),
+            (7, 2 * speed > self._fast, side),
         )
         return [self._met.setdefault(context, set()) for context in contexts]

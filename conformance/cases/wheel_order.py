@@ -5,21 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.oracle.state_model import NOTHING
 from bilprov.conformance.oracle.wheel_order import READING
 from bilprov.spec.by_effect import movers, setting
 from bilprov.spec.codec import build
-from bilprov.spec.motion import Moment, moment_of
+from bilprov.spec.motion import Moment
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.state import State
 
 # Of the greatest value: whichever of them is halved is less than the one before it.
 _SIXTEENTHS = (2, 3, 4, 6, 8, 12, 16)
-_WHAT = {
-    "steering": "the wheels never differ less at a stronger steering",
-    "speed": "no wheel is slower at a higher speed, and half speed is slower than full",
-}
+_STEERING = "the wheels never differ less at a stronger steering"
+_SPEED = "no wheel is slower at a higher speed, and half speed is slower than full"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,29 +44,32 @@ def wheel_orders(protocol: Protocol) -> tuple[OrderCase, ...]:
 
     Steering comes first: it shows whether a probe tells graded speeds at all.
     """
-    short = (spec for spec in movers(protocol) if not spec.fields)
-    drive = next((s for s in short if moment_of(s.effect) is Moment.DRIVE), None)
-    speeds = [value for value, _ in _settings(protocol, "speed", protocol.power_on)]
+    car, short = protocol.car, (spec for spec in movers(protocol) if not spec.fields)
+    drive = next((s for s in short if car.moment(s.effect) is Moment.DRIVE), None)
+    speeds = [value for value, _ in _settings(protocol, car.speed, protocol.power_on)]
     if drive is None or len(speeds) < 2:
         return ()
     # At the lowest that moves it the wheels need not slow down before they are looked at.
     slow, fast = (next(filter(None, values)) for values in (speeds, reversed(speeds)))
-    beginnings = (("steering", fast), ("speed", slow))
-    cases = (_case(protocol, drive, variable, speed) for variable, speed in beginnings)
+    cases = (
+        _case(protocol, drive, car.steering, _STEERING, fast),
+        _case(protocol, drive, car.speed, _SPEED, slow),
+    )
     return tuple(case for case in cases if len(case.settings) > 1)
 
 
-def _case(protocol: Protocol, drive: InstructionSpec, variable: str, speed: int) -> OrderCase:
+def _case(
+    protocol: Protocol, drive: InstructionSpec, variable: str, requirement: str, speed: int
+) -> OrderCase:
     """The case about a variable of a robot that is set to this speed first."""
-    assert drive.effect.motion is not None
-    setup = protocol.state(motion=drive.effect.motion, speed=speed)
+    setup = in_motion(protocol, protocol.car.motion(drive.effect), speed)
     settings = _settings(protocol, variable, setup)
     clause, last = protocol.clauses.instructions, settings[-1][1] if settings else b""
     step = Step(last, FrameClass.VALID, (), NOTHING, clause, reading=READING)
     return OrderCase.of(
         step,
         id=f"wheels/{variable}",
-        requirement=_WHAT[variable],
+        requirement=requirement,
         setup=setup,
         expected=setup,
         stop=False,

@@ -23,13 +23,15 @@ from bilprov.conformance.causes.trace import (
     Sent,
     Silent,
 )
-from bilprov.conformance.oracle.judge import MOVING, differences
+from bilprov.conformance.oracle.judge import differences, facets_of_motion
 from bilprov.conformance.oracle.sight import facets_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.spec.codec import Judgement, judge
-from bilprov.spec.motion import VARIABLES, Motion, visible_motion
+from bilprov.spec.motion import Wheels, visible_motion
 
 ANSWER, MOTION = "answer", "motion"
+"""The facets besides the values that are set; no variable has these names but the kind of motion.
+"""
 
 
 class Deviation(NamedTuple):
@@ -117,7 +119,8 @@ class Exchange:
     def sets(self, facet: str) -> bool:
         """Return whether it is an instruction that sets this variable of the state."""
         effect = self.step.frame_effect.effect
-        return effect is not None and effect.sets(facet)
+        name = self.before.state.wheels.by if facet == MOTION else facet
+        return effect is not None and effect.sets(name)
 
 
 class Bag(NamedTuple):
@@ -125,6 +128,12 @@ class Bag(NamedTuple):
 
     deviation: Deviation
     exchanges: tuple[Exchange, ...]
+
+    @property
+    def still(self) -> str:
+        """The kind of motion of a device that stands still."""
+        word: str = self.exchanges[0].before.state.wheels.still
+        return word
 
 
 class Timing(NamedTuple):
@@ -141,7 +150,8 @@ class Exchanges:
     def __init__(self, model: Model, events: Iterable[Event], timing: Timing) -> None:
         self.all: list[Exchange] = []
         self.bags: list[Bag] = []
-        self._model = model
+        self._model, self._car = model, model.protocol.car
+        self._of_motion = facets_of_motion(model.protocol)
         self.timing = timing
         self._timeout, self._byte_time, self._longest = timing
         self._stop_longest = int(model.protocol.timing.stop_longest * MS)
@@ -281,7 +291,9 @@ class Exchanges:
             self._expected = self._model.after(self._expected, exchange.step.frame_effect)
             exchange.after, exchange.last_seen = self._expected, self._last_seen
             if guilty:
-                self._expected = replace(self._expected, unknown=frozenset(VARIABLES))
+                self._expected = replace(
+                    self._expected, unknown=frozenset(self._model.protocol.variables)
+                )
             if exchange is burst[-1] or not _repeats(exchange):
                 self.all.append(exchange)
         if guilty and len(burst) > 1:
@@ -348,14 +360,15 @@ class Exchanges:
         guilty: Exchange | None,
     ) -> None:
         since = max(burst[-1].end, answers[-1][0] if answers else 0)
-        facets = _shown(looks[-1][1])
+        facets = self._shown(looks[-1][1])
+        speed = self._car.drive(self._expected.state).speed
         different = {id(look): look for _, look in looks}  # the trace keeps equal ones once
         deviating = {key: self._deviating(look) for key, look in different.items()}
         found = [deviating[id(look)] for _, look in looks]
         burst[-1].watched = looks[-1][0] - since
         for facet in sorted(facets - self._unknown_facets()):
             wrong = [facet in deviating for deviating in found]
-            if facet == MOTION and not any(wrong) and not self._expected.state.speed:
+            if facet == MOTION and not any(wrong) and not speed:
                 continue  # no motion shows at speed 0
             candidates = (guilty,) if guilty else self._visible(facet, burst)
             for exchange in candidates:
@@ -387,45 +400,55 @@ class Exchanges:
 
     def _unknown_facets(self) -> set[str]:
         unknown = set(self._expected.unknown)
-        return unknown | ({MOTION} if unknown & {"speed", "motion", "curve"} else set())
+        hides = unknown & {self._car.speed, self._car.by, "curve"}
+        return unknown | ({MOTION} if hides else set())
+
+    def _shown(self, look: Look) -> set[str]:
+        facets = facets_of(self._model.protocol, look) - {*self._of_motion}
+        return facets | ({MOTION} if look.moving is not None else set())
 
     def _deviating(self, look: Look) -> dict[str, tuple[int | str, int | str]]:
         """The facets of a look that deviate, with what was expected and what was seen."""
         found: dict[str, tuple[int | str, int | str]] = {}
         for name, wanted, seen in differences(self._model, self._expected, look):
-            if name not in MOVING:
+            if name not in self._of_motion:
                 found[name] = wanted, seen  # type: ignore[assignment]
         # The wheels are held to the settings that the probe reports, right or wrong.
-        own = {name: getattr(look, name) for name in ("speed", "steering") if name in found}
+        own = {
+            name: getattr(look, name)
+            for name in (self._car.speed, self._car.steering)
+            if name in found
+        }
         reported = replace(self._expected, state=self._expected.state.but(**own))
-        if any(name in MOVING for name, _, _ in differences(self._model, reported, look)):
-            found[MOTION] = visible_motion(reported.state).value, seen_motion(look)
+        if any(name in self._of_motion for name, _, _ in differences(self._model, reported, look)):
+            found[MOTION] = visible_motion(reported.state), seen_motion(self._car, look)
         return found
 
     def _may_show_in(self, exchange: Exchange) -> None:
         """Keep a frame as one that the next look may show; what it sets hides earlier frames."""
         effect = exchange.step.frame_effect.effect or self._model.protocol.on_fault
-        for facet in VARIABLES:
-            if effect.sets(facet):
+        for name in self._model.protocol.variables:
+            facet = MOTION if name == self._car.by else name
+            if effect.sets(name):
                 self._unseen[facet] = []
             self._unseen.setdefault(facet, []).append(exchange)
 
     def _resynchronise(self, look: Look) -> None:
         """Go on from what was seen, so that a deviation is not counted again later."""
         self._last_seen = look
-        state = self._expected.state
+        state, car = self._expected.state, self._car
         values = {
             name: getattr(look, name)
-            for name in ("speed", "steering", "led")
+            for name in self._model.protocol.settings
             if getattr(look, name) is not None
         }
-        unknown = self._expected.unknown - values.keys()
-        if look.moving and look.motion:
-            values["motion"], unknown = Motion(look.motion), unknown - {"motion"}
-        elif look.moving is False and (state.moving or "motion" in unknown):
-            values["motion"], unknown = Motion.STOPPED, unknown - {"motion"}
+        unknown, motion = self._expected.unknown - values.keys(), car.drive(look).motion
+        if look.moving and motion:
+            values[car.by], unknown = motion, unknown - {car.by}
+        elif look.moving is False and (state.moving or car.by in unknown):
+            values[car.by], unknown = car.still, unknown - {car.by}
         pending = self._expected.pending_speed
-        if values.get("speed") == pending:
+        if values.get(car.speed) == pending:
             pending = None
         self._expected = ExpectedState(state.but(**values), unknown, pending)
 
@@ -444,18 +467,14 @@ def _repeats(exchange: Exchange) -> bool:
 def value_of(facet: str, expected: ExpectedState) -> int | str | None:
     """Return the value of a facet in a state, None where it is not known."""
     if facet == MOTION:
-        unknown = expected.unknown & {"motion", "speed"}
-        return None if unknown else visible_motion(expected.state).value
+        car = expected.state.wheels
+        unknown = expected.unknown & {car.by, car.speed}
+        return None if unknown else visible_motion(expected.state)
     return None if facet in expected.unknown else getattr(expected.state, facet)
 
 
-def _shown(look: Look) -> set[str]:
-    facets = facets_of(look)
-    return (facets - set(MOVING)) | ({MOTION} if look.moving is not None else set())
-
-
-def seen_motion(look: Look) -> str:
+def seen_motion(car: Wheels, look: Look) -> str:
     """Return the motion that a look shows."""
     if not look.moving:
-        return "stopped"
-    return look.motion or "moving"
+        return car.still
+    return car.drive(look).motion or "moving"

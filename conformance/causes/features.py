@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.causes.exchanges import Exchange
-from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol
 
 Value = str | int | None
@@ -38,7 +37,7 @@ def features(protocol: Protocol) -> tuple[Feature, ...]:
     return (
         *_of_frames(protocol),
         *_of_data(protocol),
-        *_of_states(),
+        *_of_states(protocol),
         *_of_delivery(),
         *_of_history(protocol),
     )
@@ -101,9 +100,9 @@ def _repeats(exchange: Exchange) -> str | None:
     return "the same frame again" if same else "another frame than before"
 
 
-def _of_states() -> Iterator[Feature]:
-    for name in VARIABLES:
-        bits = 0 if name == "motion" else 8
+def _of_states(protocol: Protocol) -> Iterator[Feature]:
+    for name, spec in protocol.variables.items():
+        bits = 0 if spec.words else 8
         yield Feature(f"{name} before", _before(name), f"while {name} is {{}}", 2, bits)
     yield Feature("moving before", _moved, "while it {}", 2)
 
@@ -117,7 +116,8 @@ def _before(name: str) -> Of:
 
 
 def _moved(exchange: Exchange) -> str | None:
-    if exchange.before.unknown & {"motion", "speed"}:
+    car = exchange.before.state.wheels
+    if exchange.before.unknown & {car.by, car.speed}:
         return None
     return "moves" if exchange.before.state.moving else "stands"
 

@@ -95,7 +95,7 @@ class Effect:
     def keeps_moving(self) -> bool:
         """Whether the device moves where it must stand: what matters most."""
         return self.relation.facet == MOTION and any(
-            bag.deviation.expected == "stopped" and bag.deviation.seen != "stopped"
+            bag.deviation.expected == bag.still and bag.deviation.seen != bag.still
             for bag in self.bags
         )
 
@@ -178,7 +178,8 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
         look = exchange.last_seen
         if look is None:
             return before(exchange)
-        return seen_motion(look) if facet == MOTION else getattr(look, facet)
+        car = exchange.before.state.wheels
+        return seen_motion(car, look) if facet == MOTION else getattr(look, facet)
 
     found = [
         Relation(facet, how, "stays as it was", before),
@@ -231,9 +232,10 @@ def _moving_as(motion: Value) -> Predict:
     """Predict a motion wherever the speed lets one be seen."""
 
     def predict(exchange: Exchange) -> Value:
-        if "speed" in exchange.after.unknown:
+        car = exchange.after.state.wheels
+        if car.speed in exchange.after.unknown:
             return None
-        return motion if exchange.after.state.speed else "stopped"
+        return motion if car.drive(exchange.after.state).speed else car.still
 
     return predict
 

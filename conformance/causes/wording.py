@@ -65,7 +65,7 @@ def _effect(protocol: Protocol, effect: Effect) -> str:
     if relation.facet == MOTION:
         expected = {bag.deviation.expected for bag in effect.bags}
         if relation.how == "late":
-            return "stops late" if expected == {"stopped"} else "moves late"
+            return "stops late" if expected == {effect.bags[0].still} else "moves late"
         if effect.keeps_moving:
             return "moves again by itself" if late else "does not stop"
         seen = {str(bag.deviation.seen) for bag in effect.bags}

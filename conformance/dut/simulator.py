@@ -16,7 +16,7 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.dut.fault import CONFORMING, Event, Fault, Reaction
 from bilprov.spec.codec import Judgement, judge
-from bilprov.spec.motion import visible_motion, wheels
+from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
@@ -54,7 +54,6 @@ class Simulator:
         self.latency = latency
         self.byte_time = line_settings(protocol).byte_time
         self.step = conforming_step(protocol)
-        self._full_steering = max(abs(end) for end in protocol.limits.get("steering", (0, 0)))
         self._lengths: Sequence[int] = self.fault.lengths or protocol.lengths
         usual = int(protocol.timing.truncation_timeout * MS)
         timeout = usual if isinstance(self.fault.timeout, str) else self.fault.timeout
@@ -129,17 +128,11 @@ class Simulator:
     def look(self, now: int) -> Look:
         """What the wheels and the LED do at `now`."""
         self._settle(now)
-        left, right = wheels(self.state, self._full_steering)
-        seen = Look(
-            t=now,
-            moving=self.state.moving,
-            motion=visible_motion(self.state).value,
-            speed=self.state.speed,
-            steering=self.state.steering,
-            led=self.state.led,
-            left=left,
-            right=right,
-        )
+        protocol, state = self.protocol, self.state
+        values = {name: getattr(state, name) for name in protocol.settings}
+        values[protocol.car.by] = visible_motion(state)
+        left, right = protocol.car.wheels(state, protocol.full_steering)
+        seen = Look(t=now, moving=state.moving, left=left, right=right, **values)
         return self.fault.show(seen) if self.fault.show else seen
 
     def probe(self, now: int) -> bytes:

@@ -9,7 +9,6 @@ from bilprov.conformance.cases.frame_source import fill
 from bilprov.conformance.cases.steps import Step, framed, frames_of, open_frames
 from bilprov.spec.by_effect import frames_to
 from bilprov.spec.codec import bad_data, judge, spaced
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 
@@ -63,4 +62,4 @@ def reset(protocol: Protocol) -> tuple[bytes, ...]:
     That is the value nearest to zero. Homing keeps what a stop keeps.
     """
     rest = {name: max(low, min(0, high)) for name, (low, high) in protocol.limits.items()}
-    return frames_to(protocol, protocol.state(motion=Motion.STOPPED, **rest))
+    return frames_to(protocol, protocol.state(**{protocol.car.by: protocol.car.still}, **rest))

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from bilprov.analyzer.client.link import Link, drive
 from bilprov.analyzer.client.operations import Procedure, send
 from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
 from bilprov.conformance.learning.learner import Difference, Learner
-from bilprov.conformance.learning.output import FACETS, Output
+from bilprov.conformance.learning.output import FACETS, Output, facet_words
 from bilprov.conformance.learning.reference import reference_machine, seen_without
 from bilprov.conformance.learning.system import NotLearned, System
 from bilprov.conformance.machines.mealy import Mealy, minimal
@@ -159,8 +160,7 @@ def _measure_stop(run: Run) -> Procedure[None]:
     if not (run.config.observable and run.profile.moves):
         return
     fault = next(step for step in alphabet(run.protocol) if step.faulty and not step.truncated)
-    _, fast = run.protocol.limits.get("speed", (0, 0))
-    yield from set_up(run, run.protocol.state(motion=min(run.profile.moves), speed=fast))
+    yield from set_up(run, in_motion(run.protocol, min(run.profile.moves)))
     yield from send(fault.frame)
     heard = yield from run.waiting.answers(1)
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
@@ -194,7 +194,8 @@ def _learn(
         learned.differences, learned.more = tuple(learner.differences), learner.more
         outputs = [output for row in machine.outputs for output in row]
         hidden = {one for one in FACETS if all(getattr(o, one) is None for o in outputs)}
-        learned.seen = tuple(words for facet, words in FACETS.items() if facet not in hidden)
+        told = (facet for facet in FACETS if facet not in hidden)
+        learned.seen = tuple(facet_words(run.protocol, facet) for facet in told)
         learned.expected_states = len(minimal(seen_without(reference, hidden)))
     finally:
         if learned.machine is None and system.deviation:

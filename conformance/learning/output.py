@@ -7,26 +7,32 @@ from typing import NamedTuple
 
 from bilprov.captures.schemas import Look
 from bilprov.conformance.oracle.wording import answer_words
-from bilprov.spec.motion import WHEELS, Motion
+from bilprov.spec.motion import Wheels
 from bilprov.spec.protocol import Protocol
 
-FACETS = {"moving": "whether it moves", "motion": "its motion", "ahead": "its wheels", "led": "led"}
-"""What a look can show, by the facet of an output, in words."""
-_MOTIONS = {signs: motion.value for motion, signs in WHEELS.items()}
+FACETS = ("moving", "motion", "ahead", "lights")
+"""What a look can show, each a facet of an output."""
+
+
+def facet_words(protocol: Protocol, facet: str) -> str:
+    """What a facet tells, in words."""
+    known = {"moving": "whether it moves", "motion": "its motion", "ahead": "its wheels"}
+    return known.get(facet, " and ".join(protocol.lights))
 
 
 class Output(NamedTuple):
     """Answer codes, and the facets of a look; None is what is not seen or, if expected, not known.
 
     `motion` is the kind of motion, `ahead` the wheel that turns faster in a drive (`left`, `right`,
-    or `alike`): no mixing law is given, so speeds count by sign and order only.
+    or `alike`): no mixing law is given, so speeds count by sign and order only. `lights` are the
+    values that do not change how it drives, by name.
     """
 
     codes: tuple[int, ...]
     moving: bool | None = None
     motion: str | None = None
     ahead: str | None = None
-    led: int | None = None
+    lights: tuple[tuple[str, int], ...] | None = None
 
     def fits(self, other: Output) -> bool:
         """Whether both are equal in their answers and in every facet that both have."""
@@ -45,43 +51,48 @@ class Output(NamedTuple):
         """The kind of motion, else whether it moves: `forward`, `moving`; "" where not seen."""
         if self.motion or self.moving is None:
             return self.motion or ""
-        return "moving" if self.moving else Motion.STOPPED.value
+        return "moving" if self.moving else "stopped"
 
     @property
     def look_words(self) -> str:
         """The look in few words: `forward, left wheel ahead, led 7`; "" where nothing is seen."""
         ahead = f"{self.ahead} wheel ahead" if self.ahead in ("left", "right") else ""
-        led = "" if self.led is None else f"led {self.led}"
-        return ", ".join(filter(None, (self.motion_words, ahead, led)))
+        lights = (f"{name} {value}" for name, value in self.lights or ())
+        return ", ".join(filter(None, (self.motion_words, ahead, *lights)))
 
     def words(self, protocol: Protocol) -> str:
         """The whole output in words: `00 OK; forward, led 0`."""
         return "; ".join(filter(None, (answer_words(protocol, self.codes), self.look_words)))
 
 
-def output_of(codes: tuple[int, ...], look: Look | None) -> Output:
+def output_of(protocol: Protocol, codes: tuple[int, ...], look: Look | None) -> Output:
     """The output for these answers and this look; None where the robot was not looked at."""
     if look is None:
         return Output(codes)
     # A probe may name the direction that is set although speed 0 keeps the wheels still.
-    still = look.moving is False and look.motion is not None
-    motion, ahead = Motion.STOPPED.value if still else look.motion, None
+    car = protocol.car
+    motion, ahead = car.drive(look).motion, None
+    if look.moving is False and motion is not None:
+        motion = car.still
     if look.left is not None and look.right is not None:
-        turning, ahead = _turning(look.left, look.right)
+        turning, ahead = _turning(car, look.left, look.right)
         motion = turning if motion in (None, turning) else f"{motion}, by its wheels {turning}"
-    return Output(codes, look.moving, motion, ahead, look.led)
+    lights = ((name, getattr(look, name)) for name in protocol.lights)
+    shown = tuple((name, value) for name, value in lights if value is not None)
+    return Output(codes, look.moving, motion, ahead, shown or None)
 
 
-def _turning(left: int, right: int) -> tuple[str, str | None]:
+def _turning(car: Wheels, left: int, right: int) -> tuple[str, str | None]:
     """The kind of motion that the wheels' speeds show, and in a drive the wheel that is ahead."""
+    motions = {both: motion for motion, both in car.turns.items()}
     slow, fast = sorted((abs(left), abs(right)))
     if not fast:
-        return Motion.STOPPED.value, None
+        return car.still, None
+    turning, onward = (_sign(left), _sign(right)), (_sign(left + right),) * 2
     if left * right < 0 and 2 * slow >= fast:
-        return _MOTIONS[_sign(left), _sign(right)], None
-    onward = _sign(left + right)
+        return motions.get(turning, "moving"), None
     ahead = "alike" if slow == fast else "left" if abs(left) == fast else "right"
-    return _MOTIONS[onward, onward], ahead
+    return motions.get(onward, "moving"), ahead
 
 
 def _sign(value: int) -> int:

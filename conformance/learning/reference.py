@@ -14,18 +14,19 @@ from bilprov.conformance.machines.mealy import Mealy, explore, minimal
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.conformance.oracle.timers import timers_of
-from bilprov.spec.motion import visible_motion, wheels
+from bilprov.spec.motion import visible_motion
+from bilprov.spec.protocol import Protocol
 
 _OPENING = 10.0  # s for the link check, measurements and experiments
 _LATENCY = MS // 2  # of an answer, and of a look
 _ASKED, _LENGTH = 2.5, 5  # sequences that learning takes for each transition, and their inputs
-_SHOWS = {
-    "speed": ("moving", "motion", "ahead"),
-    "motion": ("motion", "ahead"),
-    "steering": ("ahead",),
-    "led": ("led",),
-}
-"""The facets that depend on each variable; a robot that stands still shows no speed."""
+
+
+def _shows(protocol: Protocol, variable: str) -> tuple[str, ...]:
+    """The facets that depend on a variable; a robot that stands still shows no speed."""
+    car = protocol.car
+    depend = {car.speed: ("moving", "motion", "ahead"), car.by: ("motion", "ahead")}
+    return {**depend, car.steering: ("ahead",)}.get(variable, ("lights",))
 
 
 def reference_machine(model: Model, steps: Sequence[Step]) -> Mealy[Output]:
@@ -79,11 +80,11 @@ def estimated_seconds(target: Target) -> float:
 def _expected(model: Model, step: Step, after: ExpectedState) -> Output:
     word = model.choices.word(step.point) if step.point else ""
     accepted = next((one for one in step.accepted if one.word == word), step.accepted[0])
-    state = after.state
-    full = max(abs(end) for end in model.protocol.limits.get("steering", (0, 0)))
-    left, right = wheels(state, full)
-    motion = visible_motion(state).value
-    look = Look(t=0, moving=state.moving, motion=motion, led=state.led, left=left, right=right)
-    unknown = after.unknown - {"speed"} if after.still else after.unknown
-    hidden = (facet for variable in unknown for facet in _SHOWS[variable])
-    return output_of(accepted.codes, look).without(hidden)
+    state, protocol = after.state, model.protocol
+    left, right = protocol.car.wheels(state, protocol.full_steering)
+    values = {name: getattr(state, name) for name in protocol.lights}
+    values[protocol.car.by] = visible_motion(state)
+    look = Look(t=0, moving=state.moving, left=left, right=right, **values)
+    unknown = after.unknown - {protocol.car.speed} if after.still else after.unknown
+    hidden = (facet for variable in unknown for facet in _shows(protocol, variable))
+    return output_of(protocol, accepted.codes, look).without(hidden)

@@ -111,8 +111,8 @@ class System:
             expected = output if in_step else None
             codes = yield from self._exchange(self.steps[letter], expected)
             got.append((yield from self._seen(codes, got[-1] if got else None, expected)))
-            effect, late = self.steps[letter].frame_effect, self.run.profile.stop_latency
-            if late and (effect.effect is None or effect.stops):
+            effect, late = self.steps[letter].frame_effect.effect, self.run.profile.stop_latency
+            if late and self.run.protocol.stops(effect or self.run.protocol.on_fault):
                 # A frame that comes before it has stopped may find it moving.
                 heard = yield from listen(None, 2 * late)
                 got[-1] = got[-1]._replace(codes=got[-1].codes + heard.codes)
@@ -167,13 +167,13 @@ class System:
         """
         run = self.run
         if not run.config.observable:
-            return output_of(codes, None)
+            return output_of(run.protocol, codes, None)
         patience = run.timers.grace if expected is None else run.timers.deadline
         start: int | None = None
         while True:
             seen = yield from observe()
             start = seen.asked if start is None else start
-            output = output_of(codes, seen.look)
+            output = output_of(run.protocol, codes, seen.look)
             if expected is None:
                 settled = before is not None and output[1:] != before[1:]
             else:

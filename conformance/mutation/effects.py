@@ -15,7 +15,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, History, MutatedDevice, React, Reaction, answers
 from bilprov.conformance.mutation.triggers import OUTCOMES, Trigger, trigger
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion
+from bilprov.spec.motion import Wheels
 from bilprov.spec.readings import POINTS, Behaviour
 
 
@@ -31,8 +31,20 @@ class At(NamedTuple):
         return EFFECTS[word](self, *arguments)
 
     def state(self, **variables: Any) -> Reaction:
-        """Return the reaction with these values of state variables."""
-        return replace(self.reaction, state=self.reaction.state.but(**variables))
+        """Return the reaction with these values of variables, named as in `Protocol.by_role`."""
+        names = self.device.protocol.by_role
+        values = {names[name]: value for name, value in variables.items()}
+        return replace(self.reaction, state=self.reaction.state.but(**values))
+
+    def value(self, variable: str, *, before: bool = False) -> Any:
+        """Return the value of a variable after the reaction, or before the frame."""
+        state = self.event.before if before else self.reaction.state
+        return getattr(state, self.device.protocol.by_role[variable])
+
+    @property
+    def car(self) -> Wheels:
+        """What the car declares."""
+        return self.device.protocol.car
 
     def code(self, outcome: Outcome) -> int:
         """Return the code of an outcome."""
@@ -183,20 +195,25 @@ def drives_on(at: At) -> Reaction:
 @effect
 def starts_driving(at: At) -> Reaction:
     """A stopped robot drives forward."""
-    stopped = at.event.before.motion == Motion.STOPPED
-    return at.state(motion=Motion.FORWARD) if stopped else at.reaction
+    stopped = at.value("motion", before=True) not in at.car.turns
+    return at.state(motion=_forward(at.car)) if stopped else at.reaction
+
+
+def _forward(car: Wheels) -> str:
+    """The kind of motion in which both wheels turn forward, else the first."""
+    return next((word for word, both in car.turns.items() if both == (1, 1)), next(iter(car.turns)))
 
 
 @effect
 def only_forward(at: At) -> Reaction:
     """A robot that moves drives forward."""
-    return at.state(motion=Motion.FORWARD) if at.reaction.state.moving else at.reaction
+    return at.state(motion=_forward(at.car)) if at.reaction.state.moving else at.reaction
 
 
 @effect
 def stands_still(at: At) -> Reaction:
     """The robot stops."""
-    return at.state(motion=Motion.STOPPED)
+    return at.state(motion=at.car.still)
 
 
 @effect
@@ -216,32 +233,32 @@ def shows_low_bits(at: At, mask: int) -> Reaction:
 @effect
 def sets(at: At, variable: str, value: Any) -> Reaction:
     """The variable has this value afterwards."""
-    return at.state(**{variable: Motion(value) if variable == "motion" else value})
+    return at.state(**{variable: value})
 
 
 @effect
 def keeps(at: At, variable: str) -> Reaction:
     """The variable stays as it was before the frame."""
-    return at.state(**{variable: getattr(at.event.before, variable)})
+    return at.state(**{variable: at.value(variable, before=True)})
 
 
 @effect
 def adds_up(at: At, variable: str, most: int) -> Reaction:
     """The value is added to the one before, up to a limit on both sides."""
-    value = getattr(at.reaction.state, variable) + getattr(at.event.before, variable)
+    value = at.value(variable) + at.value(variable, before=True)
     return at.state(**{variable: min(max(value, -most), most)})
 
 
 @effect
 def mirrors(at: At, variable: str) -> Reaction:
     """The variable gets the other sign."""
-    return at.state(**{variable: -getattr(at.reaction.state, variable)})
+    return at.state(**{variable: -at.value(variable)})
 
 
 @effect
 def signed(at: At, variable: str) -> Reaction:
     """Sizes above 127 count as negative; a speed stays positive."""
-    value = getattr(at.reaction.state, variable)
+    value = at.value(variable)
     if abs(value) > 127:
         value = (256 - abs(value)) * (-1 if value > 0 else 1)
     return at.state(**{variable: abs(value) if variable == "speed" else value})
@@ -251,7 +268,7 @@ def _resizes(size: Callable[[int, int], int]) -> Callable[[At, str, int], Reacti
     """Return the function of a word that changes a variable's size; its sign stays."""
 
     def resized(at: At, variable: str, number: int) -> Reaction:
-        value = getattr(at.reaction.state, variable)
+        value = at.value(variable)
         return at.state(**{variable: size(abs(value), number) * (-1 if value < 0 else 1)})
 
     return resized
@@ -302,7 +319,7 @@ def watchdog(at: At, milliseconds: float, *resumes: float) -> Reaction:
     """Without another frame the robot stops that much later; after `resumes` ms it drives on."""
     if not at.reaction.state.moving:
         return at.reaction
-    stopped = at.reaction.state.but(motion=Motion.STOPPED)
+    stopped = at.then("stands-still").state
     goes_on = ((_ns(time), at.reaction.state) for time in resumes)
     return replace(at.reaction, later=((_ns(milliseconds), stopped), *goes_on))
 
@@ -397,12 +414,13 @@ def restarts(at: At, acting: Trigger, settings: int = 0) -> Reaction:
     instruction that sets the motion ends the wait.
     """
     memory, event, valid = at.device.memory, at.event, at.event.judgement.valid
+    words = at.device.protocol.variables[at.car.by].words
     if not valid and event.before.moving:
-        memory["motion"] = list(Motion).index(event.before.motion)
+        memory["motion"] = words.index(at.value("motion", before=True))
         memory["settings"] = 0
         return at.reaction
     instruction = event.judgement.instruction
-    if valid and instruction and instruction.effect.sets("motion"):
+    if valid and instruction and instruction.effect.sets(at.car.by):
         memory.pop("motion", None)
     if "motion" not in memory:
         return at.reaction
@@ -410,7 +428,7 @@ def restarts(at: At, acting: Trigger, settings: int = 0) -> Reaction:
         memory["settings"] = min(memory["settings"] + 1, settings + 1)
     if not acting.holds(event, memory) or (settings and memory["settings"] != settings):
         return at.reaction
-    return at.state(motion=list(Motion)[memory.pop("motion")])
+    return at.state(motion=words[memory.pop("motion")])
 
 
 _SPEED_TO_COME = "speed to come"
@@ -422,12 +440,12 @@ def speed_at_next_motion(at: At, acting: Trigger) -> Reaction:
     memory, known = at.device.memory, at.event.judgement.instruction
     if known is None or not at.event.judgement.valid:
         return at.reaction
-    if known.effect.sets("speed") and not known.effect.sets("motion"):
+    if known.effect.sets(at.car.speed) and not known.effect.sets(at.car.by):
         memory.pop(_SPEED_TO_COME, None)
         if acting.holds(at.event, memory):
-            memory[_SPEED_TO_COME] = at.reaction.state.speed
+            memory[_SPEED_TO_COME] = at.value("speed")
             return at.then("keeps", "speed")
-    elif _SPEED_TO_COME in memory and known.effect.motion not in (None, Motion.STOPPED):
+    elif _SPEED_TO_COME in memory and at.car.moves(known.effect):
         return at.state(speed=memory.pop(_SPEED_TO_COME))
     return at.reaction
 
@@ -448,10 +466,10 @@ def chooses(at: At, point: str, word: str) -> Reaction:
     if choice.does is Behaviour.SILENT:
         return silent(at)
     if choice.does is Behaviour.KEPT:
-        return keeps(at, open_point.variable)
-    if open_point.variable == "speed":
+        return keeps(at, open_point.about)
+    if open_point.about == "speed":
         at.device.memory.pop(_SPEED_TO_COME, None)
-    return sets(at, open_point.variable, 0)
+    return sets(at, open_point.about, 0)
 
 
 @effect

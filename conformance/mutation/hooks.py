@@ -16,7 +16,6 @@ from bilprov.conformance.dut.fault import Event, MutatedDevice, Reaction
 from bilprov.conformance.mutation.effects import at_frames, entered
 from bilprov.conformance.mutation.triggers import Trigger
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion, car_state, wheels
 from bilprov.spec.protocol import Protocol
 
 Hooks = dict[str, Any]
@@ -244,7 +243,7 @@ def stops_at_header(protocol: Protocol, acting: Trigger, which: str = "") -> Hoo
         identity, length = protocol.headers[header]
         known = protocol.by_id.get(identity)
         if known is None or (not which and length != known.length):
-            device.state = device.state.but(motion=Motion.STOPPED)
+            device.state = device.state.but(**{protocol.car.by: protocol.car.still})
         return ()
 
     return {"begins": begins}
@@ -286,10 +285,8 @@ def refuses_at_header(protocol: Protocol, acting: Trigger) -> Hooks:
 @hook
 def power_on(protocol: Protocol, acting: Trigger, *values: Any) -> Hooks:
     """Be switched on with these values of variables: each a name and a value."""
-    given = dict(zip(values[::2], values[1::2], strict=True))
-    if "motion" in given:
-        given["motion"] = Motion(given["motion"])
-    return {"power_on": protocol.power_on.but(**given)}
+    names = map(protocol.by_role.__getitem__, values[::2])
+    return {"power_on": protocol.power_on.but(**dict(zip(names, values[1::2], strict=True)))}
 
 
 @hook
@@ -303,9 +300,10 @@ def wheels_level_off(protocol: Protocol, acting: Trigger, most: int) -> Hooks:
     """Turn the wheels no faster than at this speed."""
 
     def show(look: Look) -> Look:
-        if look.speed is None or look.left is None or look.right is None or look.speed <= most:
+        speed = protocol.car.drive(look).speed
+        if speed is None or look.left is None or look.right is None or speed <= most:
             return look
-        left, right = (round(wheel * most / look.speed) for wheel in (look.left, look.right))
+        left, right = (round(wheel * most / speed) for wheel in (look.left, look.right))
         return msgspec.structs.replace(look, left=left, right=right)
 
     return {"show": show}
@@ -316,19 +314,19 @@ def wheels_astray(
     protocol: Protocol, acting: Trigger, how: str, variable: str, least: int
 ) -> Hooks:
     """Turn the wheels `reversed`, or by `half`, from a size of the speed or the steering on."""
-    full = max(abs(end) for end in protocol.limits.get("steering", (0, 0)))
+    car = protocol.car
 
     def show(look: Look) -> Look:
-        values = {"speed": look.speed or 0, "steering": look.steering or 0}
+        motion, speed, steering = car.drive(look)
+        values = {"speed": speed or 0, "steering": steering or 0}
         size = abs(values[variable])
         if size < least:
             return look
         values[variable] = -values[variable] if how == "reversed" else _halved(values[variable])
-        state = car_state(
-            Motion(look.motion or Motion.STOPPED), abs(values["speed"]), values["steering"]
-        )
         sign = -1 if values["speed"] < 0 else 1
-        left, right = wheels(state, full)
+        driving = {car.by: motion or car.still, car.speed: abs(values["speed"])}
+        state = protocol.state(**driving, **{car.steering: values["steering"]})
+        left, right = car.wheels(state, protocol.full_steering)
         return msgspec.structs.replace(look, left=sign * left, right=sign * right)
 
     return {"show": show}

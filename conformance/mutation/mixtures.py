@@ -14,7 +14,6 @@ from itertools import product
 from bilprov.conformance.dut.fault import Event, Fault
 from bilprov.conformance.mutation.variants import MIXTURE, Variant, variants
 from bilprov.spec.codec import judge
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 _TIMES = 12  # how often the point arises before the device changes its choice
@@ -66,16 +65,17 @@ def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
         )
 
 
-def _where_it_arises(protocol: Protocol, variant: Variant) -> tuple[list[int], list[Motion]]:
+def _where_it_arises(protocol: Protocol, variant: Variant) -> tuple[list[int], list[str]]:
     """Return the IDs and the motions at which the device can take the choice."""
     acting = variant.fault.trigger
     assert acting is not None
     top = {name: high for name, (_, high) in protocol.limits.items()}
     ids: set[int] = set()
-    motions: dict[Motion, None] = {}
-    for motion, frame in product(Motion, _frames(protocol)):
+    motions: dict[str, None] = {}
+    by = protocol.car.by
+    for motion, frame in product(protocol.variables[by].words, _frames(protocol)):
         judgement = judge(protocol, frame)
-        before = protocol.state(motion=motion, **top)
+        before = protocol.state(**{by: motion}, **top)
         kind = "truncated" if judgement.truncated else "instruction"
         if acting.holds(Event(judgement, before, 0, 0, kind, 0), {}):
             ids.add(judgement.id)

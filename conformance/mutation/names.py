@@ -33,9 +33,10 @@ def _instruction(protocol: Protocol, spec: InstructionSpec) -> Name:
     `one_bit_more` is the first value that has two bits more than those that are named, `bad_half`
     and `bad_upper` are values half way and two thirds through the bad ones.
     """
-    attributes: dict[str, object] = {"id": spec.id, "motion": spec.effect.motion}
+    attributes: dict[str, object] = {"id": spec.id, "motion": protocol.car.motion(spec.effect)}
     if spec.effect.assignments:
-        attributes["variable"] = variable_of(spec)
+        roles = {name: role for role, name in protocol.by_role.items()}
+        attributes["variable"] = roles[variable_of(spec)]
     for part in spec.fields[:1]:
         attributes |= {
             "header": protocol.header_bytes[spec.id, spec.length],
@@ -63,8 +64,11 @@ def names(protocol: Protocol) -> dict[str, Any]:
         return [_instruction(protocol, spec) for spec in specs]
 
     timing, motions = protocol.timing, list(moving_motions(protocol))
-    tops = {variable: high for variable, (_, high) in protocol.limits.items()}
-    settings = [(variable_of(spec), _instruction(protocol, spec)) for spec in setters(protocol)]
+    roles = {name: role for role, name in protocol.by_role.items()}
+    tops = {roles[name]: high for name, (_, high) in protocol.limits.items()}
+    settings = [
+        (roles[variable_of(spec)], _instruction(protocol, spec)) for spec in setters(protocol)
+    ]
     lit = named(s for s in protocol.instructions if any(part.bits for part in s.fields))
     found: dict[str, Any] = {
         "answer": {word: protocol.answers[outcome].name for word, outcome in OUTCOMES.items()},
@@ -77,10 +81,11 @@ def names(protocol: Protocol) -> dict[str, Any]:
             if outcome is not Outcome.VALID
         ],
         "motions": motions,
+        "still": protocol.car.still,
         "measured_motion": min(motions, default=""),
         "other_motions": [motion for motion in motions if motion != min(motions)],
         "movers": named(movers(protocol)),
-        "moving": named(s for s in protocol.instructions if s.effect.motion in motions),
+        "moving": named(s for s in protocol.instructions if protocol.car.moves(s.effect)),
         "setters": [name for _, name in settings],
         "setting": dict(settings[::-1]),
         "steering": [name for variable, name in settings if variable == "steering"],

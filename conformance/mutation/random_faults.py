@@ -19,8 +19,7 @@ from bilprov.conformance.mutation.draw import Draw
 from bilprov.conformance.mutation.faults import Row, hooks
 from bilprov.conformance.mutation.names import names
 from bilprov.conformance.mutation.triggers import TRUNCATED, trigger
-from bilprov.spec.by_effect import moves, variable_of
-from bilprov.spec.motion import Motion
+from bilprov.spec.by_effect import variable_of
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 PREFIX = "random:"
@@ -75,7 +74,7 @@ def _pools(protocol: Protocol) -> dict[str, Sequence[Any]]:
         for n in protocol.data_lengths[1:]
         if n != spec.length
     }
-    low, high = protocol.limits.get("steering", (0, 0))
+    low, high = protocol.limits.get(protocol.car.steering, (0, 0))
     return {
         "instruction": [spec.name for spec in protocol.instructions],
         "outcome": known["outcomes"],
@@ -205,7 +204,8 @@ class FaultDraw:
         if not settings:
             return self.simple()
         specs = self._protocol.instructions
-        some = ([s.name for s in specs if moves(s)], [s.name for s in specs if not moves(s)])
+        moves = self._protocol.car.moves
+        some = [[s.name for s in specs if moves(s.effect) is moving] for moving in (True, False)]
         frames = ["valid", *(f"instruction {' '.join(names)}" for names in some if names)]
         terms = [self._draw.pick(frames), self._one(*settings)]
         return Drawn("random settings", terms, "drives-on")
@@ -281,13 +281,16 @@ class FaultDraw:
                 found.append(f"answers-as {'bad-data' if bad else 'unknown-id'}")
             return self._one(*found)
         found.append("answers-as {outcome}")
-        if spec.effect.motion == Motion.STOPPED:
+        if self._protocol.stops(spec.effect):
             found += 2 * ["drives-on", *["resumes-after 15"] * in_silence]
             found.append("turns-bits led {bit of led}")
         elif spec.effect.assignments:
-            own = variable_of(spec)
+            own = next(
+                role for role, name in self._protocol.by_role.items() if name == variable_of(spec)
+            )
+            moves = self._protocol.car.moves(spec.effect)
             found += 3 * ["drives-on"]
-            found += ["stands-still"] * (own != "motion") + ["sets motion {motion}"] * moves(spec)
+            found += ["stands-still"] * (own != "motion") + ["sets motion {motion}"] * moves
             strayed = (own, own, "speed", "led", *["steering"] * (own != "motion"))
             found += [f"turns-bits {name} {{bit of {name}}}" for name in strayed]
         return self._one(*found)

@@ -17,7 +17,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, History
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import OF_HEADERS
-from bilprov.spec.motion import Moment, Motion, moment_of, rotates, visible_motion
+from bilprov.spec.motion import Moment, Wheels, visible_motion
 from bilprov.spec.open_points import open_point, points_after
 
 Subject = Callable[[Event], Any]
@@ -59,13 +59,38 @@ def _excess(event: Event) -> int:
 def _set_motion(event: Event) -> str:
     """The motion that a valid frame sets, "" for none."""
     known = event.judgement.instruction
-    return (known.effect.motion or "") if known and event.judgement.valid else ""
+    return (_car(event).motion(known.effect) or "") if known and event.judgement.valid else ""
 
 
 def moment(event: Event) -> Moment:
     """The kind of a frame: faulty, or what its instruction does to the motion."""
     known = event.judgement.instruction
-    return moment_of(known.effect if event.judgement.valid and known else None)
+    return _car(event).moment(known.effect if event.judgement.valid and known else None)
+
+
+def _car(event: Event) -> Wheels:
+    car: Wheels = event.before.wheels
+    return car
+
+
+def _turns(event: Event) -> bool:
+    """Whether a valid frame sets another motion than that before it."""
+    motion, car = _set_motion(event), _car(event)
+    return motion in car.turns and motion != car.drive(event.before).motion
+
+
+def _led(event: Event) -> Any:
+    """The value of the LED, None where there is none."""
+    roles = _roles(event)
+    return next((getattr(event.before, n) for n, role in roles.items() if role == "led"), None)
+
+
+def _roles(event: Event) -> dict[str, str]:
+    """What faults call each variable, by its name; see `Protocol.by_role`."""
+    car, names = _car(event), event.before.variables
+    found = {car.by: "motion", car.speed: "speed", car.steering: "steering"}
+    led, *others = (name for name in (*names, "") if name not in found)
+    return found | {led: "led"} | {name: name for name in others}
 
 
 def _sets(event: Event) -> tuple[str, ...]:
@@ -73,12 +98,13 @@ def _sets(event: Event) -> tuple[str, ...]:
     known = event.judgement.instruction
     if known is None or moment(event) is not Moment.SETTING:
         return ()
-    return tuple(name for name, _ in known.effect.assignments)
+    roles = _roles(event)
+    return tuple(roles[name] for name, _ in known.effect.assignments)
 
 
 def _open(event: Event) -> tuple[str, ...]:
     """The open points that a frame touches; a colon stands for the blank in an id."""
-    after = (point.id for point in points_after(moment(event)).values())
+    after = (point.id for point in points_after(moment(event)))
     return tuple(point.replace(" ", ":") for point in (open_point(event.judgement), *after))
 
 
@@ -104,16 +130,16 @@ FRAME: dict[str, Subject] = {
     "meaningless-bits": _meaningless,
     "sets": _sets,
     "sets-motion": _set_motion,
-    "turns": lambda e: _set_motion(e) not in ("", Motion.STOPPED, e.before.motion),
+    "turns": _turns,
     "open": _open,
 }
 STATE: dict[str, Subject] = {
     "moves": lambda e: visible_motion(e.before),
-    "motion": lambda e: e.before.motion,
-    "rotates": lambda e: rotates(e.before.motion),
-    "speed": lambda e: e.before.speed,
-    "steering": lambda e: e.before.steering,
-    "led": lambda e: e.before.led,
+    "motion": lambda e: _car(e).drive(e.before).motion,
+    "rotates": lambda e: _car(e).rotates(_car(e).drive(e.before).motion),
+    "speed": lambda e: _car(e).drive(e.before).speed,
+    "steering": lambda e: _car(e).drive(e.before).steering,
+    "led": _led,
     "pipelined": lambda e: e.pipelined,
     "pause": lambda e: e.pause / MS,
     "gap": lambda e: None if e.gap is None else e.gap / MS,

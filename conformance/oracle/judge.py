@@ -12,7 +12,7 @@ from bilprov.conformance.oracle.state_model import ExpectedState, FrameEffect, M
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words, look_words, state_words
-from bilprov.spec.motion import WHEELS, visible_motion
+from bilprov.spec.motion import Wheels, visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, STATE_POINTS
 from bilprov.spec.state import State
@@ -91,8 +91,9 @@ def lost(answer: Axis) -> Axis:
     return Axis(Verdict.NON_STRICT, answer.expected, answer.actual, reason, "R-drain-known")
 
 
-# The facets that the stop axis judges already.
-MOVING = ("moving", "motion", "wheels")
+def facets_of_motion(protocol: Protocol) -> tuple[str, ...]:
+    """The facets that the stop axis judges already."""
+    return ("moving", protocol.car.by, "wheels")
 
 
 def judge_state(
@@ -153,18 +154,18 @@ def _facets(
     model: Model, expected_state: ExpectedState, look: Look
 ) -> Iterator[tuple[str, object, object]]:
     """(facet, expected, seen) for each facet that the probe reports; wheels by sign and order."""
-    expected, unknown = expected_state.state, expected_state.unknown
+    car, expected, unknown = model.protocol.car, expected_state.state, expected_state.unknown
     # A look that does not show whether the robot moves shows no motion either.
-    if look.moving is not None and ("speed" not in unknown or expected_state.still):
+    if look.moving is not None and (car.speed not in unknown or expected_state.still):
         yield "moving", expected.moving, look.moving
-        if "motion" not in unknown:
+        if car.by not in unknown:
             yield from _direction(model, expected_state, look)
-        elif unknown.isdisjoint(("speed", "curve")) and expected.moving:
-            yield "motion", "a curve", _curve(expected, look)
-    for name in ("speed", "steering", "led"):
+        elif unknown.isdisjoint((car.speed, "curve")) and expected.moving:
+            yield car.by, "a curve", _curve(car, expected, look)
+    for name in model.protocol.settings:
         seen = getattr(look, name)
         pending_speed = (
-            name == "speed"
+            name == car.speed
             and expected_state.pending_speed is not None
             and seen == expected_state.pending_speed
         )
@@ -175,47 +176,50 @@ def _facets(
 def _direction(
     model: Model, expected_state: ExpectedState, look: Look
 ) -> Iterator[tuple[str, object, object]]:
-    expected = expected_state.state
-    if look.motion is not None:
+    car, expected = model.protocol.car, expected_state.state
+    motion, visible = car.drive(look).motion, visible_motion(expected)
+    if motion is not None:
         # A probe may name the direction that is set although speed 0 keeps the wheels still.
-        set_only = not look.moving and look.motion == expected.motion
-        shown = visible_motion(expected).value if set_only else look.motion
-        yield "motion", visible_motion(expected).value, shown
+        set_only = not look.moving and motion == car.drive(expected).motion
+        yield car.by, visible, visible if set_only else motion
     if look.left is not None and look.right is not None:
         yield "wheels", *_wheels(model, expected, look.left, look.right, expected_state.unknown)
 
 
-def _curve(expected: State, look: Look) -> str:
+def _curve(car: Wheels, expected: State, look: Look) -> str:
     """Words for a look at a rotation that steering must turn into a curve, not on the spot."""
-    spot = look.motion == expected.motion
+    motion = car.drive(expected).motion
+    spot = car.drive(look).motion == motion
     if look.left is not None and look.right is not None:
         spot = look.left * look.right < 0
-    return f"{expected.motion} on the spot" if spot else "a curve"
+    return f"{motion} on the spot" if spot else "a curve"
 
 
 def _wheels(
     model: Model, expected: State, left: int, right: int, unknown: Container[str]
 ) -> tuple[str, str]:
     """Words for how the wheels must turn and how they do, equal if they fit."""
+    car, visible = model.protocol.car, visible_motion(expected)
+    motion, speed, steering = car.drive(expected)
     # A speed below 0, which a grammar may allow, turns both wheels the other way.
-    forward = -1 if expected.speed < 0 else 1
-    want_left, want_right = (forward * turn for turn in WHEELS[visible_motion(expected)])
+    forward = -1 if speed < 0 else 1
+    want_left, want_right = (forward * turn for turn in car.turn(visible))
     seen = f"left {left}, right {right}"
     if not expected.moving:
         return "both still", "both still" if left == right == 0 else seen
     if want_left != want_right:
-        wanted = f"{visible_motion(expected).value} on the spot"
+        wanted = f"{visible} on the spot"
         return wanted, wanted if left * want_left > 0 and right * want_right > 0 else seen
     # No mixing law is given: the outer wheel drives on, the inner one is not faster, and slower
     # where the steering and the speed are large enough to show.
     outer, inner = left * want_left, right * want_right
-    if expected.steering < 0:
+    if steering < 0:
         outer, inner = inner, outer
-    if "steering" in unknown:
-        wanted, fits = expected.motion, max(outer, inner) > 0
-    elif expected.steering == 0:
+    if car.steering in unknown:
+        wanted, fits = motion, max(outer, inner) > 0
+    elif steering == 0:
         wanted, fits = "both alike", outer == inner > 0
     else:
-        wanted = "left ahead" if expected.steering > 0 else "right ahead"
+        wanted = "left ahead" if steering > 0 else "right ahead"
         fits = outer > 0 and (outer > inner or (outer == inner and not model.shows(expected)))
     return wanted, wanted if fits else seen

@@ -18,7 +18,6 @@ from bilprov.analyzer.client.operations import Received
 from bilprov.analyzer.foreign import from_toml
 from bilprov.captures.schemas import MS
 from bilprov.conformance.oracle.choices import Choices
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
 
@@ -82,7 +81,7 @@ class Profile:
     boot: int | None = None
     stop_latency: int = 0
     one_by_one: bool = False
-    moves: set[Motion] | None = None
+    moves: set[str] | None = None
     facets: frozenset[str] = frozenset()
     graded: bool = False
     preamble_speed: int | None = None

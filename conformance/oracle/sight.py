@@ -9,51 +9,50 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import msgspec
 
 from bilprov.analyzer.client.operations import Observation, Operation, Reply
 from bilprov.captures.schemas import Look
-from bilprov.conformance.oracle.state_model import VARIABLES, FrameEffect
+from bilprov.conformance.oracle.state_model import FrameEffect
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
-from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol
 
 NOT_OBSERVABLE = "not observable"
 SEEN_AXES = ("stop", "state")
 """The axes that are judged by looks."""
 
-_FACETS = {
-    "moving": "whether the robot moves",
-    "motion": "the direction",
-    "speed": "the speed",
-    "steering": "the steering",
-    "led": "the LED",
-    "wheels": "the wheels",
-}
-_STILL = frozenset(("motion", "wheels"))  # known of a robot that does not move
+
+@cache
+def _facets(protocol: Protocol) -> dict[str, str]:
+    """The facets of a look, in words."""
+    settings = {name: f"the {protocol.noun(name)}" for name in protocol.settings}
+    moving = {"moving": "whether the robot moves", protocol.car.by: "the direction"}
+    return {**moving, **settings, "wheels": "the wheels"}
 
 
-def facets_of(look: Look) -> set[str]:
+def facets_of(protocol: Protocol, look: Look) -> set[str]:
     """The facets that a look shows; both wheels are one."""
-    shown = {name for name in _FACETS if getattr(look, name, None) is not None}
+    shown = {name for name in _facets(protocol) if getattr(look, name, None) is not None}
     return shown if look.left is None or look.right is None else shown | {"wheels"}
 
 
-def untold(tested: Iterable[str], shown: Container[str]) -> str:
+def untold(protocol: Protocol, tested: Iterable[str], shown: Container[str]) -> str:
     """Which of the tested facets a probe that shows these does not tell, "" if none.
 
-    Its wheels show all of a robot but its LED.
+    Its wheels show all of a robot but its lights.
     """
-    blind = [f for f in tested if f not in shown and (f == "led" or "wheels" not in shown)]
+    hidden = tested if "wheels" not in shown else filter(protocol.lights.__contains__, tested)
+    blind = [facet for facet in hidden if facet not in shown]
     return f"the probe does not report {', '.join(blind)}" if blind else ""
 
 
-def facets_set(frame_effects: Iterable[FrameEffect]) -> list[str]:
+def facets_set(protocol: Protocol, frame_effects: Iterable[FrameEffect]) -> list[str]:
     """The facets that these frames set; a fault sets none, it stops the robot."""
     effects = {frame.effect for frame in frame_effects if frame.effect is not None}
-    moves = any(effect.motion not in (None, Motion.STOPPED) for effect in effects)
-    names = [name for name in VARIABLES if any(effect.sets(name) for effect in effects)]
-    return ["motion", *names] if moves else names
+    names = [n for n in protocol.settings if any(effect.sets(n) for effect in effects)]
+    return [protocol.car.by, *names] if any(map(protocol.car.moves, effects)) else names
 
 
 @dataclass(slots=True)
@@ -76,7 +75,8 @@ class Sight:
     that any has shown.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, protocol: Protocol) -> None:
+        self._protocol = protocol
         self.looks = self.missed = 0
         self.shown: set[str] = set()
         self._case = ""
@@ -95,10 +95,10 @@ class Sight:
 
     def _note(self, look: Look) -> None:
         self.looks += 1
-        shown = facets_of(look)
+        shown = facets_of(self._protocol, look)
         missing = (self.shown | {"moving"}) - shown
         if look.moving is False:
-            missing -= _STILL
+            missing -= {self._protocol.car.by, "wheels"}  # known of a robot that stands still
         self.shown |= shown
         self.missed += bool(missing)
         for facet in self._gaps.keys() & shown:
@@ -117,7 +117,7 @@ class Sight:
             self._case = ""
         if not missing:
             return result
-        words = ", ".join(words for facet, words in _FACETS.items() if facet in missing)
+        words = ", ".join(words for facet, words in self._facets if facet in missing)
         reason = f"{NOT_OBSERVABLE}: the probe did not report {words}"
         axes = dict(result.axes)
         if result.verdict < Verdict.INCONCLUSIVE and not axes.keys() & set(SEEN_AXES):
@@ -130,12 +130,13 @@ class Sight:
         verdict = worst((result.verdict, *(axis.verdict for axis in axes.values())))
         return msgspec.structs.replace(result, axes=axes, verdict=verdict)
 
-    def sentences(self, variables: Container[str]) -> Iterator[str]:
-        """What the probe did not show in the run, each in a sentence.
+    @property
+    def _facets(self) -> Iterable[tuple[str, str]]:
+        return _facets(self._protocol).items()
 
-        `variables` are those of the robot that instructions set.
-        """
-        for facet, words in _FACETS.items():
+    def sentences(self) -> Iterator[str]:
+        """What the probe did not show in the run, each in a sentence."""
+        for facet, words in self._facets:
             gap = self._gaps.get(facet)
             if gap is None:
                 continue
@@ -151,9 +152,11 @@ class Sight:
                     f"From observation {gap.first:,} of {self.looks:,} on the probe did not report "
                     f"{words} ({where})"
                 )
-        settable = [name for name in VARIABLES if name in variables]
-        never = [name for name in settable if name not in self.shown]
-        never = ["motion"] * bool(untold(["motion"], self.shown)) + never
+        by, limits = self._protocol.car.by, self._protocol.limits
+        settable = {name for name in self._protocol.settings if name in limits}
+        if untold(self._protocol, [by], self.shown):
+            settable.add(by)
+        never = [words for facet, words in self._facets if facet in settable - self.shown]
         if self.looks and never:
-            words = ", ".join(_FACETS[facet] for facet in never)
+            words = ", ".join(never)
             yield f"In none of {self.looks:,} observations did the probe report {words}"

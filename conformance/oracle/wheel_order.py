@@ -12,7 +12,6 @@ from itertools import combinations
 from statistics import median
 
 from bilprov.conformance.oracle.verdicts import Verdict
-from bilprov.spec.motion import WHEELS, Motion
 
 READING = "R-resolution"
 _SHARE, _STEPS = 0.05, 3  # of full scale; of the probe's numbers
@@ -35,21 +34,27 @@ def tolerance(full: float) -> float:
 class WheelOrder:
     """The wheels in a motion at the settings of a variable, in ascending order.
 
-    `looks` are the speeds (left, right) seen at each setting; steering is positive to the right.
+    `ahead` is how the wheels (left, right) turn in the motion. `looks` are the speeds (left, right)
+    seen at each setting. With `steers` the variable is the steering, positive to the right.
     """
 
     def __init__(
-        self, variable: str, motion: Motion, looks: Mapping[int, Sequence[Speeds]]
+        self,
+        variable: str,
+        ahead: tuple[int, int],
+        looks: Mapping[int, Sequence[Speeds]],
+        *,
+        steers: bool,
     ) -> None:
         self._variable, self._settings = variable, tuple(looks)
         wheels = [tuple(zip(*seen, strict=True)) for seen in looks.values()]
         self._spread = max(max(wheel) - min(wheel) for both in wheels for wheel in both)
         self._wheels = [(round(median(left)), round(median(right))) for left, right in wheels]
         self._full = max(map(abs, (speed for both in self._wheels for speed in both)))
-        self._steers = variable == "steering"
+        self._steers = steers
         self._noise = _MARGIN * self._spread * (1 + self._steers)
         self._tolerance = self._noise + tolerance(self._full)
-        ahead_left, ahead_right = WHEELS[motion]
+        ahead_left, ahead_right = ahead
         left = [ahead_left * left for left, _ in self._wheels]
         right = [ahead_right * right for _, right in self._wheels]
         difference = [a - b for a, b in zip(left, right, strict=True)]

@@ -24,10 +24,9 @@ def answer_words(protocol: Protocol, codes: tuple[int, ...]) -> str:
 
 def state_words(state: State) -> str:
     """A motion state in words."""
-    return (
-        f"{'moving ' if state.moving else ''}{visible_motion(state).value}, speed {state.speed}, "
-        f"steering {state.steering}, led {state.led}"
-    )
+    seen = f"{'moving ' if state.moving else ''}{visible_motion(state)}"
+    others = (name for name in state.variables if name != state.wheels.by)
+    return ", ".join((seen, *(f"{name} {getattr(state, name)}" for name in others)))
 
 
 def look_words(look: Look) -> str:

@@ -31,7 +31,7 @@ def proven(
             continue
         why = _missing(protocol, proof, extra, results, profile)
         if why:
-            missing.append(f"Nothing is proven by {proof.seen}: {why}.")
+            missing.append(f"Nothing is proven by {proof.seen(protocol)}: {why}.")
         else:
             shown.append(_machine(protocol, proof, extra))
     if shown:
@@ -48,9 +48,10 @@ def _machine(protocol: Protocol, proof: Proof, extra: int) -> str:
     bytes_, told = proof.machine(protocol), suite(protocol, proof, extra)
     states = len(bytes_.machine)
     return (
-        f"{proof.seen} ({quantity(states, 'state')}, {len(bytes_.classes)} classes of bytes and "
-        f"the silence, {quantity(len(told.words), 'word')}): every other device of at most "
-        f"{states + extra} states would have failed"
+        f"{proof.seen(protocol)} ({quantity(states, 'state')}, "
+        f"{len(bytes_.classes)} classes of bytes and the silence, "
+        f"{quantity(len(told.words), 'word')}): every other device of at most {states + extra} "
+        "states would have failed"
     )
 
 
@@ -81,13 +82,13 @@ def _missing(
     profile: Figures,
 ) -> str:
     """Why a proof does not hold, "" if it does."""
-    unseen = [facet for facet in proof.facets if facet not in (profile.facets or ())]
+    unseen = [facet for facet in proof.facets(protocol) if facet not in (profile.facets or ())]
     if unseen:
         return f"no probe reported the robot's {' and '.join(unseen)}"
     others = [
         point
         for point, word in (profile.readings or {}).items()
-        if word != default_of(point) and (proof.facets or point not in STATE_POINTS)
+        if word != default_of(point) and (proof.looks or point not in STATE_POINTS)
     ]
     if others:
         return (
@@ -115,7 +116,7 @@ def _missing(
 
 def _passed(proof: Proof, result: CaseResult) -> bool:
     """Whether a sequence was judged to its end and nothing deviated in what the proof sees."""
-    if not proof.facets:
+    if not proof.looks:
         answer = result.axes.get("answer")
         worse = result.verdict > Verdict.INCONCLUSIVE
         return not worse and answer is not None and answer.verdict is Verdict.PASS

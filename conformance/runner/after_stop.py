@@ -57,9 +57,10 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     """Check that settings with their present values do not restart the robot, and a motion does."""
     run = trial.run
     expected = trial.expected.state
+    car = run.protocol.car
     settings = [
         frame
-        for variable in ("speed", "led", "steering")
+        for variable in (car.speed, *run.protocol.lights, car.steering)
         if run.wire(frame := setting(run.protocol, variable, getattr(expected, variable), expected))
     ]
     if settings and case.kind is not FrameClass.VALID:

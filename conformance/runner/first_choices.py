@@ -19,7 +19,6 @@ from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import movers, moving_to
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import moment_of
 from bilprov.spec.open_points import open_after
 from bilprov.spec.readings import Behaviour
 from bilprov.spec.state import Effect, State
@@ -111,7 +110,7 @@ def _missed(run: Run, frame: bytes, look: Look) -> None:
 
 def _settle(run: Run, effect: Effect | None, full: State, look: Look) -> None:
     """Record what a frame of this effect, None for a fault, leaves open and does."""
-    points = open_after(effect or run.protocol.on_fault, moment_of(effect))
+    points = open_after(run.protocol, effect)
     for variable, point in points.items():
         seen, was = getattr(look, variable), getattr(full, variable)
         if seen in (0, was) and was:

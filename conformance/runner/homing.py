@@ -22,6 +22,7 @@ from bilprov.analyzer.client.operations import (
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.steps import step_of
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
@@ -31,7 +32,6 @@ from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Homed, Late, Trial
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.by_effect import frames_to, movers
-from bilprov.spec.motion import VARIABLES, Motion
 from bilprov.spec.state import State
 
 # A flood has this many times more answers than were due; after so many the run is given up.
@@ -289,19 +289,19 @@ def see_motions(run: Run) -> Procedure[None]:
     """Find out in which kinds of motion the robot is seen moving; no stop can be judged without."""
     if not run.config.observable:
         return
-    moves: set[Motion] = set()
+    moves: set[str] = set()
     told: list[frozenset[str]] = []
-    _, fast = run.protocol.limits.get("speed", (0, 0))
     for spec in movers(run.protocol):
-        motion = spec.effect.motion
+        motion = run.protocol.car.motion(spec.effect)
         assert motion is not None
         for _ in range(_TRIES):
-            yield from set_up(run, run.protocol.state(motion=motion, speed=fast))
+            yield from set_up(run, in_motion(run.protocol, motion))
             seen = yield from watch(run, moving=True, patience=run.timers.deadline)
             yield from home(run)
             if seen.look.moving is not False:
                 break
-        told.append(frozenset(n for n in VARIABLES if getattr(seen.look, n) is not None))
+        variables = run.protocol.variables
+        told.append(frozenset(n for n in variables if getattr(seen.look, n) is not None))
         if seen.look.moving:
             moves.add(motion)
     run.profile.moves = moves

@@ -331,7 +331,8 @@ def _still(run: Run, expected: State, reading: str, *, may_move: bool = False) -
     seen = yield from observe()
     start = seen.asked
     # After the first byte only what it set is compared: the rest is as the robot was found.
-    as_found = () if reading else ("led", "steering")
+    car = run.protocol.car
+    as_found = () if reading else (*run.protocol.lights, car.steering)
     expected_state = ExpectedState(expected)
     axis = judge_state(run.model, expected_state, seen.look, as_found)
     while axis.verdict is Verdict.FAIL and seen.now - start < run.timers.deadline and not reading:

@@ -182,7 +182,7 @@ class Run:
         self.line = CoarseLine(config.protocol, self.waiting, self.profile)
         self.counters = Counters()
         self.answers = 0
-        self.sight = Sight()
+        self.sight = Sight(config.protocol)
         self.limit = TimeLimit(config.announced)
         self.followed: set[str] = set()
         self.results: list[CaseResult] = []

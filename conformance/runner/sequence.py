@@ -79,7 +79,9 @@ class _SequenceRun:
         # After a fault the stop is looked for, after an instruction what it has set.
         looked_at = (b for b in case.bursts if b.looks and not b.steps[-1].faulty)
         effects = (step.frame_effect for burst in looked_at for step in burst.steps)
-        blind = untold(case.facets or facets_set(effects), run.sight.shown)
+        blind = untold(
+            run.protocol, case.facets or facets_set(run.protocol, effects), run.sight.shown
+        )
         if blind:
             reason = f"{NOT_OBSERVABLE}: {blind}"
             self._trial.worsen("state", Verdict.INCONCLUSIVE, actual, reason)
@@ -113,7 +115,7 @@ class _SequenceRun:
         steps: list[Step] = []
         for left, step in zip(reversed(range(len(chosen))), chosen, strict=True):
             steps.append(step)
-            ends = apart and (step.faulty or step.frame_effect.stops)
+            ends = apart and self._stops(step)
             if not left:
                 yield Burst(tuple(steps), looks=burst.looks, idle_ms=burst.idle_ms)
             elif ends or len(steps) >= most:
@@ -148,12 +150,17 @@ class _SequenceRun:
             found = yield from look_after(trial, taken[-1], before)
             self._looks += 1
             self._whole += not found and run.sight.missed == missed
-        stops = taken[-1].faulty or taken[-1].frame_effect.stops
+        stops = self._stops(taken[-1])
         if not found and run.profile.stop_latency and (looks or stops):
             trial.hear((yield from listen(None, 2 * run.profile.stop_latency)))
         if not found and burst.idle_ms:
             found = yield from watch_idle(trial, taken[-1], burst.idle_ms * MS, looks=looks)
         return found
+
+    def _stops(self, step: Step) -> bool:
+        """Whether a step is a fault, or an instruction that stops."""
+        protocol = self._run.protocol
+        return step.faulty or protocol.stops(step.frame_effect.effect or protocol.on_fault)
 
     def _send(self, burst: Burst, steps: list[Step]) -> Procedure[tuple[int, Early, bool]]:
         """Send a burst with its pauses.

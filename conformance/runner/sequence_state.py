@@ -5,7 +5,7 @@ from __future__ import annotations
 from bilprov.analyzer.client.operations import Procedure, Received, listen, observe
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.oracle.judge import MOVING, contradiction, differences
+from bilprov.conformance.oracle.judge import contradiction, differences, facets_of_motion
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import look_words, state_words
@@ -33,7 +33,7 @@ def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mis
             return unasked(trial, step, heard)
         seen = yield from observe()
         found = differences(run.model, trial.expected, seen.look)
-    stops = trial.expected.still and any(facet in MOVING for facet in first)
+    stops = trial.expected.still and any(f in facets_of_motion(run.protocol) for f in first)
     if not found:
         late = seen.asked - start
         if stops and late > run.timers.grace:
@@ -54,7 +54,7 @@ def look_after(trial: Trial, step: Step, before: ExpectedState) -> Procedure[Mis
     clauses = run.protocol.clauses
     # An instruction that is to stop it and does not breaks what the table says of it.
     effect = step.frame_effect.effect
-    told = effect is not None and effect.sets("motion")
+    told = effect is not None and effect.sets(run.protocol.car.by)
     safety = step.faulty or (name == "stop" and not told)
     clause = clauses.safety if safety else clauses.instructions
     return Mismatch(step, name, axis, clause)

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 from bilprov.analyzer.client.operations import Procedure, listen, power_cycle, send
 from bilprov.conformance.cases.case import runner_case
+from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.homing import home, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import fitted, movers, reached, setting
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
 IDENT = "motion/settings"
@@ -41,30 +41,29 @@ def settings(protocol: Protocol) -> Iterator[Setting]:
     mover = next(iter(movers(protocol)), None)
     if mover is None:
         return
-    assert mover.effect.motion is not None
-    _, fast = protocol.limits.get("speed", (0, 0))
-    state = reached(protocol, protocol.state(motion=mover.effect.motion, speed=fast))
+    car, fast = protocol.car, protocol.speeds[1]
+    state = reached(protocol, in_motion(protocol, car.motion(mover.effect)))
     motion = fitted(protocol, mover, state)
 
     def at(variable: str, value: int) -> bytes:
         return setting(protocol, variable, value, state)
 
-    full = at("speed", fast)
-    yield Setting(f"speed {fast}", (full, motion))
-    for speed in _by_bits(fast):
-        yield Setting(f"speed {speed}", (at("speed", speed), motion))
-    low, high = protocol.limits.get("led", (0, 0))
-    for led in (low, *_by_bits(high), high):
-        yield Setting(f"led {led}", (full, at("led", led), motion))
-    for steering in (0, *protocol.limits.get("steering", ())):
-        yield Setting(f"steering {steering}", (full, motion, at("steering", steering)))
+    full = at(car.speed, fast)
+    for speed in (fast, *_by_bits(fast)):
+        yield Setting(f"{car.speed} {speed}", (at(car.speed, speed), motion))
+    for name in protocol.lights:
+        low, high = protocol.limits.get(name, (0, 0))
+        for value in (low, *_by_bits(high), high):
+            yield Setting(f"{name} {value}", (full, at(name, value), motion))
+    for steering in (0, *protocol.limits.get(car.steering, ())):
+        yield Setting(f"{car.steering} {steering}", (full, motion, at(car.steering, steering)))
 
 
 def _by_bits(high: int) -> list[int]:
     return [1 << bit for bit in range(high.bit_length()) if 1 << bit < high]
 
 
-def other_settings(run: Run) -> Procedure[Motion | None]:
+def other_settings(run: Run) -> Procedure[str | None]:
     """Try other settings with a robot that was not seen moving; a failure where they differ.
 
     Returns the motion in which it moves after all, None where it does not. Leaves the line homed.
@@ -91,7 +90,7 @@ def other_settings(run: Run) -> Procedure[Motion | None]:
             _tell(run, moves, stands)
         elif fresh:
             yield from _switch(run)
-        return Motion(next(iter(movers(run.protocol))).effect.motion)
+        return run.protocol.car.motion(next(iter(movers(run.protocol))).effect)
     return None
 
 

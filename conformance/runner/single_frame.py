@@ -17,10 +17,10 @@ from bilprov.conformance.cases.adaptation import adapt_to_device
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.oracle.judge import (
-    MOVING,
     contradiction,
     deviation,
     differences,
+    facets_of_motion,
     judge_answers,
     judge_state,
 )
@@ -35,6 +35,7 @@ from bilprov.conformance.runner.slow_preambles import preamble_of
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.codec import spaced
 from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import Protocol
 
 
 def run_single_frame(trial: Trial, case: Case) -> Procedure[None]:
@@ -89,7 +90,8 @@ def _precondition(run: Run, case: Case, looks: bool) -> Procedure[tuple[SetUp, R
     setup = preamble_of(run, case)
     ready = yield from set_up(run, setup)
     if not ready.missing and looks and case.setup.moving:
-        moves = run.profile.moves is None or case.setup.motion in run.profile.moves
+        motion = run.protocol.car.drive(case.setup).motion
+        moves = run.profile.moves is None or motion in run.profile.moves
         patience = run.timers.deadline if moves else 0
         seen = yield from watch(run, moving=True, patience=patience)
         if seen.look.moving is False and setup != case.setup:
@@ -98,7 +100,7 @@ def _precondition(run: Run, case: Case, looks: bool) -> Procedure[tuple[SetUp, R
             return (yield from _precondition(run, case, looks))
         ready = ready._replace(look=seen.look)
         if not seen.look.moving:
-            missing = f"not seen moving ({case.setup.motion}) before the stimulus"
+            missing = f"not seen moving ({motion}) before the stimulus"
             ready = ready._replace(missing=missing)
     stray = yield from listen(None, 0)
     return ready, stray
@@ -189,7 +191,8 @@ def _state(trial: Trial, case: Case) -> Procedure[None]:
 def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
     run = trial.run
     _note_followed(run, trial.expected, seen.look)
-    elsewhere = MOVING if case.stop and seen.look.moving else ()
+    of_motion = facets_of_motion(run.protocol)
+    elsewhere = of_motion if case.stop and seen.look.moving else ()
     axis = judge_state(run.model, trial.expected, seen.look, elsewhere)
     trial.already = ""
     if axis.verdict is Verdict.FAIL:
@@ -199,13 +202,13 @@ def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
             axis = Axis(axis.verdict, axis.expected, axis.actual, why, reading)
     if axis.verdict is Verdict.FAIL and run.profile.moves == set():
         # Motor power explains the wheels, and settings that show in them; not the others.
-        motor = {*MOVING, "speed", "steering"} - run.followed
+        motor = {*of_motion, *_shown_by_wheels(run.protocol)} - run.followed
         others = judge_state(run.model, trial.expected, seen.look, motor)
         if others.verdict is Verdict.FAIL:
             return others
         reason = "never seen moving in any kind of motion: is the motor power on?"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)
-    blind = unseen(case, seen.look)
+    blind = unseen(run.protocol, case, seen.look)
     if blind and axis.verdict < Verdict.INCONCLUSIVE:
         reason = f"{NOT_OBSERVABLE}: {blind}"
         return Axis(Verdict.INCONCLUSIVE, axis.expected, axis.actual, reason)
@@ -214,7 +217,7 @@ def _judge_state(trial: Trial, case: Case, seen: Observation) -> Axis:
 
 def _already(trial: Trial, case: Case, look: Look, ignore: Container[str]) -> str:
     """What was wrong before the stimulus in the same way, with the preamble; "" if nothing was."""
-    model = trial.run.model
+    model, of_motion = trial.run.model, facets_of_motion(trial.run.protocol)
     if trial.look_before is None:
         return ""
     wrong = [d for d in differences(model, trial.expected, look) if d[0] not in ignore]
@@ -222,7 +225,7 @@ def _already(trial: Trial, case: Case, look: Look, ignore: Container[str]) -> st
     effect = case.frame_effect.effect or trial.run.protocol.on_fault
     kept = [d for d in wrong if earlier.get(d[0]) == d]
     for facet, wanted, actual in wrong:
-        own = effect.sets("motion" if facet in MOVING else facet)
+        own = effect.sets(model.protocol.car.by if facet in of_motion else facet)
         # The wheels show a wrong steering at each speed otherwise.
         follows = facet == "wheels" and facet in earlier
         if own or not (follows or (facet, wanted, actual) in kept):
@@ -235,24 +238,30 @@ def _already(trial: Trial, case: Case, look: Look, ignore: Container[str]) -> st
     )
 
 
+def _shown_by_wheels(protocol: Protocol) -> tuple[str, str]:
+    """The settings that show in the wheels."""
+    return protocol.car.speed, protocol.car.steering
+
+
 def _note_followed(run: Run, expected: ExpectedState, look: Look) -> None:
     """Note the settings that the probe shows as they were set, unless that is 0."""
-    for name in ("speed", "steering"):
+    for name in _shown_by_wheels(run.protocol):
         value = getattr(expected.state, name)
         if value and name not in expected.unknown and getattr(look, name) == value:
             run.followed.add(name)
 
 
-def unseen(case: Case, look: Look) -> str:
+def unseen(protocol: Protocol, case: Case, look: Look) -> str:
     """Which facets this case tests that the look does not show, as words; "" if none."""
     if look.moving is None:
         return "the probe does not know whether the robot moves"
     if case.kind is not FrameClass.VALID:
         return ""
+    car = protocol.car
     changed = [
         name
-        for name in ("speed", "steering", "led")
+        for name in protocol.settings
         if getattr(case.expected, name) != getattr(case.setup, name)
     ]
-    tested = [*changed, "motion"] if case.expected.moving else changed
-    return untold(tested, facets_of(look))
+    tested = [*changed, car.by] if case.expected.moving else changed
+    return untold(protocol, tested, facets_of(protocol, look))

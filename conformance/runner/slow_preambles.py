@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 from bilprov.analyzer.client.operations import Procedure
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.runner.homing import SetUp, home, set_up, watch
 from bilprov.conformance.runner.run import Run
@@ -26,10 +27,10 @@ _MARGIN = 2
 
 def speeds(protocol: Protocol) -> Iterator[int]:
     """The speeds that are tried, from the lowest on; none where no instruction sets a speed."""
-    _, fast = protocol.limits.get("speed", (0, 0))
+    _, fast = protocol.speeds
     for part in _PARTS:
-        speed = fast // part
-        if speed and all(setting(protocol, "speed", n) for n in (speed, _MARGIN * speed)):
+        speed, name = fast // part, protocol.car.speed
+        if speed and all(setting(protocol, name, n) for n in (speed, _MARGIN * speed)):
             yield speed
 
 
@@ -40,7 +41,7 @@ def find_speed(run: Run) -> Procedure[None]:
     motions = sorted(run.profile.moves or ())
     for speed in speeds(run.protocol) if motions else ():
         for motion in motions:
-            if not (yield from _seen(run, run.protocol.state(motion=motion, speed=speed))):
+            if not (yield from _seen(run, in_motion(run.protocol, motion, speed))):
                 break
         else:
             run.profile.preamble_speed = _MARGIN * speed
@@ -71,9 +72,9 @@ def was_too_slow(run: Run, case: Case) -> Procedure[bool]:
 
 def set_up_slowly(run: Run, state: State) -> Procedure[SetUp]:
     """Bring a homed robot to a state, at the preamble speed where it is seen moving at that."""
-    slow = run.profile.preamble_speed
-    if slow is not None and slow < state.speed:
-        ready = yield from set_up(run, state.but(speed=slow))
+    slow, car = run.profile.preamble_speed, run.protocol.car
+    if slow is not None and slow < car.drive(state).speed:
+        ready = yield from set_up(run, state.but(**{car.speed: slow}))
         seen = yield from watch(run, moving=True, patience=run.timers.deadline)
         if seen.look.moving is not False:
             return ready
@@ -91,6 +92,8 @@ def preamble_of(run: Run, case: Case) -> State:
     """
     slow = run.profile.preamble_speed
     slows = case.faulty and case.stop and not case.thorough and case.kind is not FrameClass.VALID
-    if slow is None or not slows or case.setup.motion not in (run.profile.moves or ()):
+    car = run.protocol.car
+    motion, speed, _ = car.drive(case.setup)
+    if slow is None or not slows or motion not in (run.profile.moves or ()):
         return case.setup
-    return case.setup.but(speed=min(slow, case.setup.speed))
+    return case.setup.but(**{car.speed: min(slow, speed)})

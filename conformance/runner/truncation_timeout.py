@@ -15,6 +15,7 @@ from bilprov.analyzer.client.operations import Procedure, Received, listen, obse
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.opening import truncation_timeout
+from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.judge import judge_answers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
@@ -122,8 +123,7 @@ def _measure(run: Run, case: Case, *, stop_tells: bool) -> Procedure[_Measured]:
 def _drive(run: Run) -> Procedure[None]:
     """Set the robot moving."""
     assert run.profile.moves
-    _, fast = run.protocol.limits.get("speed", (0, 0))
-    yield from set_up_slowly(run, run.protocol.state(motion=min(run.profile.moves), speed=fast))
+    yield from set_up_slowly(run, in_motion(run.protocol, min(run.profile.moves)))
 
 
 def _stops_by_itself(run: Run, silent: int) -> Procedure[bool]:

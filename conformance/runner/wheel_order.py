@@ -42,7 +42,9 @@ def run_wheel_order(trial: Trial, case: OrderCase) -> Procedure[None]:
     if why:
         trial.axes = {"answer": Axis(Verdict.SKIPPED, case.requirement, "not run", why)}
         return
-    order = WheelOrder(case.variable, case.setup.motion, looks)
+    car = run.protocol.car
+    ahead = car.turn(car.drive(case.setup).motion)
+    order = WheelOrder(case.variable, ahead, looks, steers=case.variable == car.steering)
     verdict, reason = order.verdict()
     reading = READING if reason else ""
     trial.axes["state"] = Axis(verdict, case.requirement, order.words, reason, reading)
@@ -55,7 +57,8 @@ def _unseen(trial: Trial, case: OrderCase) -> Procedure[str]:
     seen = yield from watch(run, moving=True, patience=run.timers.deadline, trial=trial)
     if _speeds(seen.look) is None:
         return "the probe reports no wheel speeds"
-    moves = seen.look.moving or case.setup.motion in (run.profile.moves or ())
+    motion = run.protocol.car.drive(case.setup).motion
+    moves = seen.look.moving or motion in (run.profile.moves or ())
     return "" if moves else "never seen moving in this motion"
 
 
@@ -68,7 +71,8 @@ def _refusal(trial: Trial, case: OrderCase, frame: bytes) -> Procedure[str]:
     run, choices = trial.run, trial.run.profile.choices
     again = choices.differs("R-speed-moving") or run.profile.watchdog is not None
     mover = (case.mover,) if again else ()
-    for data in (*mover, frame) if case.variable == "steering" else (frame, *mover):
+    steers = case.variable == run.protocol.car.steering
+    for data in (*mover, frame) if steers else (frame, *mover):
         yield from send(run.wire(data))
         heard = yield from run.waiting.answers(1)
         trial.hear(heard)

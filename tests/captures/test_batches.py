@@ -20,7 +20,7 @@ from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import message_starts
 from bilprov.captures.topics import TOPICS, Written, encoded, topic_of
 from bilprov.captures.writer import CaptureWriter
-from bilprov.spec.motion import car_state
+from tests.support.car import car_state
 
 START = 1_790_000_000_000_000_000
 VALUES: list[Written] = [

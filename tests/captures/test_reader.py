@@ -23,7 +23,7 @@ from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.text import printable
 from bilprov.captures.topics import TOPICS
 from bilprov.captures.writer import CaptureWriter
-from bilprov.spec.motion import car_state
+from tests.support.car import car_state
 
 START = 1_790_000_000_000_000_000
 FLUSH_EVERY = 4

@@ -34,8 +34,8 @@ from bilprov.captures.schemas import (
     Time,
 )
 from bilprov.captures.writer import FLUSH_AFTER, CaptureWriter
-from bilprov.spec.motion import car_state
 from tests.support import ROOT
+from tests.support.car import car_state
 
 START = 1_790_000_000_000_000_000
 SECOND = 1_000_000_000

@@ -21,9 +21,9 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge
-from bilprov.spec.motion import car_state, wheels
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
+from tests.support.car import car_state, wheels
 from tests.support.firmware import AVR, BUGS, built
 from tests.vectors import FRAMES
 

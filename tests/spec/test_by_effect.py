@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from bilprov.spec.by_effect import frames_to, movers, reached, setting
-from bilprov.spec.motion import Motion, car_state
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol, load
+from tests.support.car import car_state
 from tests.support.grammars import still_grammar
 
 BOTH = """\

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bilprov.spec.motion import Motion, car_state, visible_motion, wheels
+from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import Effect, FromField
+from tests.support.car import car_state, wheels
 from tests.vectors import SEQUENCES, WHEELS, Sequence, WheelVector
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def test_only_a_direction_with_a_speed_moves_and_is_seen(motion: Motion, speed: 
     moves = speed > 0 and motion != Motion.STOPPED
 
     assert state.moving == moves
-    assert visible_motion(state) is (motion if moves else Motion.STOPPED)
+    assert visible_motion(state) == (motion if moves else Motion.STOPPED)
     assert (wheels(state, 255) != (0, 0)) == moves
 
 

@@ -53,11 +53,11 @@ def test_each_point_belongs_to_a_reading_and_tells_its_choices_apart() -> None:
 
 
 def test_one_point_decides_about_a_variable_after_a_frame() -> None:
-    places = Counter((p.variable, moment) for p in POINTS.values() for moment in p.moments)
+    places = Counter((p.about, moment) for p in POINTS.values() for moment in p.moments)
 
     assert places
     assert max(places.values()) == 1
-    assert all(bool(p.variable) is bool(p.moments) for p in POINTS.values())
+    assert all(bool(p.about) is bool(p.moments) for p in POINTS.values())
 
 
 def test_the_help_of_allow_names_every_option() -> None:

@@ -10,8 +10,9 @@ import pytest
 
 from bilprov.spec.codec import all_data, bad_data, build, judge, nearest, raw_frame
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion, car_state
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol, load
+from tests.support.car import car_state
 from tests.support.grammars import mutated, undeclared
 from tests.vectors import FRAMES, UNUSED_IDS
 

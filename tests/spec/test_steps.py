@@ -7,10 +7,10 @@ from random import Random
 import pytest
 
 from bilprov.spec.codec import judge, raw_frame
-from bilprov.spec.motion import car_state
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State, after
 from bilprov.spec.steps import Steps
+from tests.support.car import car_state
 
 BEFORE = car_state(speed=11, steering=-7, led=3)
 

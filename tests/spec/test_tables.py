@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bilprov.spec.codec import build, judge, nearest
 from bilprov.spec.framing import Framer
-from bilprov.spec.motion import VARIABLES, Motion
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.state import State
 from bilprov.spec.tables import (
@@ -21,6 +21,7 @@ from bilprov.spec.tables import (
     field_values,
     frame_tables,
 )
+from tests.support.car import VARIABLES
 from tests.support.grammars import undeclared
 
 MOTIONS = tuple(Motion)

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bilprov.captures.schemas import Look
-from bilprov.spec.motion import Motion
 
 CHIP, FREQUENCY, FLASH = "atmega328p", 16_000_000, 1 << 15  # Hz, bytes
 
@@ -52,7 +51,7 @@ def look(memory: Callable[[int], int], now: int) -> Look:
     return Look(
         t=now,
         moving=bool(left or right),
-        motion=_motion(left, right).value,
+        motion=_motion(left, right),
         led=memory(_PORTS["C"]) & memory(_PORTS["C"] - 1) & _LIGHT,
         left=left,
         right=right,
@@ -64,12 +63,12 @@ def unread(memory: Callable[[int], int]) -> bool:
     return bool(memory(_UCSR0A) & _RXC0)
 
 
-def _motion(left: int, right: int) -> Motion:
+def _motion(left: int, right: int) -> str:
     if left * right < 0:
-        return Motion.ROTATE_RIGHT if left > 0 else Motion.ROTATE_LEFT
+        return "rotate_right" if left > 0 else "rotate_left"
     if left or right:
-        return Motion.FORWARD if left + right > 0 else Motion.BACKWARD
-    return Motion.STOPPED
+        return "forward" if left + right > 0 else "backward"
+    return "stopped"
 
 
 def _is_high(memory: Callable[[int], int], port: str, bit: int) -> bool:

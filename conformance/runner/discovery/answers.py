@@ -22,7 +22,7 @@ from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.run import Run
-from bilprov.spec.by_effect import setting
+from bilprov.spec.by_effect import link_check
 from bilprov.spec.codec import bad_data, build
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
@@ -69,9 +69,7 @@ def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:
 
 def _setting(protocol: Protocol) -> Step:
     """A valid instruction that moves nothing: a setting, else the stop."""
-    low, high = protocol.limits.get("speed", (0, 0))
-    frame = setting(protocol, "speed", (low + high) // 2) or bytes([protocol.pad_byte])
-    return step_of(protocol, frame)
+    return step_of(protocol, link_check(protocol).setting)
 
 
 def _exchange(run: Run, data: bytes, due: int, patience: int = 0) -> Procedure[Received]:

@@ -15,7 +15,7 @@ from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.slow_preambles import set_up_slowly
 from bilprov.spec.by_effect import fitted, movers, setting
-from bilprov.spec.motion import Moment, moment_of
+from bilprov.spec.motion import Moment
 from bilprov.spec.open_points import open_after
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.readings import POINTS, Behaviour, OpenPoint
@@ -28,15 +28,16 @@ _AGAIN = 500 * MS  # how long a robot that stopped by itself is observed
 def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
     """Every experiment that needs looks."""
     able = [spec for spec in movers(protocol) if full_state(protocol, spec).moving]
-    straight = [s for s in able if moment_of(s.effect) is Moment.DRIVE]
-    turning = [s for s in able if moment_of(s.effect) is Moment.ROTATION]
+    car = protocol.car
+    straight = [s for s in able if car.moment(s.effect) is Moment.DRIVE]
+    turning = [s for s in able if car.moment(s.effect) is Moment.ROTATION]
     if not straight:
         return
     first = straight[0]
     full = full_state(protocol, first)
     for kind in filter(None, (straight, turning)):
         last = kind[-1]
-        point = _points(protocol, last.effect, full).get("steering")
+        point = _points(protocol, last.effect, full).get(car.steering)
         if point:
             yield _probe(
                 point.id.removeprefix("R-"),
@@ -63,13 +64,13 @@ def state_experiments(protocol: Protocol) -> Iterator[Experiment]:
         partial(_after, first=first, frame=fault, points=points),
         fault[0],
     )
-    if setting(protocol, "speed", 0, full):
+    if setting(protocol, car.speed, 0, full):
         yield _probe(
             "speed-moving",
             (POINTS["R-speed-moving"],),
             "a speed takes effect at once",
             partial(_speed_moving, first=first),
-            setting(protocol, "speed", 0, full)[0],
+            setting(protocol, car.speed, 0, full)[0],
         )
     if turning and _steers(protocol, turning[0]):
         yield _probe(
@@ -104,8 +105,8 @@ def _probe(
 
 def _steers(protocol: Protocol, turning: InstructionSpec) -> bytes:
     """The frame that steers a robot that rotates at full speed, b"" if there is none."""
-    full = full_state(protocol, turning)
-    return setting(protocol, "steering", full.steering, full)
+    full, name = full_state(protocol, turning), protocol.car.steering
+    return setting(protocol, name, getattr(full, name), full)
 
 
 def _points(protocol: Protocol, effect: Effect | None, full: State) -> dict[str, OpenPoint]:
@@ -113,12 +114,9 @@ def _points(protocol: Protocol, effect: Effect | None, full: State) -> dict[str,
 
     They are about variables that the protocol sets, and that are not 0 in the state before.
     """
-    points = open_after(effect or protocol.on_fault, moment_of(effect))
-    judged = [
-        name
-        for name in ("steering", "speed", "led")
-        if name in protocol.limits and getattr(full, name)
-    ]
+    points, car = open_after(protocol, effect), protocol.car
+    names = (car.steering, car.speed, *protocol.lights)
+    judged = [name for name in names if name in protocol.limits and getattr(full, name)]
     return {name: points[name] for name in judged if name in points}
 
 
@@ -129,16 +127,18 @@ def _send(run: Run, frame: bytes) -> Procedure[int]:
     return len(heard.answers)
 
 
-def _compared(what: str, value: int | None, full: int) -> str:
-    """What a variable shows whose value was `full`: kept, reset, "" if it is not seen."""
-    known = {None: "", full: Behaviour.KEPT, 0: Behaviour.RESET}
-    return known.get(value, f"{what} {value}")
+def _compared(protocol: Protocol, name: str, look: Look, full: State) -> str:
+    """What a look shows of a variable: kept as in `full`, reset, "" if it is not seen."""
+    value = getattr(look, name)
+    known = {None: "", getattr(full, name): Behaviour.KEPT, 0: Behaviour.RESET}
+    return known.get(value, f"{protocol.noun(name)} is {value}")
 
 
-def _steering(look: Look, full: State) -> str:
+def _steering(protocol: Protocol, look: Look, full: State) -> str:
     """What a moving robot's steering shows: kept, reset, "" if it cannot be told."""
-    if look.steering is not None:
-        return _compared("steering is", look.steering, full.steering)
+    name = protocol.car.steering
+    if getattr(look, name) is not None:
+        return _compared(protocol, name, look, full)
     if look.left is None or look.right is None or not look.moving:
         return ""
     return Behaviour.RESET if look.left == look.right else Behaviour.KEPT
@@ -148,31 +148,33 @@ def _move_on(
     run: Run, *, first: InstructionSpec, last: InstructionSpec, point: OpenPoint
 ) -> Procedure[Finding]:
     """Find out what another motion instruction, `last`, leaves of the steering."""
-    full = full_state(run.protocol, first)
+    full, car = full_state(run.protocol, first), run.protocol.car
     lost = (yield from set_up(run, full)).missing
     yield from _send(run, fitted(run.protocol, last, full))
     look = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
     actual, blind = look_words(look), False
-    if look.steering is None and moment_of(last.effect) is Moment.ROTATION:
+    unseen = car.drive(look).steering is None
+    if unseen and car.moment(last.effect) is Moment.ROTATION:
         # The wheels of a rotation do not show the steering: it shows when the robot drives again.
         yield from _send(run, fitted(run.protocol, first, full))
         look = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
         actual += f"; driving again: {look_words(look)}"
         blind = _straightens(run, first)
-    word = "" if blind else point.word_of(_steering(look, full))
+    word = "" if blind else point.word_of(_steering(run.protocol, look, full))
     return Finding(((point.id, word),), "steering kept", actual, lost)
 
 
 def _straightens(run: Run, first: InstructionSpec) -> bool:
     """Whether driving again with this instruction does not show what the steering was."""
-    return run.profile.choices.differs("R-drive-steering") or first.effect.sets("steering")
+    steers = first.effect.sets(run.protocol.car.steering)
+    return steers or run.profile.choices.differs("R-drive-steering")
 
 
 def _after(
     run: Run, *, first: InstructionSpec, frame: bytes, points: Mapping[str, OpenPoint]
 ) -> Procedure[Finding]:
     """Find out what a frame that stops the robot leaves of steering, speed and LED."""
-    protocol = run.protocol
+    protocol, car = run.protocol, run.protocol.car
     full = full_state(protocol, first)
     again_frame = fitted(protocol, first, full)
     lost = (yield from set_up(run, full)).missing
@@ -183,44 +185,48 @@ def _after(
     fault = lost or ("still moves" if look.moving else "")
     yield from listen(None, run.waiting.idle if run.profile.flushes else 0)
     again = look
-    if look.speed is None or look.steering is None:
+    _, speed_seen, steering_seen = car.drive(look)
+    if speed_seen is None or steering_seen is None:
         # What the probe does not tell shows when the robot drives again.
         yield from _send(run, again_frame)
         again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
         actual += f"; driving again: {look_words(again)}"
     speed_again = again
-    speed_frame = setting(protocol, "speed", full.speed, full)
-    if again.moving is False and look.steering is None and speed_frame:
+    speed_frame = setting(protocol, car.speed, car.drive(full).speed, full)
+    if again.moving is False and steering_seen is None and speed_frame:
         # Its speed was zeroed; with a new one its steering shows.
         yield from _send(run, speed_frame)
         yield from _send(run, again_frame)
         again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
-    blind = look.steering is None and _straightens(run, first)
-    steering = "" if blind else _steering(look if look.steering is not None else again, full)
-    if look.speed is not None:
-        speed = _compared("speed is", look.speed, full.speed)
-    else:
-        speed = {None: "", True: Behaviour.KEPT, False: Behaviour.RESET}[speed_again.moving]
-    led = _compared("LED is", look.led, full.led)
-    seen_now = {"steering": steering, "speed": speed, "led": led}
+    seen_now = {name: _compared(protocol, name, look, full) for name in protocol.settings}
+    if steering_seen is None:
+        blind = _straightens(run, first)
+        seen_now[car.steering] = "" if blind else _steering(protocol, again, full)
+    if speed_seen is None:
+        moving = speed_again.moving
+        seen_now[car.speed] = {None: "", True: Behaviour.KEPT, False: Behaviour.RESET}[moving]
     # A device that does not know the LED's instruction has no light to switch off.
-    dark = not run.wire(setting(protocol, "led", full.led, full))
+    dark = [
+        name
+        for name in protocol.lights
+        if not run.wire(setting(protocol, name, getattr(full, name), full))
+    ]
     words = tuple(
         (point.id, point.word_of(seen_now[name]))
         for name, point in points.items()
-        if not (dark and name == "led")
+        if name not in dark
     )
     return Finding(words, "stopped", actual, fault)
 
 
 def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
-    full = full_state(run.protocol, first)
+    full, name = full_state(run.protocol, first), run.protocol.car.speed
     lost = (yield from set_up(run, full)).missing
-    yield from _send(run, setting(run.protocol, "speed", 0, full))
+    yield from _send(run, setting(run.protocol, name, 0, full))
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     word, fault = "at-once", lost
     if seen.look.moving:
-        yield from _send(run, fitted(run.protocol, first, full.but(speed=0)))
+        yield from _send(run, fitted(run.protocol, first, full.but(**{name: 0})))
         seen = yield from watch(run, moving=False, patience=run.timers.deadline)
         word = "next-motion"
         if seen.look.moving:
@@ -230,8 +236,8 @@ def _speed_moving(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
 
 
 def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]:
-    full = full_state(run.protocol, turning)
-    lost = (yield from set_up(run, full.but(steering=0))).missing
+    full, car = full_state(run.protocol, turning), run.protocol.car
+    lost = (yield from set_up(run, full.but(**{car.steering: 0}))).missing
     yield from _send(run, _steers(run.protocol, turning))
     yield from listen(None, run.timers.silence)
     look = (yield from observe()).look
@@ -240,9 +246,10 @@ def _steer_rotating(run: Run, *, turning: InstructionSpec) -> Procedure[Finding]
     if look.moving is False:
         fault = fault or "steering during a rotation stops it"
     word = "remembered"
-    if opposite is False or (opposite is None and look.motion not in (None, full.motion)):
+    motion = car.drive(look).motion
+    if opposite is False or (opposite is None and motion not in (None, car.drive(full).motion)):
         word = "curve"
-    if opposite is None and look.motion is None:
+    if opposite is None and motion is None:
         word = ""
     return Finding((("R-steer-rotating", word),), "goes on rotating", words, fault)
 

@@ -88,4 +88,5 @@ def _shown(look: Look) -> tuple[object, ...] | None:
     turns = [
         None if wheel is None else (wheel > 0) - (wheel < 0) for wheel in (look.left, look.right)
     ]
-    return look.moving, look.motion, look.speed, look.steering, look.led, *turns
+    told = {name: getattr(look, name) for name in look.__struct_fields__}
+    return (*({**told, "t": 0, "left": turns[0], "right": turns[1]}).values(),)

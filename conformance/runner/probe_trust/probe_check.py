@@ -9,6 +9,7 @@ from __future__ import annotations
 from bilprov.analyzer.client.homing import stops
 from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.runner.homing import home, set_up
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import moving_to
@@ -46,17 +47,14 @@ def settle_failures(run: Run) -> Procedure[None]:
 def _check(run: Run) -> Procedure[str]:
     """Why the probe cannot be believed, "" if nothing speaks against it."""
     protocol = run.protocol
-    _, fast = protocol.limits.get("speed", (0, 0))
-    states = [
-        protocol.state(motion=motion, speed=fast) for motion in sorted(run.profile.moves or ())
-    ]
+    states = [in_motion(protocol, motion) for motion in sorted(run.profile.moves or ())]
     starts = [frame for frame in (moving_to(protocol, state) for state in states) if frame][:2]
     lags: list[int] = []
     fresh: list[bool] = []
     for start in starts * _ROUNDS:
         for wait in (0, _QUIET):
             yield from home(run)
-            yield from set_up(run, protocol.state(speed=fast))
+            yield from set_up(run, in_motion(protocol, None))
             for frame, moving in ((start, True), (stops(run.protocol)[:1], False)):
                 yield from listen(None, _QUIET)
                 late = yield from _shown_after(run, run.wire(frame), wait, moving=moving)

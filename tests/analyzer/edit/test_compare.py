@@ -17,8 +17,8 @@ from bilprov.analyzer.edit.alignment import FAR, RUN, aligned
 from bilprov.analyzer.edit.exchanges import Exchange
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
-from bilprov.spec.motion import car_state
 from tests.support import ROOT
+from tests.support.car import car_state
 from tests.support.commands import command, process
 from tests.support.decoding import Event, conversation
 

@@ -22,8 +22,8 @@ from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.captures.events import Events
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import build, judge, nearest
-from bilprov.spec.motion import VARIABLES
 from bilprov.spec.protocol import Protocol, load
+from tests.support.car import VARIABLES
 from tests.support.decoding import MS, Event, decoded
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 

@@ -31,9 +31,9 @@ from bilprov.analyzer.screen.row_export import export
 from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
-from bilprov.spec.motion import car_state
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.car import car_state
 from tests.support.decoding import MS
 from tests.support.traffic import told
 

@@ -45,7 +45,7 @@ def test_the_host_stops_soon_after_it_has_set_the_robot_moving(protocol: Protoco
     moving, longest = 0, 0
     for chunk in islice(drive(protocol, BYTE_TIME), 0, 2 * FRAMES, 2):
         instruction = judge(protocol, chunk.data).instruction
-        motion = instruction.effect.motion if instruction else None
+        motion = protocol.car.motion(instruction.effect) if instruction else None
         if motion == Motion.STOPPED:
             moving = 0
         elif moving or motion is not None:

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.spec.motion import Motion, car_state
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
+from tests.support.car import car_state
 from tests.vectors import (
     FRAMES,
     SEQUENCES,

@@ -57,7 +57,7 @@ def outputs(protocol: Protocol, device: Device, learned: Learned, word: Any) -> 
         heard, look = link.do(Listen(None, 100 * MS)), link.do(Observe())
         assert isinstance(heard, Received)
         assert isinstance(look, Observation)
-        seen.append(output_of(heard.codes, look.look))
+        seen.append(output_of(protocol, heard.codes, look.look))
     return seen[-len(word) :]
 
 

@@ -57,17 +57,19 @@ def reference(protocol: Protocol) -> Mealy[Output]:
         ),
     ],
 )
-def test_a_look_counts_by_the_sign_and_the_order_of_the_wheels(look: Look, words: str) -> None:
-    assert output_of((0,), look).look_words == words
+def test_a_look_counts_by_the_sign_and_the_order_of_the_wheels(
+    protocol: Protocol, look: Look, words: str
+) -> None:
+    assert output_of(protocol, (0,), look).look_words == words
 
 
 def test_a_facet_that_is_not_seen_fits_any_and_another_value_does_not() -> None:
-    seen = Output((0,), moving=True, led=3)
+    seen = Output((0,), moving=True, lights=(("led", 3),))
 
     assert seen.fits(Output((0,)))
-    assert seen.fits(Output((0,), motion="forward", led=3))
-    assert not seen.fits(Output((0,), led=2))
-    assert not seen.fits(Output((), moving=True, led=3))
+    assert seen.fits(Output((0,), motion="forward", lights=(("led", 3),)))
+    assert not seen.fits(Output((0,), lights=(("led", 2),)))
+    assert not seen.fits(Output((), moving=True, lights=(("led", 3),)))
 
 
 def test_a_minimal_machine_behaves_alike_and_is_numbered_by_its_behaviour() -> None:
@@ -111,7 +113,8 @@ def test_the_machine_of_the_protocol_does_what_a_robot_of_two_rules_does(
         driven = drive(each_protocol, [*setup, *(steps[letter].frame for letter in word)])
         for output, (code, state) in zip(due.run(word), driven[len(setup) :], strict=True):
             assert output.codes == (code,)
-            assert (output.moving, output.led) in [(state.moving, state.led), (state.moving, None)]
+            assert output.moving is state.moving
+            assert output.lights in (None, (("led", state.led),))
             assert output.motion == (state.motion if state.moving else "stopped")
 
 
@@ -169,9 +172,9 @@ def test_a_drawing_merges_arrows_counts_them_and_shows_differences_in_red(
 
 
 def test_an_overview_has_a_node_for_each_kind_of_motion(protocol: Protocol) -> None:
-    forward = Output((0,), moving=True, motion="forward", led=0)
-    stopped = Output((0,), moving=False, motion="stopped", led=0)
-    bright = forward._replace(led=7)
+    forward = Output((0,), moving=True, motion="forward", lights=(("led", 0),))
+    stopped = Output((0,), moving=False, motion="stopped", lights=(("led", 0),))
+    bright = forward._replace(lights=(("led", 7),))
     refused = stopped._replace(codes=(1,))
     one = Mealy(
         ((1, 0, 0), (1, 2, 0), (2, 2, 0)),

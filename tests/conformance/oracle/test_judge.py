@@ -31,9 +31,10 @@ from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEf
 from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from bilprov.conformance.report.run_report import Report
-from bilprov.spec.motion import Motion, car_state, visible_motion
+from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
+from tests.support.car import car_state
 from tests.support.faults import (
     answers_with,
     condition,

@@ -25,8 +25,9 @@ from bilprov.conformance.report.junit import as_junit
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.report.summary import show
-from bilprov.spec.motion import Motion, car_state
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
+from tests.support.car import car_state
 
 PASS, NON_STRICT, FAIL = Verdict.PASS, Verdict.NON_STRICT, Verdict.FAIL
 INCONCLUSIVE, SKIPPED = Verdict.INCONCLUSIVE, Verdict.SKIPPED
@@ -259,9 +260,9 @@ LIT = Look(0, True, "forward", 9, 0, 7, 9, 9)
     ],
 )
 def test_a_case_with_a_look_in_the_dark_is_at_best_inconclusive(
-    axes: dict[str, Verdict], verdict: Verdict
+    protocol: Protocol, axes: dict[str, Verdict], verdict: Verdict
 ) -> None:
-    sight = Sight()
+    sight = Sight(protocol)
     sight.begin("one")
     seen(sight, LIT, DARK)
     found = sight.judged(result("one", **axes))
@@ -274,17 +275,17 @@ def test_a_case_with_a_look_in_the_dark_is_at_best_inconclusive(
 
 
 @pytest.mark.parametrize("facet", ["motion", "speed", "steering", "led", "left"])
-def test_a_facet_is_missed_once_it_was_shown(facet: str) -> None:
+def test_a_facet_is_missed_once_it_was_shown(protocol: Protocol, facet: str) -> None:
     without = msgspec.structs.replace(LIT, **{facet: None})
     for looks, verdict in (((without, without), PASS), ((without, LIT, without), INCONCLUSIVE)):
-        sight = Sight()
+        sight = Sight(protocol)
         sight.begin("one")
         assert seen(sight, *looks)
         assert sight.judged(result("one", state=PASS)).verdict is verdict
 
 
-def test_a_look_between_two_cases_counts_for_the_next_one() -> None:
-    sight = Sight()
+def test_a_look_between_two_cases_counts_for_the_next_one(protocol: Protocol) -> None:
+    sight = Sight(protocol)
     sight.begin("one")
     assert sight.judged(result("one", state=PASS)).verdict is PASS
     seen(sight, DARK)
@@ -298,11 +299,13 @@ def test_what_the_wheels_show_needs_no_other_facet(protocol: Protocol) -> None:
     forward = FrameEffect(spec["Forward"].effect)
     led = FrameEffect(spec["LED"].effect, {"rgb": 1})
 
-    assert facets_set([FAULT, forward, led]) == ["motion", "led"]
-    assert facets_set([FAULT, FrameEffect(spec["Stop"].effect)]) == ["steering"]
-    assert untold(["motion", "led"], {"moving"}) == "the probe does not report motion, led"
-    assert untold(["motion", "steering"], {"wheels"}) == ""
-    assert untold(["led"], {"wheels"}) == "the probe does not report led"
+    assert facets_set(protocol, [FAULT, forward, led]) == ["motion", "led"]
+    assert facets_set(protocol, [FAULT, FrameEffect(spec["Stop"].effect)]) == ["steering"]
+    assert (
+        untold(protocol, ["motion", "led"], {"moving"}) == "the probe does not report motion, led"
+    )
+    assert untold(protocol, ["motion", "steering"], {"wheels"}) == ""
+    assert untold(protocol, ["led"], {"wheels"}) == "the probe does not report led"
 
 
 def test_what_rests_on_a_choice_that_was_not_seen_is_not_known(protocol: Protocol) -> None:

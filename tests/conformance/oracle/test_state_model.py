@@ -10,15 +10,15 @@ from bilprov.conformance.cases.steps import step_of
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import (
     FAULT,
-    VARIABLES,
     ExpectedState,
     FrameEffect,
     Model,
 )
-from bilprov.spec.motion import Motion, car_state
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, READINGS, STATE_POINTS
 from bilprov.spec.state import State
+from tests.support.car import car_state
 from tests.vectors import SEQUENCES, RobotState, Sequence
 
 DRIVING = car_state(Motion.FORWARD, speed=200, steering=40, led=5)
@@ -225,7 +225,7 @@ def test_of_a_robot_that_was_found_nothing_is_known_but_what_is_set(protocol: Pr
     model = model_of(protocol)
     expected_state = model.found()
 
-    assert expected_state.unknown == set(VARIABLES)
+    assert expected_state.unknown == {"speed", "steering", "led"}
     assert expected_state.still
     expected_state = model.after(expected_state, done(protocol, "Speed", 7))
     assert expected_state.unknown == {"steering", "led"}
@@ -241,7 +241,7 @@ def test_after_homing_a_direction_is_known_and_the_settings_are_not(protocol: Pr
     assert (homed.state.motion, homed.unknown) == (Motion.STOPPED, {"speed", "led"})
 
     keeps = model_of(protocol, ("R-stop-steering", "kept"))
-    assert keeps.homed(keeps.found()).unknown == set(VARIABLES)
+    assert keeps.homed(keeps.found()).unknown == {"speed", "steering", "led"}
 
     zeroes = model_of(protocol, ("R-stop-speed", "zeroed"), ("R-led-state stop", "off"))
     homed = zeroes.homed(zeroes.found())
