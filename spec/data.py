@@ -23,7 +23,7 @@ from construct import (
 from bilprov.spec.errors import one_line
 from bilprov.spec.fields import Ranged
 from bilprov.spec.numbers import LayoutError, Number, named_flags, named_values, number_of
-from bilprov.spec.value_checks import require_name, require_text, require_whole
+from bilprov.spec.value_checks import require_text, require_whole, require_word
 
 Value: TypeAlias = int | bytes | tuple[int, ...]
 """The value of a field: a number, bytes, or some numbers."""
@@ -318,7 +318,7 @@ def _require_counted(
         allowed = [*(f"this.{one}" for one in own), *(f"asked.{one}" for one in asked)]
         raise LayoutError(
             f"{name} is counted by {one_line(error, 40)}; allowed are "
-            f" {', '.join(allowed) or 'a number or Prefixed(Byte, ...)'}"
+            f"{', '.join(allowed) or 'a number or Prefixed(Byte, ...)'}"
         ) from error
 
 
@@ -328,7 +328,7 @@ def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
         raw = body.build(None)
         require_whole(f"the size of a constant of {owner} in bytes", len(raw), 1, 255)
         return FieldSpec(member.name or "", prose_of(member), offset, len(raw), constant=raw)
-    require_name(f"the name of a field of {owner}", member.name)
+    require_word(f"the name of a field of {owner}", member.name)
     name = f"{owner}.{member.name}"
     require_text(f"the prose of {name}", prose_of(member))
     many = _many(name, body)

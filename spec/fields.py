@@ -72,6 +72,11 @@ __all__ = [
 
 _LONGEST_TIME = 3_600_000.0  # ms
 _SHORTEST_TIME = 0.001
+_ORDERED = (
+    ("truncation_shortest", "truncation_timeout"),
+    ("truncation_timeout", "truncation_longest"),
+    ("answer_deadline", "answer_longest"),
+)  # the first is at most as long as the second
 _FASTEST = 1_000_000_000  # bits/s
 _PARITIES = ("N", "E", "O", "M", "S")
 _STOPBITS = (1, 1.5, 2)
@@ -322,6 +327,12 @@ class Timing:
             require_number(
                 f"Timing.{name} in ms", getattr(self, name), _SHORTEST_TIME, _LONGEST_TIME
             )
+        for first, then in _ORDERED:
+            least, most = getattr(self, first), getattr(self, then)
+            if least > most:
+                raise WrongValue(
+                    f"Timing.{then} is {most:g}, allowed is at least Timing.{first}, {least:g}"
+                )
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from bilprov.spec.data import DataSpec, Values, prose_of, unwrapped
 from bilprov.spec.fields import Answers
 from bilprov.spec.frame_words import Address, Data, Length, Same
 from bilprov.spec.numbers import LayoutError, Number, number_of, path_of
-from bilprov.spec.value_checks import require_name, require_text, require_whole
+from bilprov.spec.value_checks import require_text, require_whole, require_word
 
 Role = Literal["constant", "address", "id", "length", "code", "other", "check"]
 
@@ -379,7 +379,7 @@ class _Reader:
             self._number(member, body)
 
     def _covered(self, name: str, body: RawCopy) -> None:
-        require_name(f"the name of the covered part of {self._what}", name)
+        require_word(f"the name of the covered part of {self._what}", name)
         inner = unwrapped(body.subcon)
         if not isinstance(inner, Struct):
             raise LayoutError(f"{self._what}.{name} must be written RawCopy(Struct(...))")
@@ -415,10 +415,15 @@ class _Reader:
 
     def _number(self, member: Construct, body: Construct) -> None:
         name = f"{self._what}.{member.name}"
-        require_name(f"the name of a part of {self._what}", member.name)
+        require_word(f"the name of a part of {self._what}", member.name)
         if isinstance(body, Address):
+            number, ends = number_of(unwrapped(body.subcon), name), (body.high, body.broadcast or 0)
+            if max(ends) > number.high:
+                raise LayoutError(
+                    f"{name} has addresses up to {max(ends)} in a type of up to {number.high}"
+                )
             self._add(
-                member, "address", number_of(unwrapped(body.subcon), name),
+                member, "address", number,
                 low=body.low, high=body.high, broadcast=body.broadcast,
             )  # fmt: skip
         elif isinstance(body, Length):
@@ -442,7 +447,7 @@ class _Reader:
             name = f"{self._what}.{part.name}"
             if type(bits) is not BitsInteger or bits.signed or bits.swapped:
                 raise LayoutError(f"{name} must be written BitsInteger(width)")
-            require_name(f"the name of a part of {self._what}", part.name)
+            require_word(f"the name of a part of {self._what}", part.name)
             self._names.add(part.name)
             require_text(f"the prose of {name}", prose_of(part))
             require_whole(f"the width of {name}", bits.length, 1, 64)

@@ -62,9 +62,10 @@ from bilprov.spec.state import (
 )
 from bilprov.spec.value_checks import (
     WrongValue,
-    require_name,
+    require_kind,
     require_text,
     require_whole,
+    require_word,
     shown,
 )
 
@@ -542,11 +543,14 @@ def _line(error: BaseException, origin: str) -> str:
 def _declared_in(tree: ast.Module, message: str) -> str:
     """Where the declaration stands that a message names, in words; none if that is not known.
 
-    A message names a declaration by itself (`FRAME`) or a part of it (`FRAME.crc`, `Speed.speed`).
+    A message names a declaration by itself (`FRAME`), a part of it (`FRAME.crc`, `Speed.speed`), or
+    has its text in quotes.
     """
     line = 0
-    for word in re.findall(r"\w+(?:\.\w+)+|\b[A-Z]{3,}\b", message):
-        for name in word.split("."):
+    named = re.findall(r"\w+(?:\.\w+)+|\b[A-Z][A-Z_]{2,}\b", message)
+    quoted = re.findall("'([^']+)'", message)
+    for names in (*([one] for one in quoted), *(word.split(".") for word in named)):
+        for name in names:
             line = next((at for named, at in _names(tree) if named == name and at >= line), line)
         if line:
             return f" (line {line})"
@@ -554,12 +558,14 @@ def _declared_in(tree: ast.Module, message: str) -> str:
 
 
 def _names(tree: ast.Module) -> Iterator[tuple[str, int]]:
-    """What a grammar assigns, and each text that names a part, with its line."""
+    """What a grammar assigns or gives by name, and each text that names a part, with its line."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.id, node.lineno
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.value, node.lineno
+        if isinstance(node, ast.keyword) and node.arg:
+            yield node.arg, node.lineno
 
 
 def _require_each_id_once(tree: ast.Module) -> None:
@@ -779,15 +785,16 @@ def _take(space: dict[str, Any], name: str, kind: type) -> Any:
     """Return the declaration of that name. Raises GrammarError if it is not of that kind."""
     if name not in space:
         raise GrammarError(f"it declares no {name}")
-    if not isinstance(space[name], kind):
-        raise GrammarError(f"{name} is a {type(space[name]).__name__}, not a {kind.__name__}")
+    require_kind(name, space[name], kind)
     return space[name]
 
 
 def _text(space: dict[str, Any], name: str) -> str:
-    """Return the text of that name."""
-    text: str = _take(space, name, str)
+    """Return the text of that name, which is not empty."""
+    text: str = _take(space, name, object)
     require_text(name, text)
+    if not text.strip():
+        raise GrammarError(f"{name} is empty, allowed is a text")
     return text
 
 
@@ -904,7 +911,7 @@ def _instruction(
     if not isinstance(body, Instruction) or not declaration.name:
         raise GrammarError(f'instruction {identity} must be written "Name" / Instruction(...)')
     name = declaration.name
-    require_name(f"the name of instruction {identity}", name)
+    require_word(f"the name of instruction {identity}", name)
     require_text(f"the prose of {name}", prose_of(declaration))
     announced = layout.part("length")
     data = read_data(name, body.subcons, framed=announced is not None)

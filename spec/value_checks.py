@@ -46,6 +46,13 @@ def require_name(what: str, value: Any) -> None:
         raise WrongValue(f"{what} is empty, allowed is a name")
 
 
+def require_word(what: str, value: Any) -> None:
+    """Raise WrongValue unless the value is a name without spaces, which can be typed as one."""
+    require_name(what, value)
+    if len(value.split()) > 1:
+        raise WrongValue(f"{what} is {shown(value)}, allowed is one word")
+
+
 def require_whole(what: str, value: Any, low: int = -LARGEST, high: int = LARGEST) -> None:
     """Raise WrongValue unless the value is a whole number in low..high."""
     if not isinstance(value, int) or isinstance(value, bool):

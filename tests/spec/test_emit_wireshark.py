@@ -292,9 +292,9 @@ def test_a_grammar_with_any_names_gives_a_script_that_runs(
     odd = grammar_text.replace('NAME = "robot-car"', 'NAME = "]] \\"Bil\\" 4 \\\\"')
     for old, new in (
         ('1: "Speed"', '1: "State"'),
-        ('2: "Forward"', '2: "For-ward %d"'),
-        ('3: "Backward"', '3: "For ward %D"'),
-        ('7: "RotateLeft"', '7: "Håll --[["'),
+        ('2: "Forward"', '2: "For-ward%d"'),
+        ('3: "Backward"', '3: "For*ward%D"'),
+        ('7: "RotateLeft"', '7: "Håll--[["'),
         ('bits="RGB"', 'bits="rR"'),
         ("Changes the colours", "Changes --]] the colours"),
     ):
@@ -309,7 +309,7 @@ def test_a_grammar_with_any_names_gives_a_script_that_runs(
 
     assert [row[name] for name in names] == [
         "5",
-        "State|For-ward %d|For ward %D|Håll --[[|LED",
+        "State|For-ward%d|For*ward%D|Håll--[[|LED",
         "1",
         "0",
     ]

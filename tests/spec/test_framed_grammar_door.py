@@ -102,6 +102,43 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         "the answer of Read.text is counted by 'n'",
         '"text"',
     ),
+    (
+        {"Address(Byte, 1, 4)": "Address(Byte, 1, 400)"},
+        "FRAME.address has addresses up to 400 in a type of up to 255",
+        '"address" / Address',
+    ),
+    (
+        {"Address(Byte, 1, 4)": "Address(Byte, 1, 4, broadcast=256)"},
+        "FRAME.address has addresses up to 256 in a type of up to 255",
+        '"address" / Address',
+    ),
+    (
+        {"answer_longest=1000": "answer_longest=10"},
+        "Timing.answer_longest is 10, allowed is at least Timing.answer_deadline, 100",
+        "TIMING =",
+    ),
+    (
+        {"truncation_shortest=5": "truncation_shortest=60"},
+        "Timing.truncation_timeout is 50, allowed is at least Timing.truncation_shortest, 60",
+        "TIMING =",
+    ),
+    ({'NAME = "relay-board"': 'NAME = ""'}, "NAME is empty, allowed is a text", "NAME ="),
+    ({'NAME = "relay-board"': "NAME = 5"}, "NAME is 5, allowed is a text", "NAME ="),
+    (
+        {'"Toggle"': '"On now"'},
+        "the name of instruction 3 is 'On now', allowed is one word",
+        '"On now"',
+    ),
+    (
+        {'"state" / Enum': '"the state" / Enum'},
+        "is 'the state', allowed is one word",
+        '"the state"',
+    ),
+    (
+        {'"sum" /': '"the sum" /', ID: f'"a b" / Byte, {ID}'},
+        "is 'a b', allowed is one word",
+        '"a b"',
+    ),
 ]
 
 

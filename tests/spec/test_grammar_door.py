@@ -37,13 +37,16 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ({"answer_deadline=100": "answer_deadline=1e999"}, "2 to the 32nd|at most 3.6e+06"),
     ({"    stop_longest=100,\n": ""}, "missing 1 required"),
     ({"TIMING = Timing(": "TIMES = Timing("}, "it declares no TIMING"),
-    ({"POWER_ON = Sets(motion": "POWER_ON = [1]\nX = Sets(motion"}, "POWER_ON is a list"),
+    (
+        {"POWER_ON = Sets(motion": "POWER_ON = [1]\nX = Sets(motion"},
+        "POWER_ON is [1], allowed is a Sets",
+    ),
     ({"baud=115200": "baud=0"}, "LineDefaults.baud is 0, allowed"),
     ({'parity="N"': 'parity="X"'}, "allowed are N, E, O, M, S"),
     ({'safety="section 2"': "safety=2"}, "Clauses.safety is 2"),
     ({'safety="section 2"': 'safety="a\\nb"'}, "U+000A"),
     ({'NAME = "robot-car"': 'NAME = "\\x1b]0;x\\x07"'}, "NAME holds"),
-    ({'VERSION = "1.1"': "VERSION = 1.1"}, "VERSION is a float"),
+    ({'VERSION = "1.1"': "VERSION = 1.1"}, "VERSION is 1.1, allowed is a text"),
     ({'DOCUMENT = "': 'DOCUMENT = "\\u202e'}, "DOCUMENT holds the character U+202E"),
     # fields
     (field('"speed" / Ranged(Byte, "0", 255)'), "is '0', allowed"),

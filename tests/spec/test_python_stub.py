@@ -39,7 +39,7 @@ def test_whatever_a_grammar_says_the_stub_is_python_that_ruff_leaves_alone(
     horn_text: str, tmp_path: Path
 ) -> None:
     text = horn_text.replace("Sounds the horn.", HOSTILE.replace('"', '\\"'))
-    many = "".join(f'"which one {n}" / Ranged(Byte, 0, 3) * "sound",\n' for n in range(15))
+    many = "".join(f'"which-one-{n}" / Ranged(Byte, 0, 3) * "sound",\n' for n in range(15))
     text = text.replace(
         '"sound" / Ranged(Byte, 0, 3) * "which of the four sounds, 0 is silence",', many
     )
@@ -143,9 +143,9 @@ def test_names_are_written_as_python_writes_them(name: str, word: str) -> None:
 
 
 def test_no_two_instructions_or_fields_have_one_name_and_none_is_a_keyword(horn_text: str) -> None:
-    text = horn_text.replace('9: "Horn"', '9: "Rotate Left"').replace(
+    text = horn_text.replace('9: "Horn"', '9: "Rotate-Left"').replace(
         '"sound" / Ranged(Byte, 0, 3) * "which of the four sounds, 0 is silence",',
-        '"self" / Ranged(Byte, 0, 3), "a b" / Ranged(Byte, 0, 1), "a_b" / Ranged(Byte, 0, 1), '
+        '"self" / Ranged(Byte, 0, 3), "a-b" / Ranged(Byte, 0, 1), "a_b" / Ranged(Byte, 0, 1), '
         '"if" / Ranged(Byte, 0, 1),',
     )
     protocol = load(text)

@@ -149,9 +149,19 @@ PLACES = {
 }
 
 
+_NAMES = {*PLACES["an instruction"], *PLACES["a field"]}
+
+
 def with_texts(grammar_text: str, piece: str, places: dict[str, str]) -> str:
-    """The grammar's text with a piece put into its texts at these places."""
-    return mutated(grammar_text, {old: new.replace("~", piece) for old, new in places.items()})
+    """The grammar's text with a piece put into its texts at these places.
+
+    In a name, which is one word, its spaces are left out.
+    """
+    word = "".join(piece.split())
+    return mutated(
+        grammar_text,
+        {old: new.replace("~", word if old in _NAMES else piece) for old, new in places.items()},
+    )
 
 
 RELAY = '''\
