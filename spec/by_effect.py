@@ -22,13 +22,23 @@ def fitted(protocol: Protocol, spec: InstructionSpec, state: State) -> bytes:
 
     A field that sets nothing has its lowest value.
     """
+    return build(protocol, spec.name, _fitted_values(spec, state))
+
+
+def _fitted_values(spec: InstructionSpec, state: State) -> dict[str, int]:
+    """The values of the fields in the frame that `fitted` builds."""
     values = {part.name: part.low for part in spec.fields}
     limits = {part.name: (part.low, part.high) for part in spec.fields}
     for variable, source in spec.effect.assignments:
         if isinstance(source, FromField):
             field, factor, _ = source
             values[field] = _nearest(getattr(state, variable), factor, *limits[field])
-    return build(protocol, spec.name, values)
+    return values
+
+
+def _after_fitted(spec: InstructionSpec, state: State) -> State:
+    """The state after the frame that `fitted` builds, which takes long, for the same state."""
+    return spec.effect.apply(state, _fitted_values(spec, state))
 
 
 def _nearest(wanted: int, factor: int, low: int, high: int) -> int:
@@ -75,32 +85,31 @@ def frames_to(protocol: Protocol, state: State, known: State | None = None) -> t
     comes before the motion.
     """
     car, wanted = protocol.car, _settable(protocol, state)
-    frames = _candidates(protocol, wanted)
+    candidates = _candidates(protocol, wanted)
     start = frozenset(state.variables) - _differing(known, wanted) if known else frozenset()
     start -= {car.by}
     if not protocol.directed(wanted):
         start |= {car.by}
-    paths = dict(ways_on(start, frames))
+    paths = dict(ways_on(start, candidates))
     best = max(paths, key=lambda right: (car.by in right, car.speed in right, len(right)))
-    return paths[best]
+    return tuple(fitted(protocol, spec, wanted) for spec in paths[best])
 
 
-def _candidates(protocol: Protocol, wanted: State) -> list[Step[bytes]]:
-    """Frames with the variables that they set as wanted, and otherwise, in order of preference."""
+def _candidates(protocol: Protocol, wanted: State) -> list[Step[InstructionSpec]]:
+    """Instructions with the variables that they set as wanted, and otherwise, the best first."""
     car = protocol.car
     late = (car.by, car.steering)
     rotates = car.rotates(car.drive(wanted).motion)
     order = (car.speed, *protocol.lights, *(reversed(late) if rotates else late))
     found = []
     for spec in protocol.instructions:
-        frame = fitted(protocol, spec, wanted)
         touched = {name for name, _ in spec.effect.assignments}
-        spoils = _differing(after(spec, frame, wanted), wanted)
+        spoils = _differing(_after_fitted(spec, wanted), wanted)
         sets = touched - spoils
         if sets:
             rank = min(map(order.index, {car.by} & touched or touched))
             last = protocol.stops(spec.effect)
-            found.append(((last, rank), (frame, frozenset(sets), spoils)))
+            found.append(((last, rank), (spec, frozenset(sets), spoils)))
     return [candidate for _, candidate in sorted(found, key=itemgetter(0))]
 
 
@@ -108,7 +117,7 @@ def _settable(protocol: Protocol, state: State) -> State:
     """The state, each variable with the value nearest to its own that some instruction sets."""
     values: dict[str, Any] = {}
     for spec in protocol.instructions:
-        reached = after(spec, fitted(protocol, spec, state), state)
+        reached = _after_fitted(spec, state)
         for name, _ in spec.effect.assignments:
             if name != protocol.car.by:
                 values.setdefault(name, []).append(getattr(reached, name))

@@ -7,10 +7,10 @@ result as it becomes final. However it ends, the robot is homed.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from queue import SimpleQueue
 
 from bilprov.analyzer.client.probes import ProbeError, asks_person
@@ -24,6 +24,7 @@ from bilprov.conformance.api import (
     run_suite,
     select_cases,
 )
+from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.target import Target, open_target, target_named
@@ -37,9 +38,9 @@ from bilprov.spec.protocol import Protocol
 class SuiteThread(RunListener):
     """One run of the suite, and any number of clients, on a port, `sim` or an emulated board.
 
-    Nothing is opened before `open`. `close` stops a run that is still going, and homes. `order` has
-    the ids of the cases and their places in a run; `unplanned` gets the results of other cases.
-    `environment` is the run's, once it has begun.
+    Nothing is opened before `open`. `close` stops a run that is still going, and homes. `unplanned`
+    gets the results of cases that are not in `order`. `environment` is the run's, once it has
+    begun.
     """
 
     environment: Environment
@@ -59,11 +60,6 @@ class SuiteThread(RunListener):
         self.options = options
         self._name = target_named(target)
         self.report: Report | None = None
-        cases = select_cases(protocol, options)
-        self.order = {
-            case.id: at for at, case in enumerate((*opening_and_reading_cases(protocol), *cases))
-        }
-        self._cases = cases
         self._settings = settings
         self._stopper = Stopper()
         self.own_probe = self._name.own_probe
@@ -85,6 +81,17 @@ class SuiteThread(RunListener):
         self.unplanned: list[CaseResult] = []
         self.told_why = False
         self._broken: BaseException | None = None
+
+    @cached_property
+    def _cases(self) -> tuple[AnyCase, ...]:
+        """The cases of the options, which take seconds to make. Raises as `select_cases` does."""
+        return select_cases(self.protocol, self.options)
+
+    @cached_property
+    def order(self) -> Mapping[str, int]:
+        """The ids of the cases with their places in a run. Raises as `select_cases` does."""
+        cases = (*opening_and_reading_cases(self.protocol), *self._cases)
+        return {case.id: at for at, case in enumerate(cases)}
 
     def seconds(self, ids: Collection[str]) -> float:
         """About how long a run of these cases takes on a port, in s."""

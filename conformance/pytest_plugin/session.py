@@ -55,13 +55,13 @@ class RobotSession:
                 probe=option("robot_probe"),
                 fault=_fault(protocol, option("robot_port"), option("robot_fault")),
             )
+            self._wanted = self._asked_for()
         except (GrammarError, ValueError, OSError) as error:
             raise pytest.UsageError(one_line(error)) from error
         if self.bench.own_probe and option("robot_probe") not in (None, SIM):
             raise pytest.UsageError(
                 f"--robot-port {self.bench.target} brings its own probe: leave --robot-probe out"
             )
-        self._wanted = self._asked_for()
         self._left: list[str] = []
         self._signals = ExitStack()
 

@@ -55,6 +55,7 @@ from tests.vectors import FRAME_COUNTS, READING_IDS
 pytestmark = pytest.mark.waits
 
 FEW = ("--only", "unused-id/9/?", "--only", "valid/LED/*")
+SMOKE = ("--level", "smoke")  # whose cases are soon made
 VerdictName = Literal[
     "skipped", "pass", "informational", "non-strict", "inconclusive", "fail", "error"
 ]
@@ -435,7 +436,7 @@ class Conforming:
     def __init__(self, port: str, *arguments: str, ignored: Sequence[signal.Signals] = ()) -> None:
         with ignoring(*ignored):
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "bilprov", "conform", port, "--yes", *arguments],
+                [sys.executable, "-m", "bilprov", "conform", port, "--yes", *SMOKE, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -472,8 +473,8 @@ def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
     assert state["moving"] is False
     report = report_of(file.read_bytes())
     assert report.exit == 3
-    assert len({case.id for case in report.cases}) == len(report.cases) >= 1536
-    assert report.counts["inconclusive"] > 1000
+    assert len({case.id for case in report.cases}) == len(report.cases) >= 35
+    assert report.counts["inconclusive"] > 30
     assert "interrupted" in out
     assert not open_capture(capture).unfinished
 
@@ -509,7 +510,7 @@ def test_ctrl_c_after_a_failure_ends_with_1(protocol: Protocol, number: signal.S
 
 def test_a_run_that_nohup_started_goes_on_without_its_terminal() -> None:
     with simulate() as robot:
-        few = ("--only", "unused-id/9/*", "--json", "-")
+        few = ("--level", "standard", "--only", "unused-id/9/*", "--json", "-")
         run = Conforming(robot.port, "--probe", robot.probe, *few, ignored=[signal.SIGHUP])
         run.wait_until_it_moves(robot)
         run.process.send_signal(signal.SIGHUP)
@@ -550,7 +551,7 @@ def test_a_device_that_is_killed_with_its_probe_keeps_what_was_judged(tmp_path: 
     assert report.ended in out
     assert report.counts["error"] == 1
     assert report.counts["fail"] == 0
-    assert report.counts["inconclusive"] > 1000
+    assert report.counts["inconclusive"] > 30
     assert len({case.id for case in report.cases}) == len(report.cases)
     assert any(open_capture(capture).events())
 

@@ -129,7 +129,7 @@ def test_a_recorded_run_tells_what_was_announced_unless_it_is_patient(
 
 # One fault of each family (some have more to say), and cases that catch it.
 FAULTS = [
-    ("", ["*/LED/[07]", "recovery/*/Forward"], 0),
+    ("", ["valid/LED/[07]", "truncated/LED/0", "recovery/*/Forward"], 0),
     ("wrong-code-for-unknown-id", ["unused-id/9/[0-4]"], 1),
     ("late-second-answer", ["wrong-length/LED/*"], 1),
     ("answers-at-header", ["valid/LED/[0-3]"], 1),
@@ -183,7 +183,8 @@ def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
 
 def test_a_device_that_answers_in_text_is_no_device_of_this_protocol() -> None:
     with simulate("--fault", "code-in-ascii") as robot:
-        result = process("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-")
+        words = ("--probe", robot.probe, "--yes", "--level", "smoke", "--json", "-")
+        result = process("conform", robot.port, *words)
 
     report = msgspec.json.decode(result.stdout)
     assert (result.returncode, report["exit"], report["cases"]) == (2, 2, [])
@@ -308,7 +309,7 @@ def test_without_a_probe_answers_are_judged_and_stops_are_not_observable(pty: bo
     with simulate(pty=pty) as robot:
         result = process(
             *("conform", robot.port, "--yes", "--json", "-"),
-            *("--only", "*/LED/[39]", "--truncation-timeout", "50"),
+            *("--only", "valid/LED/3", "--only", "bad-data/LED/9", "--truncation-timeout", "50"),
         )
 
     report = msgspec.json.decode(result.stdout)

@@ -27,6 +27,7 @@ pytest_plugins = ["pytester"]
 
 PLUGIN = ("-p", "bilprov.conformance.pytest_plugin")
 PROBES = 1 + READING_CASES  # the time-out and reading/*: what every run asks of a device first
+SMOKE = ("--robot-level", "smoke")  # whose cases are soon made
 FEW = ("--robot-only", "valid/LED/*", "--robot-only", "bad-data/LED/9")
 Result = pytest.RunResult
 
@@ -195,7 +196,7 @@ def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytest
 # -- choosing -------------------------------------------------------------------------------------
 
 CHOICES = [
-    (("conformance::valid/LED/5",), "valid/LED/5", 1),
+    ((*SMOKE, "conformance::valid/LED/0"), "valid/LED/0", 1),
     (("-m", "conformance", "--robot-only", "valid/LED/*"), "valid/LED/0", 8 + 5 + PROBES),
     (("conformance", "--robot-only", "valid/LED/*"), "valid/LED/0", 8 + 5 + PROBES),
 ]
@@ -225,9 +226,9 @@ def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
         "bench.SuiteThread.end = end\n"
     )
 
-    outcomes = on_sim(run, "-k", "valid/LED/3 or valid/LED/6").parseoutcomes()
-    assert outcomes["passed"] == 2
-    assert outcomes["deselected"] > 1000
+    result = on_sim(run, *FEW, "-k", "valid/LED/3 or valid/LED/6")
+
+    result.assert_outcomes(passed=2, deselected=12 + PROBES)
 
     ran = (run.path / "ran").read_text().split()
     assert [ident for ident in ran if ident.startswith("valid")] == ["valid/LED/3", "valid/LED/6"]
@@ -237,7 +238,8 @@ def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
 def test_a_case_that_opens_each_run_is_told_of_though_it_was_not_selected(
     run: pytest.Pytester,
 ) -> None:
-    result = on_sim(run, "conformance::valid/LED/5", "--robot-fault", "wrong-code-for-unknown-id")
+    words = (*SMOKE, "conformance::valid/LED/0", "--robot-fault", "wrong-code-for-unknown-id")
+    result = on_sim(run, *words)
 
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["robot: link/unused-id, which opens every run, is fail too:*"])
@@ -247,13 +249,13 @@ def test_files_that_are_named_leave_the_cases_out(run: pytest.Pytester) -> None:
     file = run.makepyfile("def test_mine(): pass")
 
     on_sim(run, str(file)).assert_outcomes(passed=1)
-    on_sim(run, str(file), "conformance::valid/LED/5").assert_outcomes(passed=2)
+    on_sim(run, str(file), *SMOKE, "conformance::valid/LED/0").assert_outcomes(passed=2)
 
 
 def test_the_first_failure_ends_the_run(run: pytest.Pytester) -> None:
-    result = on_sim(run, "-x", "--robot-fault", "led-order-reversed")
+    result = on_sim(run, "-x", *FEW, "--robot-fault", "led-order-reversed")
 
-    result.assert_outcomes(passed=5 + 2 + PROBES, failed=1)
+    result.assert_outcomes(passed=5 + 1 + PROBES, failed=1)
     result.stdout.fnmatch_lines(["*stopping after 1 failures*"])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import socket
@@ -16,7 +17,7 @@ import pytest
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from tests.support.commands import process
 from tests.support.firmware import AVR, built
-from tests.support.robots import PATIENCE, emulate, simulate, unwell
+from tests.support.robots import PATIENCE, emulate, judged_exit, simulate, unwell
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
@@ -144,9 +145,10 @@ def test_a_board_conforms_behind_it_unless_it_has_a_bug(
     behind: Behind, switches: str, ends: int, tmp_path: Path
 ) -> None:
     with emulate(built(switches)) as served, behind(served.port, tmp_path) as url:
-        smoke = ["--level", "smoke", "--fail-fast"]
+        smoke = ["--level", "smoke", "--fail-fast", "--json", "-"]
         result = process("conform", url, "--probe", served.probe, "--yes", *smoke)
-    assert result.returncode == ends, (result.stdout + result.stderr).decode()
+    report = json.loads(result.stdout)
+    assert judged_exit(result.returncode, report) == ends, (result.stdout + result.stderr).decode()
 
 
 @lines

@@ -30,7 +30,7 @@ def require_no_more_than_there_is(grammar: Protocol, level: str) -> None:
         assert 0 < done <= of, name
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("level", ["smoke", "standard"])
 def test_no_more_is_covered_than_there_is(each_protocol: Protocol, level: str) -> None:

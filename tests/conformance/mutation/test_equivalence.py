@@ -103,6 +103,7 @@ def test_each_part_of_a_search_is_as_small_as_it_is_told(
 
 @pytest.mark.usefixtures("few_inputs")
 @pytest.mark.slow
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("when", "times"),
     [

@@ -309,6 +309,7 @@ def replace_time(look: Look) -> Look:
 
 
 @pytest.mark.slow
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("name", STATELESS)
 def test_the_reproducer_is_short_and_shows_the_failure_on_a_fresh_device(
     protocol: Protocol, name: str
