@@ -285,6 +285,20 @@ def note_suspension(stopper: Stopper) -> None:
         note("the program was suspended: the robot was stopped first, and the run ends here")
 
 
+def above_latency(timeout: int, *ports: str) -> int:
+    """The ns of silence after which a frame is cut: no less than adapters cause by themselves."""
+    from bilprov.analyzer.transport.machine import Machine
+    from bilprov.captures.schemas import MS
+
+    least = Machine().least_pause(*ports)
+    if timeout < least:
+        note(
+            f"a frame is cut after {least / MS:g} ms of silence instead of {timeout / MS:g} ms, "
+            "because an adapter holds bytes back nearly so long"
+        )
+    return max(timeout, least)
+
+
 def note_hindrances(*names: str) -> None:
     """Print a note for what makes opened ports slow or unsafe; URLs and ptys have nothing."""
     from bilprov.analyzer.doctor.system import notes

@@ -28,6 +28,7 @@ from bilprov.analyzer.cli.options import (
     Finite,
     LineOptions,
     ShownOptions,
+    above_latency,
     asked_here,
     compiled,
     judge_option,
@@ -58,11 +59,10 @@ from bilprov.analyzer.replay.spool import Spool, new_name
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import SIM, LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, timeout_in_ns
-from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.replug import opened_when_there
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.parts import said_of_parts
-from bilprov.captures.schemas import MS, Line
+from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
 from bilprov.captures.wall_clock import EARLIEST, LATEST
 from bilprov.spec.errors import UserError
@@ -300,17 +300,6 @@ def _simulated(
     from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
 
     return SimulatedDrive(protocol, settings)
-
-
-def above_latency(timeout: int, *ports: str) -> int:
-    """The ns of silence after which a frame is cut: no less than adapters cause by themselves."""
-    least = Machine().least_pause(*ports)
-    if timeout < least:
-        note(
-            f"a frame is cut after {least / MS:g} ms of silence instead of {timeout / MS:g} ms, "
-            "because an adapter holds bytes back nearly so long"
-        )
-    return max(timeout, least)
 
 
 def _opened(

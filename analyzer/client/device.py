@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections import namedtuple
 from collections.abc import Mapping
 from functools import lru_cache
@@ -20,6 +21,7 @@ from bilprov.analyzer.client.operations import listen
 from bilprov.analyzer.client.port_driver import OnPort
 from bilprov.analyzer.grammar_file import given_protocol
 from bilprov.analyzer.transport.errors import first_bytes
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.schemas import MS
 from bilprov.spec.by_effect import change_by
 from bilprov.spec.codec import Judgement, build, judge, spaced
@@ -50,6 +52,7 @@ class DeviceDriver(InstructionMethods):
 
     _address: int | None = None
     _only_reading = False
+    _least_pause = 0  # ns that may pass between two bytes of an answer, whatever the grammar allows
 
     def __getattr__(self, name: str) -> Any:  # of any grammar, so a type checker knows no names
         return self._method(name)
@@ -122,7 +125,7 @@ class DeviceDriver(InstructionMethods):
             self._in_step = False
             self._require_silence(self._pause)
             self._rest.note(asked.address)
-            pause = round(self.protocol.timing.truncation_timeout * MS)
+            pause = max(self._least_pause, round(self.protocol.timing.truncation_timeout * MS))
             patience = round(self._patience * MS)
             heard = self._do(exchange(self.protocol, asked, patience, pause))
             if not asked.answer_due:
@@ -215,6 +218,7 @@ class Device(DeviceDriver, OnPort):
             require_address(grammar, address)
         self._address = address
         self._only_reading = only_reading
+        self._least_pause = Machine().least_pause(os.fspath(url))
         super().__init__(
             url,
             grammar=grammar,

@@ -14,6 +14,7 @@ import click
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     SendingLineOptions,
+    above_latency,
     asked_here,
     max_drive_option,
     only_reading_option,
@@ -87,7 +88,7 @@ def send(options: SendOptions) -> int:
     """
     protocol, target, items = protocol_in_use(), options.target, options.items
     settings = options.line.settings(protocol)
-    timeout = timeout_in_ns(protocol, options.truncation_timeout)
+    timeout = above_latency(timeout_in_ns(protocol, options.truncation_timeout), target)
     for name in filter(asked_here, () if items else ("together", "expectations", "wait")):
         spelling = "expect" if name == "expectations" else name
         raise click.UsageError(f"--{spelling} is only for ITEMs")

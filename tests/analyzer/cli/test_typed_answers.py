@@ -94,7 +94,7 @@ def test_what_is_no_request_is_refused_in_one_sentence(
 def test_a_capture_has_the_requests_itself() -> None:
     capture = str(ROOT / "captures" / "samples" / "examples.mcap")
     done = command("decode", capture, "--from", "device", "--request", "81 05")
-    assert b"a capture has the requests: leave out --request" in done.stderr
+    assert b"captures have the requests: leave out --request" in done.stderr
 
 
 @pytest.mark.parametrize(("grammar", "answer", "asked", "alone", "known"), ANSWERS)

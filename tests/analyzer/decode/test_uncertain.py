@@ -6,14 +6,17 @@ import csv
 import io
 import json
 import os
+import select
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from bilprov.analyzer import api
-from bilprov.analyzer.cli import sniff
+from bilprov.analyzer.cli.options import above_latency
+from bilprov.analyzer.client import device as of_device
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
@@ -25,6 +28,7 @@ from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.row_columns import Times
 from bilprov.analyzer.output.text_lines import LineRenderer
 from bilprov.analyzer.screen.details import details
+from bilprov.analyzer.transport import machine as of_machine
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
@@ -147,12 +151,12 @@ def test_a_frame_is_not_cut_by_a_pause_that_an_adapter_makes(
     machine: FakeMachine, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     usb = machine.adapter(latency=16)
-    monkeypatch.setattr(sniff, "Machine", lambda: machine)
+    monkeypatch.setattr(of_machine, "Machine", lambda: machine)
     ports = (usb, "/dev/ttyS0", "socket://localhost:4000")
-    assert sniff.above_latency(50 * MS, *ports) == 50 * MS
-    assert sniff.above_latency(5 * MS, *ports[1:]) == 5 * MS
+    assert above_latency(50 * MS, *ports) == 50 * MS
+    assert above_latency(5 * MS, *ports[1:]) == 5 * MS
     assert not capsys.readouterr().err
-    timeout = sniff.above_latency(5 * MS, *ports)
+    timeout = above_latency(5 * MS, *ports)
     said = capsys.readouterr().err
     assert "a frame is cut after 20 ms of silence instead of 5 ms" in said
 
@@ -166,7 +170,7 @@ def test_a_frame_is_not_cut_by_a_pause_that_an_adapter_makes(
 def test_sniff_cuts_and_records_by_what_its_adapter_needs(
     tmp_path: Path, machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sniff, "Machine", lambda: machine)
+    monkeypatch.setattr(of_machine, "Machine", lambda: machine)
     with open_pty() as pair:
         machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "16")
         path = tmp_path / "line.mcap"
@@ -189,6 +193,25 @@ def test_listening_from_python_does_not_cut_below_the_adapters_latency(
         found = next(one for one in records if isinstance(one, HostRecord))
         records.close()  # type: ignore[attr-defined]
     assert found.data == frame
+
+
+def test_a_client_waits_for_the_rest_of_an_answer_that_an_adapter_holds_back(
+    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_device, "Machine", lambda: machine)
+    answer = bytes.fromhex("110306022B00000064C8BA")
+    with open_pty() as pair:
+        machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "255")
+
+        def answers() -> None:
+            select.select([pair.master], [], [])
+            os.write(pair.master, answer[:4])
+            time.sleep(0.1)  # twice the longest pause of the grammar
+            os.write(pair.master, answer[4:])
+
+        threading.Thread(target=answers).start()
+        with of_device.Device(pair.name, grammar=MODBUS, address=17) as meter:
+            assert meter.read_holding_registers(0x6B, 3) == (555, 0, 100)
 
 
 def test_records_tell_whether_they_are_certain(protocol: Protocol) -> None:
