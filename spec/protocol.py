@@ -13,6 +13,7 @@ import warnings
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
@@ -79,6 +80,21 @@ _FIRST = "784fbb0b76e02c6703df30b623f9ed0d040db9d062dba0396b23863fe89ae234"
 _SAME_AS_FIRST = frozenset(
     {"8a0bb1c6b82900a82100364dd82df18e11664e7845861b36995caedf8583c18d"}
 )  # hashes of the texts that say the same
+
+
+# What a grammar declares under which name, with the kind of value that has no other use.
+_DECLARATIONS: Mapping[str, type | None] = {
+    **dict.fromkeys(("NAME", "VERSION", "DOCUMENT", "DEVICE", "INSTRUCTIONS", "FRAME", "REPLY")),
+    **dict.fromkeys(("RESPONSE", "ACK", "ERROR", "SILENT", "FAULTY", "POWER_ON", "MEMORY")),
+    "REGISTERS": None,
+    "STATE": Variables,
+    "AT_REST": Condition,
+    "WHEELS": Wheels,
+    "TIMING": Timing,
+    "LINE": LineDefaults,
+    "CLAUSES": Clauses,
+}
+_NEAR = 0.8  # how alike two names are of which one is a slip of the other
 
 
 class GrammarError(UserError):
@@ -519,6 +535,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         ) from error
     try:
         _require_each_id_once(tree)
+        _require_no_slip(tree, space)
         return _read(space, source, origin)
     except (GrammarError, LayoutError, WrongValue) as error:
         where = _declared_in(tree, str(error))
@@ -566,6 +583,21 @@ def _names(tree: ast.Module) -> Iterator[tuple[str, int]]:
             yield node.value, node.lineno
         if isinstance(node, ast.keyword) and node.arg:
             yield node.arg, node.lineno
+
+
+def _require_no_slip(tree: ast.Module, space: dict[str, Any]) -> None:
+    """Raise GrammarError for a name that nothing uses and that is meant as another one.
+
+    An AT_REST under another name would be lost, and with it what stops the device.
+    """
+    names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
+    used = {*_DECLARATIONS, *(node.id for node in names if isinstance(node.ctx, ast.Load))}
+    for name in (node.id for node in names if node.id not in used):
+        value = space.get(name)
+        kinds = [known for known, kind in _DECLARATIONS.items() if kind and isinstance(value, kind)]
+        near = kinds or get_close_matches(name.upper(), _DECLARATIONS, 1, _NEAR)
+        if near:
+            raise GrammarError(f"nothing uses '{name}'; did you mean {near[0]}?")
 
 
 def _require_each_id_once(tree: ast.Module) -> None:

@@ -13,7 +13,7 @@ from tests.support.grammars import mutated
 
 MORE = {
     " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized,",
-    " Data,": " Crc, Data, Length, asked,",
+    " Data,": " AllOf, AnyOf, Crc, Data, Length, asked,",
 }
 TEXT = mutated((ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8"), MORE)
 ID = '"id" / Byte'
@@ -139,7 +139,23 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         "is 'a b', allowed is one word",
         '"a b"',
     ),
+    (
+        {"TIMING =": "AT_RESTS = AllOf(on=0)\n\nTIMING ="},
+        "nothing uses 'AT_RESTS'; did you mean AT_REST?",
+        "AT_RESTS",
+    ),
+    (
+        {"TIMING =": "STOPPED = AnyOf(on=0)\n\nTIMING ="},
+        "nothing uses 'STOPPED'; did you mean AT_REST?",
+        "STOPPED",
+    ),
+    ({"SILENT =": "SILNT ="}, "nothing uses 'SILNT'; did you mean SILENT?", "SILNT"),
+    ({"POWER_ON =": "power_on ="}, "nothing uses 'power_on'; did you mean POWER_ON?", "power_on"),
 ]
+
+
+def test_names_of_a_grammars_own_are_let_alone() -> None:
+    load(mutated(TEXT, {"TIMING =": "LINES = 3\nSTATES = Whole(0, LINES)\nX = STATES\nTIMING ="}))
 
 
 @pytest.mark.parametrize(("changes", "piece", "where"), WRONG, ids=[row[1] for row in WRONG])

@@ -36,7 +36,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ({"truncation_shortest=5": "truncation_shortest=0"}, "more than 0.001"),
     ({"answer_deadline=100": "answer_deadline=1e999"}, "2 to the 32nd|at most 3.6e+06"),
     ({"    stop_longest=100,\n": ""}, "missing 1 required"),
-    ({"TIMING = Timing(": "TIMES = Timing("}, "it declares no TIMING"),
+    ({"TIMING = Timing(": "TIMES = Timing("}, "nothing uses 'TIMES'; did you mean TIMING?"),
     (
         {"POWER_ON = Sets(motion": "POWER_ON = [1]\nX = Sets(motion"},
         "POWER_ON is [1], allowed is a Sets",
@@ -120,7 +120,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ),
     ({"INSTRUCTIONS))": 'INSTRUCTIONS), "x" / Struct("id" / Byte))'}, "two parts for the id"),
     ({"INSTRUCTIONS))": "INSTRUCTIONS), BitsInteger(8))"}, "name of a part of FRAME is None"),
-    ({"FRAME = Struct(": "FRAMES = Struct("}, "it declares no FRAME"),
+    ({"FRAME = Struct(": "FRAMES = Struct("}, "nothing uses 'FRAMES'; did you mean FRAME?"),
 ]
 
 # What only a grammar that runs can hold.
