@@ -303,12 +303,10 @@ def _fault(
     layout = protocol.layout
     wrong = layout.wrong_constant(frame)
     if wrong:
-        return Outcome.BAD_SYNC, f"{spaced(wrong[0])} stands where {spaced(wrong[1])} must be", ""
-    if layout.check and not layout.check.holds(frame):
-        part = layout.check.part
-        right = part.number.build(layout.check.due(frame))
-        reason = f"{part.name} is {spaced(part.raw(frame))}, right is {spaced(right)}"
-        return Outcome.BAD_CHECKSUM, reason, ""
+        return Outcome.BAD_SYNC, wrong, ""
+    wrong = layout.check.wrong(frame) if layout.check else ""
+    if wrong:
+        return Outcome.BAD_CHECKSUM, wrong, ""
     to = layout.part("address")
     if to and not to.reaches(to.read(frame)):
         reason = f"{to.name} is {to.read(frame)}, allowed are {to.allowed}: it is for no device"

@@ -130,7 +130,7 @@ class FieldSpec:
             return all(self.in_range(one) for one in value)
         if self.names and value not in (known for _, known in self.names):
             return False
-        if self.flags and value & ~self._mask:
+        if self.flags and value & ~self.mask:
             return False
         return self.low <= value <= self.high
 
@@ -149,7 +149,7 @@ class FieldSpec:
         if self.names:
             return len({value for _, value in self.names if self.low <= value <= self.high})
         if self.flags:
-            return 1 << self._mask.bit_count()
+            return 1 << self.mask.bit_count()
         return self.high - self.low + 1
 
     @property
@@ -171,7 +171,8 @@ class FieldSpec:
         return f"{self.low}..{self.high}"
 
     @property
-    def _mask(self) -> int:
+    def mask(self) -> int:
+        """The bits of all its flags."""
         mask = 0
         for _, flag in self.flags:
             mask |= flag

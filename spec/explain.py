@@ -400,7 +400,7 @@ def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) 
         takes = f"; {spec.name} takes {_bytes(spec.length)}"
         return (meaning + takes, True) if announced != spec.length else (meaning, False)
     if part.role == "check" and layout.check:
-        right = part.number.build(layout.check.due(judgement.frame))
+        right = layout.check.right(judgement.frame)
         return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
     if part.role == "address":
         everybody = part.broadcast is not None and judgement.address == part.broadcast
@@ -431,7 +431,7 @@ def _reply_part_meaning(
         if asked is None and layout.check.asked:
             return "counts the request too", False
         before = covered(protocol, asked.frame) if asked else b""
-        right = part.number.build(layout.check.due(reply.frame, before))
+        right = layout.check.right(reply.frame, before)
         return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
     return part.prose or ("who answers" if part.role == "address" else "a number"), False
 

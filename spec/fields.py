@@ -203,14 +203,13 @@ class Memory:
         for name in (self.value, *filter(None, (self.at, self.count, self.of, self.keep))):
             require_name("a field of a Memory", name)
         require_whole("the factor of a Memory", self.factor, 1)
-        require_kind("the bits of a Memory", self.bits, bool)
-        require_kind("the latest of a Memory", self.latest, bool)
+        for name in ("bits", "latest", "blocks"):
+            require_kind(f"the {name} of a Memory", getattr(self, name), bool)
         require_kind("the instructions of a Memory", self.by, tuple)
         require_text("the until of a Memory", self.until)
         require_kind("the power_on of a Memory", self.power_on, dict)
         for number in (*self.power_on, *self.power_on.values()):
             require_whole("a number in the power_on of a Memory", number, 0)
-        require_kind("the blocks of a Memory", self.blocks, bool)
         if self.blocks and not self.count:
             raise WrongValue(
                 "a Memory with blocks needs a count, the number of cells in each block"
@@ -298,15 +297,15 @@ class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
         codes = {answer.name: code for code, answer in answers.items()}
         super().__init__(
             subcon,
-            decoder=lambda code, _: " ".join(answers[one].name for one in _codes(code, flags)),
+            decoder=lambda code, _: " ".join(answers[one].name for one in codes_in(code, flags)),
             encoder=lambda names, _: sum(codes[name] for name in names.split()),
         )
         self.answers = answers
         self.flags = flags
 
 
-def _codes(code: int, flags: bool) -> list[int]:
-    """The codes in a code: itself, or each bit that is set."""
+def codes_in(code: int, flags: bool) -> list[int]:
+    """The codes in a code: itself, or with `flags` each bit that is set."""
     bits = [1 << place for place in range(code.bit_length()) if code >> place & 1]
     return bits if flags and code else [code]
 

@@ -127,14 +127,15 @@ class Check:
         covered = self.covered(frame)
         return self.function(asked + covered if self.asked else covered)
 
-    def right_sizes(self, begun: bytes, least: int) -> Iterator[int]:
+    def right_sizes(self, begun: bytes, least: int, asked: bytes = b"") -> Iterator[int]:
         """The sizes, `least` or more, that a frame which begins so can have: it is right there.
 
-        Each byte is counted once, however many sizes are tried.
+        Each byte is counted once, however many sizes are tried. `asked` is what the request's
+        check covers.
         """
-        part = self.part
-        values = self.function.running(begun[self.first : len(begun) - self.last])
-        for size, value in enumerate(values, self.first + self.last):
+        part, before = self.part, asked if self.asked else b""
+        values = self.function.running(before + self.covered(begun))
+        for size, value in enumerate(values, self.first + self.last - len(before)):
             at = size + part.offset
             if size >= least and part.number.parse(begun[at : at + part.size]) == value:
                 yield size
@@ -146,6 +147,17 @@ class Check:
     def holds(self, frame: bytes, asked: bytes = b"") -> bool:
         """Whether the value in a frame is the right one."""
         return self.part.read(frame) == self.due(frame, asked)
+
+    def right(self, frame: bytes, asked: bytes = b"") -> bytes:
+        """The bytes that it must have in a frame."""
+        return self.part.number.build(self.due(frame, asked))
+
+    def wrong(self, frame: bytes, asked: bytes = b"") -> str:
+        """What is wrong with it in a frame, in words; "" where it is right."""
+        found, right = self.part.raw(frame), self.right(frame, asked)
+        if found == right:
+            return ""
+        return f"{self.part.name} is {found.hex(' ')}, right is {right.hex(' ')}"
 
 
 @dataclass(frozen=True)
@@ -218,21 +230,13 @@ class Layout:
             if 0 <= offset < len(held)
         )
 
-    def wrong_constant(self, frame: bytes) -> tuple[bytes, bytes] | None:
-        """The bytes of the first wrong constant in a whole frame and the right ones."""
+    def wrong_constant(self, frame: bytes) -> str:
+        """What is wrong with the first wrong constant in a whole frame; "" if all are right."""
         for offset, raw in self.constants:
             found = frame[offset : offset + len(raw) or None]
             if found != raw:
-                return found, raw
-        return None
-
-    def fits(self, frame: bytes, asked: Values, covered: bytes = b"") -> bool:
-        """Whether a whole answer repeats what it must of the request, and its check is right."""
-        return (
-            self.wrong_constant(frame) is None
-            and self.repeats(frame, asked)
-            and (self.check is None or self.check.holds(frame, covered))
-        )
+                return f"{found.hex(' ')} stands where {raw.hex(' ')} must be"
+        return ""
 
     def repeats(self, held: bytes, asked: Values) -> bool:
         """Whether the parts that repeat the request's do, as far as the bytes go."""
@@ -305,8 +309,8 @@ class Layout:
             frame[at : at + part.size] = raw
         if self.check:
             at = size + self.check.part.offset
-            due = self.check.part.number.build(self.check.due(bytes(frame), covered))
-            frame[at : at + len(due)] = due
+            right = self.check.right(bytes(frame), covered)
+            frame[at : at + len(right)] = right
         return bytes(frame)
 
     @staticmethod

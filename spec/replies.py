@@ -17,8 +17,8 @@ from bilprov.spec.codec import (
     with_registers,
 )
 from bilprov.spec.data import DataSpec, FieldSpec
-from bilprov.spec.fields import Outcome
-from bilprov.spec.layout import Layout
+from bilprov.spec.fields import Outcome, codes_in
+from bilprov.spec.layout import Check, Layout
 from bilprov.spec.protocol import (
     NO_ANSWER,
     PLAIN_ANSWER,
@@ -291,25 +291,26 @@ def _size(
         check = layout.check
         if check and (asked or (check.part.size > 1 and not check.asked)):
             before = covered(protocol, asked.frame) if asked else b""
-            return _checked_size(protocol, layout, held, before)
+            return _checked_size(protocol, layout, check, held, before)
         if asked is None:
             return None if layout.begins(held) else -1
     return layout.size(held, way.data, values)
 
 
-def _checked_size(protocol: Protocol, layout: Layout, held: bytes, before: bytes) -> int | None:
+def _checked_size(
+    protocol: Protocol, layout: Layout, check: Check, held: bytes, before: bytes
+) -> int | None:
     """The size of an answer to an unused ID, which only its check tells; as `reply_size`."""
-    check = layout.check
     most = min(len(held), protocol.longest_frame)
-    sizes = range(layout.head + layout.tail, most + 1)
-    size = next((size for size in sizes if check and check.holds(held[:size], before)), None)
+    right = check.right_sizes(held[:most], layout.head + layout.tail, before)
+    size = next(right, None)
     return -1 if size is None and most < len(held) else size
 
 
 def _is_right(protocol: Protocol, way: Way, frame: bytes, asked: Judgement | None) -> bool:
     """Whether a whole answer has right constants, a known code and a right check."""
     layout = way.layout
-    if layout.wrong_constant(frame) is not None:
+    if layout.wrong_constant(frame):
         return False
     code = layout.code_of(frame)
     if code is not None and meaning(protocol, code)[1] is None:
@@ -324,9 +325,7 @@ def meaning(protocol: Protocol, code: int | None) -> tuple[tuple[str, ...], Resp
     """The names of a code, or of its flags, and the response that tells the outcome."""
     if code is None:
         return (), PLAIN_ANSWER
-    codes = [1 << bit for bit in range(code.bit_length()) if code >> bit & 1]
-    if not protocol.flags or not codes:
-        codes = [code]
+    codes = codes_in(code, protocol.flags)
     known = [protocol.codes[one] for one in codes if one in protocol.codes]
     if len(known) < len(codes):
         return tuple(one.name for one in known), None
@@ -349,15 +348,9 @@ def _unlike(layout: Layout, frame: bytes, asked: Mapping[str, Any]) -> str:
 
 def _damage(protocol: Protocol, layout: Layout, frame: bytes, asked: Judgement | None) -> str:
     """What is wrong with a whole answer, in words."""
-    wrong = layout.wrong_constant(frame)
-    if wrong:
-        return f"{spaced(wrong[0])} stands where {spaced(wrong[1])} must be"
     before = covered(protocol, asked.frame) if asked else b""
-    check = layout.check
-    if check and not check.holds(frame, before):
-        right = check.part.number.build(check.due(frame, before))
-        return f"{check.part.name} is {spaced(check.part.raw(frame))}, right is {spaced(right)}"
-    return ""
+    wrong = layout.wrong_constant(frame)
+    return wrong or (layout.check.wrong(frame, before) if layout.check else "")
 
 
 def _takes_rest(data: DataSpec) -> bool:

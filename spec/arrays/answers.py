@@ -67,6 +67,22 @@ class CutAnswers(NamedTuple):
     regular: bool
 
 
+class _Pairs(NamedTuple):
+    """Requests in `asked`, and their answers: from `start` to `end` in `data`, with a `code`."""
+
+    asked: Bytes
+    requests: Requests
+    data: Bytes
+    start: Places
+    end: Places
+    code: Places
+
+    def rows(self, rows: slice | Places) -> _Pairs:
+        """Some of the rows."""
+        answers = self.start[rows], self.end[rows], self.code[rows]
+        return _Pairs(self.asked, self.requests.rows(rows), self.data, *answers)
+
+
 class AnswerTables:
     """Cuts answers and reads them. Raises OverflowError for what does not fit into 64 bits."""
 
@@ -111,7 +127,7 @@ class AnswerTables:
         size = np.diff(bounds)
         given = requests.rows(slice(len(offset)))
         code = np.full(len(offset), PLAIN_ANSWER.code, np.int64)
-        good = self._right(asked, given, data, offset, offset + size, code)
+        good = self._right(_Pairs(asked, given, data, offset, offset + size, code))
         rows = len(good) if good.all() else int(np.argmin(good))
         regular = rows == len(good)
         if regular and end < len(raw) and rows < len(requests.offset):
@@ -212,110 +228,77 @@ class AnswerTables:
         values = asked_values(self._protocol, judge(self._protocol, request))
         return max(0, way.layout.size(begun, way.data, values) or 0)
 
-    def _right(
-        self,
-        asked: Bytes,
-        requests: Requests,
-        data: Bytes,
-        start: Places,
-        end: Places,
-        code: Places,
-    ) -> Mask:
+    def _right(self, pairs: _Pairs) -> Mask:
         """Which answers are right; writes the codes of those that have one."""
-        good = np.ones(len(start), np.bool_)
+        good = np.ones(len(pairs.start), np.bool_)
         for layout, kinds in self._layouts:
-            mask = kinds.take(requests.kind)
+            mask = kinds.take(pairs.requests.kind)
             rows: slice | Places = slice(None) if mask.all() else np.flatnonzero(mask)
-            begin, after = start[rows], end[rows]
-            right = constants_hold(layout, data, begin, after)
-            right &= checks_hold(
-                layout, data, begin, after, self._counted(layout, asked, requests.rows(rows))
-            )
+            these = pairs.rows(rows)
+            where = these.data, these.start, these.end
+            right = constants_hold(layout, *where)
+            right &= checks_hold(layout, *where, self._counted(layout, these))
             part = layout.part("code")
             if part is not None:
-                code[rows] = part_values(part, data, begin, after)
-                right &= self._known.take(code[rows], mode="clip")
+                code = part_values(part, *where)
+                pairs.code[rows] = code
+                right &= self._known.take(code, mode="clip")
             good[rows] = right
         for kind, way in enumerate(self._ways):
-            rows = np.flatnonzero(good & (requests.kind == kind))
+            rows = np.flatnonzero(good & (pairs.requests.kind == kind))
             if len(rows):
-                these = requests.rows(rows)
-                good[rows] = self._repeats(way.layout, asked, these, kind, data, start[rows])
-                good[rows] &= self._whole(
-                    way, asked, these, kind, data, start[rows], end[rows], code[rows]
-                )
+                these = pairs.rows(rows)
+                good[rows] = self._repeats(way.layout, these, kind) & self._whole(way, these, kind)
         return good
 
-    def _counted(self, layout: Layout, asked: Bytes, requests: Requests) -> Checking | None:
+    def _counted(self, layout: Layout, pairs: _Pairs) -> Checking | None:
         """The check of what it covers of the requests, where it does."""
         if layout.check is None or not layout.check.asked:
             return None
-        checking = Checking(layout.check.function, len(requests.offset))
+        checking = Checking(layout.check.function, len(pairs.start))
         check = self._protocol.layout.check
         first, last = (check.first, check.last) if check else (0, 0)
-        checking.take(asked, requests.offset + first, requests.end - last)
+        checking.take(pairs.asked, pairs.requests.offset + first, pairs.requests.end - last)
         return checking
 
-    def _repeats(
-        self,
-        layout: Layout,
-        asked: Bytes,
-        requests: Requests,
-        kind: int,
-        data: Bytes,
-        start: Places,
-    ) -> Mask:
+    def _repeats(self, layout: Layout, pairs: _Pairs, kind: int) -> Mask:
         """Which answers to requests of one kind repeat what they must of them."""
-        found = np.ones(len(start), np.bool_)
+        found = np.ones(len(pairs.start), np.bool_)
         parts = [part for part in layout.parts if part.same and part.offset >= 0]
-        numbers = self._tables.numbers(asked, requests, kind) if parts else {}
+        numbers = self._tables.numbers(pairs.asked, pairs.requests, kind) if parts else {}
         for part in parts:
             expected = numbers.get(part.same, np.int64(-1)) + part.plus
-            found &= part_values(part, data, start, start) == expected
+            found &= part_values(part, pairs.data, pairs.start, pairs.start) == expected
         return found
 
-    def _whole(
-        self,
-        way: Way,
-        asked: Bytes,
-        requests: Requests,
-        kind: int,
-        data: Bytes,
-        start: Places,
-        end: Places,
-        code: Places,
-    ) -> Mask:
+    def _whole(self, way: Way, pairs: _Pairs, kind: int) -> Mask:
         """Which answers to requests of one kind have all their data, or fail without any."""
         layout, spec = way.layout, way.data
-        count = len(start)
         if not layout.has_data or spec is None or layout.part("length") is None:
-            return np.ones(count, np.bool_)  # their size is made of their data
-        size = end - start - layout.head - layout.tail
+            return np.ones(len(pairs.start), np.bool_)  # their size is made of their data
+        size = pairs.end - pairs.start - layout.head - layout.tail
         good = size >= spec.length
         many = spec.counted
         if many is None or many.how != "rest":
             rows = np.flatnonzero(good)
-            these = requests.rows(rows)
-            needed = sizes_by_request(spec, self._tables.numbers(asked, these, kind), len(rows))
+            these = pairs.rows(rows)
+            numbers = self._tables.numbers(these.asked, these.requests, kind)
+            needed = sizes_by_request(spec, numbers, len(rows))
             if needed is None:
+                at = these.start + layout.head
                 needed = data_sizes(
-                    spec,
-                    data,
-                    start[rows] + layout.head,
-                    lambda row: self._measured(way, data, start[rows][row], asked, these, row),
+                    spec, these.data, at, lambda row: self._measured(way, these, row)
                 )
             good[rows] = size[rows] == needed
-        refused: Mask = (size == 0) & (code >= 0) & self._fails.take(code, mode="clip")
+        refused: Mask = (size == 0) & (pairs.code >= 0) & self._fails.take(pairs.code, mode="clip")
         return good | refused
 
-    def _measured(
-        self, way: Way, data: Bytes, start: int, asked: Bytes, requests: Requests, row: int
-    ) -> int:
+    def _measured(self, way: Way, pairs: _Pairs, row: int) -> int:
         """How many bytes the data of one answer must have."""
         assert way.data is not None
-        judged = judge(self._protocol, self._request(asked, requests, row))
-        at = start + way.layout.head
-        begun = data[at : at + way.data.length].tobytes()
+        judged = judge(self._protocol, self._request(pairs.asked, pairs.requests, row))
+        at = pairs.start[row] + way.layout.head
+        begun = pairs.data[at : at + way.data.length].tobytes()
         return way.data.measure(begun, asked_values(self._protocol, judged)) or 0
 
 

@@ -153,8 +153,5 @@ def in_range(part: FieldSpec, data: Bytes, at: Places, size: Places) -> Mask:
     if part.names:
         good &= np.isin(value, [known for _, known in part.names])
     if part.flags:
-        mask = 0
-        for _, flag in part.flags:
-            mask |= flag
-        good &= value & ~np.int64(mask) == 0
+        good &= value & ~np.int64(part.mask) == 0
     return good
