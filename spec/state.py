@@ -357,21 +357,22 @@ class State(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def described(self) -> str:
-        """The values in words, like `forward speed 255 steering +64 led 5`.
+        """The values in words, like `fan low level -2`.
 
-        A value with a sign is left out where it is 0.
+        A car's motion stands without its name, and its steering only where it is not 0: `forward
+        speed 255 steering +64 led 5`.
         """
-        words = []
+        words, car = [], self.wheels
         for name in self.variables:
             value = getattr(self, name)
-            if isinstance(value, str):
+            if car and name == car.by and value is not None:
                 words.append(value)
             elif value is None:
                 words.append(f"{name} not known")
-            elif name not in self.signed:
-                words.append(f"{name} {value}")
-            elif value:
+            elif value and name in self.signed:
                 words.append(f"{name} {value:+d}")
+            elif value or not car or name != car.steering:
+                words.append(f"{name} {value}")
         return " ".join(words)
 
     @property

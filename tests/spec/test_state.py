@@ -18,6 +18,7 @@ from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
 from bilprov.spec.tables import frame_tables
 from bilprov.spec.value_checks import WrongValue
 from tests.support import ROOT
+from tests.support.car import car_state
 from tests.support.commands import command
 from tests.support.grammars import embedded, mutated, undeclared
 
@@ -100,8 +101,11 @@ def test_rest_is_any_or_all_of_the_values() -> None:
 
 def test_a_state_is_told_in_words() -> None:
     state = BOARD.state(relays=5, level=-2, fan="low")
-    assert state.described == "relays 5 low level -2 on 0"
-    assert state.but(level=0, fan=None, on=None).described == "relays 5 fan not known on not known"
+    assert state.described == "relays 5 fan low level -2 on 0"
+    unknown = state.but(level=0, fan=None, on=None)
+    assert unknown.described == "relays 5 fan not known level 0 on not known"
+    assert car_state("forward", 80).described == "forward speed 80 led 0"
+    assert car_state("stopped", 80, -3).described == "stopped speed 80 steering -3 led 0"
 
 
 @given(data=st.lists(st.sampled_from([b"\x20", b"\x30", b"\x40", b"\x50", b"\x60", b"\x11\x05"])))
