@@ -329,6 +329,8 @@ def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
         raw = body.build(None)
         require_whole(f"the size of a constant of {owner} in bytes", len(raw), 1, 255)
         return FieldSpec(member.name or "", prose_of(member), offset, len(raw), constant=raw)
+    if member.name is None:
+        raise LayoutError(f'a field of {owner} has no name; write it "name" / type')
     require_word(f"the name of a field of {owner}", member.name)
     name = f"{owner}.{member.name}"
     require_text(f"the prose of {name}", prose_of(member))
@@ -344,9 +346,8 @@ def _number_field(name: str, member: Construct, body: Construct, offset: int) ->
     inner = unwrapped(ranged.subcon) if ranged else body
     names, flags = named_values(inner), named_flags(inner)
     plain = unwrapped(inner.subcon) if names or flags else inner
-    size = plain.sizeof() if isinstance(plain, Construct) else 0
-    require_whole(f"the size of {name} in bytes", size, 1, 255)
-    number = number_of(plain, name)
+    number = number_of(plain, name, ", or Bytes, Array, Prefixed or PrefixedArray")
+    size = number.size
     low, high = (ranged.low, ranged.high) if ranged else (number.low, number.high)
     if low > high:
         raise LayoutError(f"{name} has the range {low} to {high}, which holds nothing")

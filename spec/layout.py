@@ -419,6 +419,8 @@ class _Reader:
 
     def _number(self, member: Construct, body: Construct) -> None:
         name = f"{self._what}.{member.name}"
+        if member.name is None:
+            raise LayoutError(f'a part of {self._what} has no name; write it "name" / type')
         require_word(f"the name of a part of {self._what}", member.name)
         if isinstance(body, Address):
             number, ends = number_of(unwrapped(body.subcon), name), (body.high, body.broadcast or 0)

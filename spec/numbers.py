@@ -67,8 +67,10 @@ def path_of(expression: Any) -> tuple[str, ...]:
     return found.names if isinstance(found, _Path) else ()
 
 
-def number_of(declared: Construct, what: str) -> Number:
+def number_of(declared: Construct, what: str, others: str = "") -> Number:
     """Read a whole number of construct. Raises LayoutError for anything else.
+
+    `others` names what else is allowed there.
 
     What it is follows from how it reads and writes bytes in which every byte is another one.
     """
@@ -86,8 +88,10 @@ def number_of(declared: Construct, what: str) -> Number:
                 if same and [declared.build(value) for value in read] == patterns:
                     return number
     except Exception as error:  # construct raises many kinds for what is no number
-        raise LayoutError(f"the type of {what} must be a whole number, such as Byte") from error
-    raise LayoutError(f"the type of {what} must be a whole number, such as Byte")
+        raise LayoutError(
+            f"the type of {what} must be a whole number, such as Byte{others}"
+        ) from error
+    raise LayoutError(f"the type of {what} must be a whole number, such as Byte{others}")
 
 
 def _patterns(size: int) -> list[bytes]:

@@ -527,10 +527,15 @@ def load(source: str, origin: str = "grammar") -> Protocol:
             f"the grammar {origin} cannot be used: {error}{_line(error, origin)}"
         ) from error
     except (Exception, SystemExit) as error:
-        line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
-        what = one_line(error.msg if isinstance(error, SyntaxError) else error, _LONGEST)
+        where = _line(error, origin)
+        what: object = error
+        if isinstance(error, SyntaxError):
+            what, where = error.msg, f" (line {error.lineno})"
+        if isinstance(error, ImportError):
+            what = error.msg.partition(" (")[0]  # without the path of the module's file
         raise GrammarError(
-            f"the grammar {origin} does not load: {type(error).__name__}: {what}{line}; "
+            f"the grammar {origin} does not load: {type(error).__name__}: "
+            f"{one_line(what, _LONGEST)}{where}; "
             "start from what `bilprov spec emit grammar` writes"
         ) from error
     try:
@@ -543,7 +548,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
     except Exception as error:  # construct raises many kinds for declarations that make no sense
         raise GrammarError(
             f"the grammar {origin} cannot be used: {one_line(error, _LONGEST)}; "
-            "compare it with spec/grammar.py"
+            "compare it with what `bilprov spec emit grammar` writes"
         ) from error
 
 
@@ -568,7 +573,8 @@ def _declared_in(tree: ast.Module, message: str) -> str:
     quoted = re.findall("'([^']+)'", message)
     for names in (*([one] for one in quoted), *(word.split(".") for word in named)):
         for name in names:
-            line = next((at for named, at in _names(tree) if named == name and at >= line), line)
+            lines = [at for named, at in _names(tree) if named == name and at >= line]
+            line = min(lines, default=line)
         if line:
             return f" (line {line})"
     return ""
@@ -637,21 +643,22 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         _take(space, name, Sets) if {"WHEELS", name} & {*space} else Sets()
         for name in ("FAULTY", "POWER_ON")
     )
-    variables = _variables(space, specs, effects, (faulty, at_power_on))
+    variables = _variables(space, specs, effects, {"FAULTY": faulty, "POWER_ON": at_power_on})
     instructions = tuple(
-        replace(spec, effect=_effect(effects[spec.id], variables, spec)) for spec in specs
+        replace(spec, effect=_effect(effects[spec.id], variables, f"{spec.name}.effect", spec))
+        for spec in specs
     )
     instructions = _with_memory(instructions, space.get("MEMORY", ()))
     responses = _responses(space)
     _require_each_outcome(space, layout, instructions, responses)
-    on_fault = _effect(faulty, variables)
+    on_fault = _effect(faulty, variables, "FAULTY")
     _require_condition(at_rest, variables)
     wheels = _given(space, "WHEELS", Wheels)
     if wheels:
         _require_wheels(wheels, at_rest, variables)
     made = state_class(variables.values(), at_rest, wheels)
     first = made.of({name: spec.default for name, spec in variables.items()})
-    power_on = _effect(at_power_on, variables).apply(first)
+    power_on = _effect(at_power_on, variables, "POWER_ON").apply(first)
     protocol = Protocol(
         source=source,
         origin=origin,
@@ -721,7 +728,8 @@ def _with_state(space: dict[str, Any], effects: Iterable[Sets]) -> dict[str, Any
     Grammars could not declare the state at first: it was the car's.
     """
     others = [space[name] for name in ("FAULTY", "POWER_ON") if name in space]
-    if "STATE" in space or not any(getattr(one, "values", {}) for one in (*effects, *others)):
+    framed = "REPLY" in space or "STATE" in space
+    if framed or not any(getattr(one, "values", {}) for one in (*effects, *others)):
         return {"STATE": Variables(), **space}
     car = {name: getattr(grammar, name) for name in ("AT_REST", "WHEELS", "DEVICE")}
     return {**car, **space, "STATE": None}
@@ -731,7 +739,7 @@ def _variables(
     space: dict[str, Any],
     specs: Iterable[InstructionSpec],
     effects: Mapping[int, Sets],
-    others: Iterable[Sets],
+    others: Mapping[str, Sets],
 ) -> dict[str, VariableSpec]:
     """The variables by name.
 
@@ -739,13 +747,13 @@ def _variables(
     """
     declared = space["STATE"]
     found = (grammar.STATE if declared is None else _take(space, "STATE", Variables)).specs
-    every = [*effects.values(), *others]
-    for sets in every:
+    every = {**{f"{spec.name}.effect": effects[spec.id] for spec in specs}, **others}
+    for where, sets in every.items():
         for name, value in sets.values.items():
             if name not in found:
                 raise GrammarError(
-                    f"an effect sets {shown(name)}, allowed are "
-                    f"{', '.join(found) or 'no variables, since STATE has none'}"
+                    f"{where} sets {name}, allowed are "
+                    f"{', '.join(found) or 'none, since STATE declares none'}"
                 )
             if isinstance(value, Unknown):
                 found[name] = replace(found[name], unknown=True)
@@ -753,7 +761,7 @@ def _variables(
         ranges = {
             spec.id: {part.name: (part.low, part.high) for part in spec.fields} for spec in specs
         }
-        for identity, sets in (*effects.items(), *((-1, one) for one in others)):
+        for identity, sets in (*effects.items(), *((-1, one) for one in others.values())):
             for name, value in sets.values.items():
                 ends = [value]
                 if isinstance(value, From):
@@ -1059,33 +1067,39 @@ def _answer(
 
 
 def _effect(
-    sets: Sets, variables: Mapping[str, VariableSpec], of: InstructionSpec | None = None
+    sets: Sets,
+    variables: Mapping[str, VariableSpec],
+    where: str,
+    of: InstructionSpec | None = None,
 ) -> Effect:
-    """The effect of an instruction. Raises GrammarError for one that STATE does not allow."""
+    """The effect of an instruction. Raises GrammarError for one that STATE does not allow.
+
+    `where` is what declares it.
+    """
     assignments: list[tuple[str, Source]] = []
     for name, value in sets.values.items():
         spec = variables[name]
         source: Source
         if isinstance(value, From):
-            source = _from(value, spec, of)
+            source = _from(value, spec, where, of)
         elif isinstance(value, Changed):
             if spec.words:
-                raise GrammarError(f"an effect sets {name} to a number, allowed is {spec.allowed}")
+                raise GrammarError(f"{where} sets {name} to a number, allowed is {spec.allowed}")
             source = FromOld(value.factor, value.plus, spec.low, spec.high)
         elif isinstance(value, Unknown):
             source = None
         else:
-            spec.require(value)
+            spec.require(value, where)
             source = str(value) if isinstance(value, str) else value
         assignments.append((name, source))
     return Effect(tuple(assignments))
 
 
-def _from(value: From, spec: VariableSpec, of: InstructionSpec | None) -> FromField:
+def _from(value: From, spec: VariableSpec, where: str, of: InstructionSpec | None) -> FromField:
     """The field of an instruction that a variable is set from."""
     part = next((part for part in (of.fields if of else ()) if part.name == value.field), None)
     if of is None or part is None:
-        raise GrammarError(f"an effect names the field {value.field}, which is not there")
+        raise GrammarError(f"{where} names the field {value.field}, which is not there")
     if spec.words:
         if not part.names or not {word for word, _ in part.names} <= {*spec.words}:
             raise GrammarError(
@@ -1096,12 +1110,12 @@ def _from(value: From, spec: VariableSpec, of: InstructionSpec | None) -> FromFi
         return FromField(value.field, value.factor, part.names)
     if part.many or part.constant is not None:
         raise GrammarError(
-            f"an effect sets {spec.name} from the field {value.field}, allowed is a field of one "
+            f"{where} sets {spec.name} from the field {value.field}, allowed is a field of one "
             "number"
         )
     low, high = sorted((part.low * value.factor, part.high * value.factor))
     if not spec.low <= low <= high <= spec.high:
         raise GrammarError(
-            f"an effect sets {spec.name} to {low} to {high}, allowed is {spec.allowed}"
+            f"{where} sets {spec.name} to {low} to {high}, allowed is {spec.allowed}"
         )
     return FromField(value.field, value.factor)

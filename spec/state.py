@@ -65,13 +65,13 @@ class VariableSpec:
             return value in self.words
         return type(value) is int and self.low <= value <= self.high
 
-    def require(self, value: object) -> None:
-        """Raise WrongValue unless an effect can set it to this value."""
+    def require(self, value: object, where: str) -> None:
+        """Raise WrongValue unless the effect at `where` can set it to this value."""
         if not self.words:
-            require_whole(f"what an effect sets {self.name} to", value, self.low, self.high)
+            require_whole(f"the value of {self.name} in {where}", value, self.low, self.high)
         elif value not in self.words:
             raise WrongValue(
-                f"an effect sets {self.name} to {shown(value)}, allowed is {self.allowed}"
+                f"the value of {self.name} in {where} is {shown(value)}, allowed is {self.allowed}"
             )
 
 

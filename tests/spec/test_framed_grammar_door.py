@@ -12,7 +12,8 @@ from tests.support import ROOT
 from tests.support.grammars import mutated
 
 MORE = {
-    " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized,",
+    " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized, CString, "
+    "GreedyString, NullTerminated, Optional, If, Float32b,",
     " Data,": " AllOf, AnyOf, Crc, Data, Length, asked,",
 }
 TEXT = mutated((ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8"), MORE)
@@ -151,6 +152,47 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
     ),
     ({"SILENT =": "SILNT ="}, "nothing uses 'SILNT'; did you mean SILENT?", "SILNT"),
     ({"POWER_ON =": "power_on ="}, "nothing uses 'power_on'; did you mean POWER_ON?", "power_on"),
+    *(
+        (
+            read(f'"text" / {kind}, '),
+            "the type of Read.text must be a whole number, such as Byte, or Bytes, Array, Prefixed",
+            '"text"',
+        )
+        for kind in (
+            'CString("utf8")',
+            'GreedyString("utf8")',
+            "NullTerminated(Byte)",
+            "Optional(Byte)",
+            "If(this.x, Byte)",
+            "Float32b",
+        )
+    ),
+    (read("", "Byte"), "a field of the answer of Read has no name; write it", ""),
+    ({SUM: "Checksum(Byte, Summ(8), this.covered.data)"}, "name 'Summ' is not", "Summ(8)"),
+    ({"    Same,": "    Sam,"}, "cannot import name 'Sam' from 'bilprov.spec.fields' (line", ""),
+    ({"Outcome.UNKNOWN_ID": "Outcome.UNKNOWN"}, "AttributeError: UNKNOWN", "UNKNOWN"),
+    ({'header="': 'headers="'}, "unexpected keyword argument 'headers'", "CLAUSES ="),
+    ({"Const(b": "Const("}, "given non-bytes value", '"sync" / Const'),
+    (
+        {"STATE = Variables(on=Whole(0, 1))": "ON = 0"},
+        "On.effect sets on, allowed are none, since STATE declares none",
+        "effect=Sets(on=1)",
+    ),
+    (
+        {"effect=Sets(on=1)": "effect=Sets(on=5)"},
+        "the value of on in On.effect is 5, allowed is 0 to 1",
+        "Sets(on=5)",
+    ),
+    (
+        {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(on=9)"},
+        "the value of on in POWER_ON is 9, allowed is 0 to 1",
+        "POWER_ON",
+    ),
+    (
+        {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(onn=0)"},
+        "POWER_ON sets onn, allowed are on (line",
+        "POWER_ON",
+    ),
 ]
 
 

@@ -54,11 +54,11 @@ WRONG: list[tuple[dict[str, str], str]] = [
     (field('"speed" / Ranged(Byte, 0, 256)'), "Speed.speed cannot carry its range 0 to 256"),
     (field('"speed" / Ranged(Byte, -1, 255)'), "cannot carry"),
     (field('"speed" / Ranged(5, 0, 255)'), "allowed is a Construct"),
-    (field('"speed" / Ranged(Struct(), 0, 1)'), "in bytes is 0"),
+    (field('"speed" / Ranged(Struct(), 0, 1)'), "the type of Speed.speed must be a whole number"),
     (field('"speed" / Ranged(Switch(this.x, {1: Byte}, default=Byte), 0, 1)'), "cannot be used"),
     (field('"speed" / Ranged(Answers(Byte, {}), 0, 1)'), "must be a whole number"),
     (field('"speed" / Ranged(BitsInteger(4), 0, 1)'), "must be a whole number"),
-    (field("Ranged(Byte, 0, 255)"), "field of Speed is None"),
+    (field("Ranged(Byte, 0, 255)"), "a field of Speed has no name; write it"),
     (field(f'"{"a" * 65}" / Ranged(Byte, 0, 255)'), "allowed are 64"),
     (field(f"{SPEED}, {SPEED}"), "Speed has two fields named speed"),
     (field(f"{SPEED}, {SIXTEEN}"), "Speed has 17 data bytes; a header announces at most 15"),
@@ -83,12 +83,15 @@ WRONG: list[tuple[dict[str, str], str]] = [
     # effects
     ({f"effect=Sets({RIGHT}": "effect=0,"}, "the effect of an Instruction is 0"),
     ({RIGHT: "steering=True),"}, "is True, allowed"),
-    ({RIGHT: 'steering="left"),'}, "sets steering to is 'left', allowed is a whole number"),
-    ({RIGHT: 'steering=From("force")),'}, "an effect names the field force, which is not there"),
+    (
+        {RIGHT: 'steering="left"),'},
+        "the value of steering in Right.effect is 'left', allowed is a whole number",
+    ),
+    ({RIGHT: 'steering=From("force")),'}, "Right.effect names the field force, which is not there"),
     ({RIGHT: "steering=From(7)),"}, "the field of a From is 7"),
     ({RIGHT: 'motion=From("strength")),'}, "sets motion to a number"),
-    ({RIGHT: "motion=[]),"}, "sets motion to []"),
-    ({RIGHT: "steer=0),"}, "an effect sets 'steer', allowed are motion, speed, steering, led"),
+    ({RIGHT: "motion=[]),"}, "the value of motion in Right.effect is []"),
+    ({RIGHT: "steer=0),"}, "Right.effect sets steer, allowed are motion, speed, steering, led"),
     ({"factor=-1": "factor=0.5"}, "the factor of a From is 0.5"),
     ({'motion="stopped", steering=0),  #': "steering=0),  #"}, "the kit needs one to home"),
     ({FAULTY: "FAULTY = Sets(steering=0)"}, "FAULTY does not set motion"),
@@ -119,7 +122,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
         "is 0, allowed is 1 to 64",
     ),
     ({"INSTRUCTIONS))": 'INSTRUCTIONS), "x" / Struct("id" / Byte))'}, "two parts for the id"),
-    ({"INSTRUCTIONS))": "INSTRUCTIONS), BitsInteger(8))"}, "name of a part of FRAME is None"),
+    ({"INSTRUCTIONS))": "INSTRUCTIONS), BitsInteger(8))"}, "a part of FRAME has no name; write it"),
     ({"FRAME = Struct(": "FRAMES = Struct("}, "nothing uses 'FRAMES'; did you mean FRAME?"),
 ]
 
@@ -177,7 +180,7 @@ def test_a_grammar_that_runs_ends_in_a_sentence_too(
         (
             "INSTRUCTIONS = {",
             "INSTRUCTIONS = = {",
-            "does not load: SyntaxError: invalid syntax, line ~; start from what "
+            "does not load: SyntaxError: invalid syntax (line ~); start from what "
             "`bilprov spec emit grammar` writes",
         ),
     ],

@@ -52,11 +52,23 @@ def test_a_text_that_does_not_declare_the_cars_state_has_it(
 
 
 WRONG: list[tuple[dict[str, str], str]] = [
-    ({'Sets(fan="high")': 'Sets(fan="fast")'}, "sets fan to 'fast', allowed is off, low, high"),
-    ({'Sets(fan="high")': "Sets(fan=2)"}, "sets fan to 2, allowed is off, low, high"),
+    (
+        {'Sets(fan="high")': 'Sets(fan="fast")'},
+        "the value of fan in High.effect is 'fast', allowed is off, low, high",
+    ),
+    (
+        {'Sets(fan="high")': "Sets(fan=2)"},
+        "the value of fan in High.effect is 2, allowed is off, low, high",
+    ),
     ({'Sets(fan="high")': "Sets(fan=Changed(1, 1))"}, "sets fan to a number"),
-    ({'Sets(fan="high")': "Sets(level=6)"}, "sets level to is 6, allowed is -5 to 5"),
-    ({'Sets(fan="high")': "Sets(wind=1)"}, "sets 'wind', allowed are relays, fan, level, on"),
+    (
+        {'Sets(fan="high")': "Sets(level=6)"},
+        "the value of level in High.effect is 6, allowed is -5 to 5",
+    ),
+    (
+        {'Sets(fan="high")': "Sets(wind=1)"},
+        "High.effect sets wind, allowed are relays, fan, level, on",
+    ),
     ({'relays=From("mask")': 'level=From("mask")'}, "sets level to 0 to 15, allowed is -5 to 5"),
     ({"Whole(-5, 5)": "Whole(5, -5)"}, "the highest value of a variable is -5"),
     ({"Whole(-5, 5)": "7"}, "the variable level is 7"),
