@@ -10,6 +10,7 @@ from bilprov.spec.fields import (
     Instruction,
     LineDefaults,
     Outcome,
+    Reports,
     Same,
     Sets,
     Sum,
@@ -24,7 +25,9 @@ VERSION = "1"
 DOCUMENT = "4-channel relay board, 9600 8N1, frames 55 56"
 DEVICE = "relay board"
 
-STATUS = Struct("state" / Enum(Byte, on=1, off=2) * "what the relay is now")
+STATUS = Struct(
+    "state" / Reports("on", Enum(Byte, on=1, off=2), factor=-1, plus=2) * "what the relay is now"
+)
 INSTRUCTIONS = {
     0: "Read" / Instruction(document="read", answer=STATUS) * "Reports whether the relay is on.",
     1: "On"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import prod
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from construct import (
     Array,
@@ -21,7 +21,7 @@ from construct import (
 )
 
 from bilprov.spec.errors import one_line
-from bilprov.spec.fields import Ranged
+from bilprov.spec.fields import Ranged, Reports
 from bilprov.spec.numbers import LayoutError, Number, named_flags, named_values, number_of
 from bilprov.spec.value_checks import require_text, require_whole, require_word
 
@@ -86,6 +86,18 @@ class Many:
         return data
 
 
+class Reported(NamedTuple):
+    """The variable that a field tells: its value times `factor` plus `plus`, or by its name."""
+
+    variable: str
+    factor: int
+    plus: int
+
+    def value(self, of: str | int, names: tuple[tuple[str, int], ...]) -> int | None:
+        """What tells this value of the variable, None for a word that is no name of a value."""
+        return dict(names).get(of) if isinstance(of, str) else of * self.factor + self.plus
+
+
 @dataclass(frozen=True, slots=True)
 class FieldSpec:
     """One data field: its place in the data (bytes), its range, and the names of its bits.
@@ -94,7 +106,8 @@ class FieldSpec:
     it, and `code` the name of the answer that it gets, "" for that of any bad data. `names` are
     named values (no other is in the range), `flags` named masks. A field with `constant` bytes has
     no value of its own. `many` is set for a field of bytes or of several numbers; `size` then
-    counts the bytes that it has in any case. `number` is how a single number is written.
+    counts the bytes that it has in any case. `number` is how a single number is written. `reports`
+    is the variable of the state that a field of an answer tells.
     """
 
     name: str
@@ -111,6 +124,7 @@ class FieldSpec:
     constant: bytes | None = None
     many: Many | None = None
     number: Number | None = None
+    reports: Reported | None = None
 
     def parse(self, raw: bytes) -> Any:
         """The value in the field's bytes."""
@@ -342,6 +356,10 @@ def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
 
 
 def _number_field(name: str, member: Construct, body: Construct, offset: int) -> FieldSpec:
+    reports = None
+    if isinstance(body, Reports):
+        reports = Reported(body.variable, body.factor, body.plus)
+        body = unwrapped(body.subcon)
     ranged = body if isinstance(body, Ranged) else None
     inner = unwrapped(ranged.subcon) if ranged else body
     names, flags = named_values(inner), named_flags(inner)
@@ -371,6 +389,7 @@ def _number_field(name: str, member: Construct, body: Construct, offset: int) ->
         names=names,
         flags=flags,
         number=number,
+        reports=reports,
     )
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from construct import Construct, ExprAdapter, Struct, Validator
+from construct import Construct, ExprAdapter, Struct, Subconstruct, Validator
 
 from bilprov.spec.checks import Crc, Sum, Xor
 from bilprov.spec.frame_words import Address, Data, Length, Same, asked, question
@@ -56,6 +56,7 @@ __all__ = [
     "Memory",
     "Outcome",
     "Ranged",
+    "Reports",
     "Same",
     "Sets",
     "Sum",
@@ -152,6 +153,24 @@ class From:
     def __post_init__(self) -> None:
         require_name("the field of a From", self.field)
         require_whole("the factor of a From", self.factor)
+
+
+class Reports(Subconstruct):  # type: ignore[misc]  # construct ships no types
+    """A field of an answer that tells the variable `variable` of the state.
+
+    It holds the variable's value times `factor` plus `plus`; of a Word the value of that name of an
+    Enum.
+    """
+
+    def __init__(self, variable: str, subcon: Construct, factor: int = 1, plus: int = 0) -> None:
+        require_name("the variable of a Reports", variable)
+        require_kind("the type of a Reports", subcon, Construct)
+        require_whole("the factor of a Reports", factor)
+        require_whole("what a Reports adds", plus)
+        super().__init__(subcon)
+        self.variable = variable
+        self.factor = factor
+        self.plus = plus
 
 
 class Sets:

@@ -648,6 +648,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
         replace(spec, effect=_effect(effects[spec.id], variables, f"{spec.name}.effect", spec))
         for spec in specs
     )
+    _require_reported(instructions, variables)
     instructions = _with_memory(instructions, space.get("MEMORY", ()))
     responses = _responses(space)
     _require_each_outcome(space, layout, instructions, responses)
@@ -789,6 +790,30 @@ def _require_variable(where: str, name: str, variables: Mapping[str, VariableSpe
         raise GrammarError(
             f"{where} names the variable {shown(name)}, allowed are {', '.join(variables)}"
         )
+
+
+def _require_reported(
+    instructions: Iterable[InstructionSpec], variables: Mapping[str, VariableSpec]
+) -> None:
+    """Raise GrammarError for a field that cannot tell the variable that it reports."""
+    for spec in instructions:
+        for part in spec.fields:
+            if part.reports:
+                raise GrammarError(f"{spec.name}.{part.name} has a Reports: only answers report")
+        for part in spec.answer.fields if spec.answer else ():
+            if part.reports:
+                _require_report(f"the answer of {spec.name}.{part.name}", part, variables)
+
+
+def _require_report(where: str, part: FieldSpec, variables: Mapping[str, VariableSpec]) -> None:
+    assert part.reports is not None
+    _require_variable(where, part.reports.variable, variables)
+    spec = variables[part.reports.variable]
+    values = [*spec.words] if spec.words else [spec.low, spec.high]
+    for value in values:
+        reported = part.reports.value(value, part.names)
+        if reported is None or not part.in_range(reported):
+            raise GrammarError(f"{where} reports {spec.name}, and cannot hold its value {value}")
 
 
 def _require_wheels(

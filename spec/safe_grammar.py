@@ -27,7 +27,7 @@ WORDS = {
         "Memory",
         *("Address", "Crc", "Data", "Length", "Same", "Sum", "Xor", "asked"),
         *("Ranged", "Sets", "Timing", "Variables", "Word", "Whole", "Bits", "AnyOf", "AllOf"),
-        *("Wheels", "Changed", "Unknown"),
+        *("Wheels", "Changed", "Unknown", "Reports"),
     },
     "bilprov.spec.motion": {"Motion"},
 }

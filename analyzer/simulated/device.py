@@ -128,10 +128,15 @@ class SimulatedDevice:
         device.cells.take(spec, fields)
 
     def _told(self, judgement: Judgement) -> dict[str, Any]:
-        """The values of an answer's fields that the device remembers."""
-        spec = judgement.instruction
-        if spec is None or spec.reads is None or spec.answer is None:
-            return {}
-        told = next(part for part in spec.answer.fields if part.name == spec.reads.value)
-        cells = self._device(judgement.address).cells
-        return {told.name: cells.read(spec.reads, dict(judgement.fields), told)}
+        """The values of an answer's fields that the device knows."""
+        spec, told = judgement.instruction, dict[str, Any]()
+        if spec is None or spec.answer is None:
+            return told
+        device = self._device(judgement.address)
+        for part in spec.answer.fields:
+            state = getattr(device.state, part.reports.variable) if part.reports else None
+            if part.reports and state is not None:
+                told[part.name] = part.reports.value(state, part.names)
+            elif spec.reads and part.name == spec.reads.value:
+                told[part.name] = device.cells.read(spec.reads, dict(judgement.fields), part)
+        return told

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from random import Random
 from typing import Any
 
 import pytest
 
-from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
+from bilprov.analyzer.grammar_file import SHIPPED, given_protocol, load_protocol
 from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.simulated.requests import drawn_request, with_wrong_end
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge
-from bilprov.spec.protocol import GrammarError, load
+from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.replies import agrees, read_reply
 from tests.support import ROOT
 
@@ -22,8 +23,8 @@ NAMES = ["modbus-rtu", "stk500v1", "dynamixel1"]
 class Line:
     """A host and the simulated device, at a time that goes on by itself."""
 
-    def __init__(self, name: str) -> None:
-        self.protocol = load_protocol(name)
+    def __init__(self, grammar: str | Protocol) -> None:
+        self.protocol = given_protocol(grammar)
         self.device = SimulatedDevice(self.protocol)
         self.now = 0
 
@@ -162,6 +163,52 @@ def test_bootloader_pages_are_read_back_at_the_loaded_address() -> None:
 )
 def test_bootloader_answers_what_it_does_not_know(sent: str, answer: str) -> None:
     assert Line("stk500v1").ask(bytes.fromhex(sent)) == bytes.fromhex(answer)
+
+
+RELAY = str(ROOT / "examples" / "relay_board.py")
+
+
+def test_an_answer_tells_the_state_that_it_reports() -> None:
+    line = Line(RELAY)
+    told = [
+        line.do(name, address=3)["state"] for name in ("Read", "On", "Read", "Off", "Toggle", "Off")
+    ]
+    assert told == [2, 1, 1, 2, 1, 2]
+    assert line.do("On", address=1) == {"state": 1}
+    assert line.do("Read", address=3) == {"state": 2}
+
+
+def test_an_answer_tells_a_word_by_its_name() -> None:
+    text = Path(RELAY).read_text(encoding="utf-8")
+    for old, new in (
+        ("on=Whole(0, 1)", 'on=Word("off", "on")'),
+        ("Sets(on=1)", 'Sets(on="on")'),
+        ("Sets(on=0)", 'Sets(on="off")'),
+        ("Changed(-1, 1)", "Unknown()"),
+        (", factor=-1, plus=2)", ")"),
+        ("    Whole,\n", "    Word,\n"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    line = Line(load(text, "relay.py"))
+    told = [line.do(name, address=3)["state"] for name in ("Read", "On", "Read", "Off")]
+    assert told == [2, 1, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ('"on", Enum', '"off", Enum', "names the variable 'off', allowed are on"),
+        ("plus=2", "plus=3", "reports on, and cannot hold its value 0"),
+        ("Whole(0, 1)", "Whole(0, 2)", "reports on, and cannot hold its value 2"),
+        ('Instruction(document="open",', 'Instruction(*STATUS.subcons, document="open",', "only"),
+    ],
+)
+def test_a_report_that_cannot_be_is_refused(old: str, new: str, why: str) -> None:
+    text = Path(RELAY).read_text(encoding="utf-8")
+    assert old in text
+    with pytest.raises(GrammarError, match=why):
+        load(text.replace(old, new), "relay.py")
 
 
 @pytest.mark.parametrize(
