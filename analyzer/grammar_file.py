@@ -75,12 +75,11 @@ def with_imported(source: str) -> str:
     """
     tree, lines = ast.parse(source), source.splitlines(keepends=True)
     own = set(_assigned(tree))
-    for node in reversed(tree.body):
-        file = _MODULES.get(node.module or "") if isinstance(node, ast.ImportFrom) else None
-        if file is None or not isinstance(node, ast.ImportFrom):
-            continue
-        wanted = {one.name for one in node.names}
-        lines[node.lineno - 1 : node.end_lineno] = _declarations(file, wanted, own)
+    for node in reversed([one for one in tree.body if isinstance(one, ast.ImportFrom)]):
+        file = _MODULES.get(node.module or "")
+        if file:
+            wanted = {one.name for one in node.names}
+            lines[node.lineno - 1 : node.end_lineno] = _declarations(file, wanted, own)
     return "".join(lines)
 
 

@@ -259,11 +259,10 @@ def registers_in(
     named = protocol.registers.get(memory.name) if memory else None
     if memory is None or named is None or memory.bits or memory.keep or memory.latest:
         return ()
-    part = next(one for one in spec.fields if one.name == memory.value)
+    part, width = _cells(memory, spec)
     many = part.many
     begin = part.offset + (many.prefix.size if many and many.prefix else 0)
     end = len(data) if many and many.how != "fixed" else part.offset + part.size
-    width = many.width if many else part.size
     first = asked[memory.at] * memory.factor if memory.at else 0
     spans = [("", begin, end)]
     if memory.blocks:
@@ -391,35 +390,58 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
 def _by_register(
     protocol: Protocol, spec: InstructionSpec, given: dict[str, Any]
 ) -> dict[str, Any]:
-    """The values with the fields of the instruction instead of the named registers."""
+    """The values with the fields of the instruction instead of names of registers."""
     memory = spec.writes or spec.reads
-    cells = protocol.registers.get(memory.name, {}) if memory and memory.at else {}
-    if memory is None or not cells or memory.blocks:
+    cells = protocol.registers.get(memory.name) if memory else None
+    if memory is None or cells is None or memory.blocks or not memory.at:
         return given
-    data = spec.data if spec.writes else spec.answer or spec.data
-    value = next(one for one in data.fields if one.name == memory.value)
-    width = value.many.width if value.many else value.size
     places = {one.name: place for place, one in cells.items()}
-    named = sorted((places[name], name) for name in given if name in places)
-    fields = {name: one for name, one in given.items() if name not in places}
-    asked = given.get(memory.at)
-    if not spec.writes and isinstance(asked, str) and asked in places:
-        named = [(places[asked], asked)]
-        if memory.count:
-            fields.setdefault(memory.count, cells[places[asked]].size // width)
-    elif not spec.writes or not named:
-        return given
-    built, first = b"", named[0][0]
-    for place, name in named:
-        if place != first + len(built) // width:
-            raise ValueError(f"{named[0][1]} and {name} are not side by side, one request each")
-        built += _built(spec.name, cells[place], {name: given.get(name, 0)})
-    fields[memory.at] = first // memory.factor
     if spec.writes:
-        if memory.count in spec.names:
-            fields[memory.count] = len(built) // width
-        fields[memory.value] = built.hex() if value.many else value.parse(built)
+        named = {places[name]: cells[places[name]] for name in given if name in places}
+        return _writing(spec, memory, named, given) if named else given
+    asked = given.get(memory.at)
+    if not isinstance(asked, str) or asked not in places or spec.answer is None:
+        return given
+    _, width = _cells(memory, spec.answer)
+    count = {memory.count: cells[places[asked]].size // width} if memory.count else {}
+    return {**count, **given, memory.at: places[asked] // memory.factor}
+
+
+def _writing(
+    spec: InstructionSpec,
+    memory: Memory,
+    named: Mapping[int, FieldSpec],
+    given: Mapping[str, Any],
+) -> dict[str, Any]:
+    """The values with the fields that write some registers, `named` by their places."""
+    names = {one.name for one in named.values()}
+    if memory.at in given or memory.value in given:
+        raise ValueError(
+            f"{spec.name} takes {memory.at} and {memory.value} or {' '.join(sorted(names))}, "
+            "not both"
+        )
+    part, width = _cells(memory, spec.data)
+    first, built = min(named), b""
+    for place in sorted(named):
+        one = named[place]
+        if place != first + len(built) // width:
+            raise ValueError(
+                f"{named[first].name} and {one.name} are not side by side; write each by a request "
+                "of its own"
+            )
+        built += _built(spec.name, one, {one.name: given[one.name]})
+    fields = {name: value for name, value in given.items() if name not in names}
+    if memory.count in spec.names:
+        fields[memory.count] = len(built) // width
+    fields[memory.at] = first // memory.factor
+    fields[memory.value] = built.hex() if part.many else part.parse(built)
     return fields
+
+
+def _cells(memory: Memory, data: DataSpec) -> tuple[FieldSpec, int]:
+    """The field with the cells of a memory in some data, and the bytes of one cell."""
+    part = next(one for one in data.fields if one.name == memory.value)
+    return part, part.many.width if part.many else part.size
 
 
 def free_parts(protocol: Protocol) -> Iterator[Part]:

@@ -168,6 +168,7 @@ def test_requests_are_built_by_the_names_of_registers(
         ("Read", {"register": "goal"}, "Read.register is 'goal', allowed are whole numbers"),
         ("Read", {"register": 3, "size": 1, "goal_position": 1}, "has no field goal_position"),
         ("Ping", {"goal_position": 1}, "Ping has no field goal_position"),
+        ("Write", {"register": 42, "goal_position": 1}, "takes register and values or goal_pos"),
     ],
 )
 def test_what_cannot_be_asked_for_by_a_name_is_refused(
