@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 from bilprov.spec.value_checks import WrongValue, require_whole, shown
 
@@ -19,24 +19,33 @@ _WIDTHS = (8, 16, 24, 32)
 
 @dataclass(frozen=True)
 class Sum:
-    """The sum of the bytes, cut to `bits`; with `complement` each bit of it is inverted."""
+    """The sum of the bytes, cut to `bits`.
+
+    With `complement` 1 (or True) each bit of it is inverted, with 2 it is subtracted from zero:
+    the ones' and the two's complement.
+    """
 
     bits: int = 8
-    complement: bool = False
+    complement: int = 0
 
     def __post_init__(self) -> None:
         _require_width("the bits of a Sum", self.bits)
-        _require_bool("Sum.complement", self.complement)
+        if not isinstance(self.complement, int) or not 0 <= self.complement <= 2:
+            raise WrongValue(f"Sum.complement is {shown(self.complement)}, allowed are 0, 1, 2")
 
     def running(self, data: bytes) -> Iterator[int]:
         """The sum of the first 0, 1, 2, ... bytes, up to all."""
-        most, inverted = (1 << self.bits) - 1, (1 << self.bits) - 1 if self.complement else 0
-        return (value & most ^ inverted for value in accumulate(data, initial=0))
+        return map(self.of, accumulate(data, initial=0))
 
     def __call__(self, data: bytes) -> int:
         """The sum of the bytes."""
-        most = (1 << self.bits) - 1
-        return sum(data) & most ^ (most if self.complement else 0)
+        return int(self.of(sum(data)))
+
+    def of(self, total: Any) -> Any:
+        """The check of bytes with this total, a number or an array of numbers."""
+        if self.complement:
+            total = ~total + (self.complement == 2)
+        return total & (1 << self.bits) - 1
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ _OBSTACLES: dict[Outcome, Obstacle] = {
 _NEAREST: tuple[Obstacle, ...] = ("range", "length", "address", "sync", "checksum", "id")
 
 _USUAL: tuple[CheckFunction, ...] = (
-    *(Sum(8), Sum(8, complement=True), Xor(), Sum(16)),
+    *(Sum(8), Sum(8, complement=1), Sum(8, complement=2), Xor(), Sum(16)),
     *(Crc(8, 0x07), Crc(8, 0x31, reflected=True), Crc(8, 0xD5)),
     *(Crc(16, 0x8005, init, reflected=True) for init in (0xFFFF, 0)),
     *(Crc(16, 0x8005, init) for init in (0, 0xFFFF)),
@@ -153,7 +153,8 @@ def _in_words(check: Check, function: CheckFunction, first: int, order: Order) -
 def declared(function: CheckFunction) -> str:
     """A check as a grammar declares it."""
     if isinstance(function, Sum):
-        return f"Sum({function.bits}{', complement=True' if function.complement else ''})"
+        complement = int(function.complement)
+        return f"Sum({function.bits}{f', complement={complement}' if complement else ''})"
     if isinstance(function, Xor):
         return f"Xor({function.start or ''})"
     digits = function.width // 4

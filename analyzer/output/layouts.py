@@ -88,7 +88,7 @@ def _covered(layout: Layout) -> str:
 def check_in_words(function: CheckFunction) -> str:
     """A check in words, like `CRC-16, polynomial 8005, start ffff, reflected`."""
     if isinstance(function, Sum):
-        return f"{function.bits}-bit sum{', inverted,' if function.complement else ''}"
+        return f"{function.bits}-bit sum{('', ', inverted,', ', negative,')[function.complement]}"
     if isinstance(function, Xor):
         return f"exclusive or from {function.start:02x}"
     digits = function.width // 4

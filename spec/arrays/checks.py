@@ -45,8 +45,8 @@ class Checking:
         if isinstance(function, Crc):
             return self._register ^ function.xorout
         if isinstance(function, Sum):
-            most = (1 << function.bits) - 1
-            return self._register & most ^ (most if function.complement else 0)
+            values: NDArray[np.int64] = function.of(self._register)
+            return values
         return self._register
 
 

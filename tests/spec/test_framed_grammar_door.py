@@ -193,6 +193,11 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         "POWER_ON sets onn, allowed are on (line",
         "POWER_ON",
     ),
+    (
+        {SUM: "Checksum(Byte, Sum(8, complement=3), this.covered.data)"},
+        "Sum.complement is 3, allowed are 0, 1, 2",
+        "Sum(8",
+    ),
 ]
 
 

@@ -37,6 +37,9 @@ drawn = cache(drawn_layout)
         (Crc(32, 0x04C11DB7, 0xFFFFFFFF), 0x0376E6E7),  # MPEG-2
         (Sum(8), 0xDD),
         (Sum(8, complement=True), 0x22),
+        (Sum(8, complement=1), 0x22),
+        (Sum(8, complement=2), 0x23),
+        (Sum(16, complement=2), 0xFE23),
         (Sum(16), 0x01DD),
         (Xor(), 0x31),
         (Xor(0xFF), 0xCE),

@@ -38,7 +38,7 @@ _NUMBERS = (
 _ID, _ECHO = '"id" / Byte', '"id" / Same("id", Byte)'
 _COUNTED = ("Prefixed(Byte, GreedyRange(Int16ub))", "Prefixed(Byte, GreedyBytes)")
 _CHECKS = (
-    *(("Byte", f"Sum(8, complement={flag})") for flag in (False, True)),
+    *(("Byte", f"Sum(8, complement={flag})") for flag in (0, 1)),
     *(("Byte", "Xor()"), ("Byte", "Xor(0x5A)"), ("Int16ub", "Sum(16)"), ("Byte", "Crc(8, 0xD5)")),
     *(("Int16ul", "Crc(16, 0x8005, 0xFFFF, reflected=True)"), ("Int16ub", "Crc(16, 0x1021)")),
     ("Int32sl", None),

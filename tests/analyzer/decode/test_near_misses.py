@@ -6,7 +6,7 @@ import pytest
 
 from bilprov.analyzer.decode.near_misses import declared, fitting_check, near_miss
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.checks import Crc
+from bilprov.spec.checks import Crc, Sum
 from tests.vectors_modbus_rtu import REQUESTS
 
 
@@ -77,9 +77,14 @@ def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
 
     assert fitting_check(layout, frames[:1]) == ""
     assert fitting_check(layout, frames) == "Sum(8)"
+    negative = [frame[:-1] + bytes([-sum(frame[2:-1]) & 0xFF]) for frame in frames]
+    assert fitting_check(layout, negative) == "Sum(8, complement=2)"
 
 
 def test_a_check_is_told_as_it_is_declared() -> None:
     crc = Crc(16, 0x1021, 0xFFFF, reflected=True, xorout=0xFFFF)
 
     assert eval(declared(crc), {"Crc": Crc}) == crc
+    for complement in (0, 1, 2):
+        total = Sum(8, complement=complement)
+        assert eval(declared(total), {"Sum": Sum}) == total
