@@ -131,9 +131,9 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         '"On now"',
     ),
     (
-        {'"state" / Enum': '"the state" / Enum'},
-        "is 'the state', allowed is one word",
-        '"the state"',
+        read('"the level" / Byte, '),
+        "is 'the level', allowed is one word",
+        '"the level"',
     ),
     (
         {'"sum" /': '"the sum" /', ID: f'"a b" / Byte, {ID}'},
