@@ -54,12 +54,20 @@ def encode(
 
 
 def explain(
-    data: bytes, direction: Direction = "host", protocol: Protocol | None = None
+    data: bytes,
+    direction: Direction = "host",
+    protocol: Protocol | None = None,
+    asked: bytes = b"",
 ) -> Explanation:
-    """Explain every bit of the bytes, and what a conforming device answers and does."""
+    """Explain every bit of the bytes, and what a conforming device answers and does.
+
+    `asked` are the requests that a device's bytes answer, where they are known. Raises ValueError,
+    in one sentence, for host bytes that are no frame, and for requests that are not answered.
+    """
+    protocol = protocol or load_protocol()
     if direction == "host":
-        return explaining.explain(protocol or load_protocol(), data)
-    return explaining.explain_responses(protocol or load_protocol(), data)
+        return explaining.explain(protocol, data)
+    return explaining.explain_responses(protocol, data, explaining.requests_of(protocol, asked))
 
 
 def decode(

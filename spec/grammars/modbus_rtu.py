@@ -143,11 +143,12 @@ MEMORY = (
     Memory("coils", at="coil", value="value", bits=True),
     Memory("coils", at="start", value="coils", count="quantity", bits=True),
     Memory("inputs", at="start", value="inputs", count="quantity", bits=True),
-    Memory("registers", at="register", value="value"),
-    Memory("registers", at="register", value="or_mask", keep="and_mask"),
-    Memory("registers", at="start", value="values", count="quantity"),
-    Memory("registers", at="read_start", value="values", count="read_quantity", only="reads"),
-    Memory("registers", at="write_start", value="values", count="write_quantity"),
+    Memory("input", at="start", value="values", count="quantity", by=("ReadInputRegisters",)),
+    Memory("holding", at="register", value="value"),
+    Memory("holding", at="register", value="or_mask", keep="and_mask"),
+    Memory("holding", at="start", value="values", count="quantity"),
+    Memory("holding", at="read_start", value="values", count="read_quantity", only="reads"),
+    Memory("holding", at="write_start", value="values", count="write_quantity"),
 )
 RESPONSE = Answers(
     Byte,

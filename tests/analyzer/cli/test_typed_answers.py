@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer import api
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.screen.details import details
@@ -124,6 +125,17 @@ def test_an_answer_is_explained_by_its_request() -> None:
     drawn = command(*words, *asked).stdout.decode()
     assert "present_position  1304  steps" in drawn
     assert drawn.splitlines()[0].endswith("@1 OVERLOAD values=18 05 present_position=1304")
+
+
+def test_python_explains_an_answer_by_its_request() -> None:
+    protocol = load_protocol("stk500v1")
+    (one,) = api.explain(b"\x14\x03\x10", "device", protocol, b"\x41\x81\x20").responses
+    assert (one.words, [group.name for group in one.groups]) == (
+        "OK value=3",
+        ["insync", "value", "code"],
+    )
+    with pytest.raises(ValueError, match="41 81 is not answered"):
+        api.explain(b"\x14\x10", "device", protocol, b"\x41\x81")
 
 
 def test_what_is_no_answer_is_explained_as_that() -> None:

@@ -43,7 +43,10 @@ from bilprov.spec.grammars.modbus_rtu import (
 NAME = "meter"
 VERSION = "1"
 DOCUMENT = "a meter"
-REGISTERS = {"registers": {107: "voltage" / Int16ub * "0.1 V", 108: "power" / Int32sb * "W"}}
+REGISTERS = {
+    "holding": {107: "voltage" / Int16ub * "0.1 V", 108: "power" / Int32sb * "W"},
+    "input": {107: "current" / Int16ub},
+}
 """
 # A request, its answer, and the registers in each; those of the document of the servos.
 POSITION = "FFFF 01 04 02 38 02 BE", "FFFF 01 04 00 18 05 DD"
@@ -229,6 +232,11 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
     (one,) = devices(decoded(Session(meter), conversation([(frame(asked), answer)])))
     assert one.reply is not None
     assert dict(one.reply.told) == {"values": (0x8FC, 0xFFFF, 0xFFFE), "voltage": 2300, "power": -2}
+    told = "110402 08FC"
+    answer = frame(told) + meter.layout.check.function(frame(told)).to_bytes(2, "little")  # type: ignore[union-attr]
+    request = build(meter, "ReadInputRegisters", {"address": 17, "start": "current"})
+    (one,) = devices(decoded(Session(meter), conversation([(request, answer)])))
+    assert one.value.fields == {"values": [0x8FC], "current": 0x8FC}
     write = build(meter, "WriteMultipleRegisters", {"address": 17, "voltage": 1, "power": -2})
     assert dict(judge(meter, write).told)["power"] == -2
     assert dict(judge(meter, write).fields)["quantity"] == 3
@@ -257,15 +265,33 @@ REGISTERS = {"cells": {3: "horn" / Byte}}
 @pytest.mark.parametrize(
     ("registers", "words"),
     [
-        ('{"cells": {}}', "REGISTERS has 'cells', allowed are memories .*: registers"),
-        ('{"coils": {}}', "REGISTERS has 'coils', allowed are memories .*: registers"),
+        (
+            '{"cells": {}}',
+            "REGISTERS has 'cells', allowed are memories .*: holding, input",
+        ),
+        (
+            '{"coils": {}}',
+            "REGISTERS has 'coils', allowed are memories .*: holding, input",
+        ),
         ("{107: 5}", "REGISTERS must be written"),
         ("[]", "REGISTERS must be written"),
-        ('{"registers": {-1: "a" / Int16ub}}', "a place in REGISTERS of registers is -1"),
-        ('{"registers": {1: Int16ub}}', 'a register of registers must be written "name" / type'),
-        ('{"registers": {1: "start" / Int16ub}}', "a field and a register, are named start"),
-        ('{"registers": {1: "a" / Int16ub, 2: "A" / Int16ub}}', "are named a"),
-        ('{"registers": {1: "a" / Int16ub[2]}}', "the register a of registers must be one number"),
+        (
+            '{"holding": {-1: "a" / Int16ub}}',
+            "a place in REGISTERS of holding is -1",
+        ),
+        (
+            '{"holding": {1: Int16ub}}',
+            'a register of holding must be written "name" / type',
+        ),
+        (
+            '{"holding": {1: "start" / Int16ub}}',
+            "a field and a register, are named start",
+        ),
+        ('{"holding": {1: "a" / Int16ub, 2: "A" / Int16ub}}', "are named a"),
+        (
+            '{"holding": {1: "a" / Int16ub[2]}}',
+            "the register a of holding must be one number",
+        ),
     ],
 )
 def test_registers_that_make_no_sense_are_refused_in_one_sentence(
