@@ -115,6 +115,14 @@ def _assigned(tree: ast.AST) -> list[str]:
     return [one.id for one in names if isinstance(one.ctx, ast.Store)]
 
 
+def grammar_words(protocol: Protocol) -> list[str]:
+    """The words of a command line that name a grammar again; none for the usual one."""
+    name = protocol.name
+    if name not in SHIPPED or load_protocol(name) != protocol:
+        name = protocol.origin if protocol.origin.endswith(".py") else "FILE.py"
+    return [] if name == OWN else ["--grammar", name]
+
+
 def not_carried(protocol: Protocol) -> str:
     """A sentence where captures open only with the grammar's file beside them; "" elsewhere."""
     from bilprov.spec.safe_grammar import NotDeclared, require_declarations

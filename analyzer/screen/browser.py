@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.filters.completion import completions
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.filters.parts import FilterError
+from bilprov.analyzer.grammar_file import grammar_words
 from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle, columns_of
 from bilprov.analyzer.replay.spool import new_name
 from bilprov.analyzer.screen.bars import head_line, status_line
@@ -479,7 +481,8 @@ class Browser(App[str | None]):
         if isinstance(record, DeviceRecord) and record.answered:
             data = record.answered.frame
         if data:
-            line = f"bilprov send PORT '{spaced(data)}'"
+            grammar = shlex.join(grammar_words(self._recording.protocol))
+            line = f"bilprov send PORT '{spaced(data)}' {grammar}".rstrip()
             self.copy_to_clipboard(line)
             self._say(f"copied: {line}")
         else:

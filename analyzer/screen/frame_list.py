@@ -79,6 +79,10 @@ class FrameList(ScrollView, can_focus=True):
         self.time_style: TimeStyle = TimeStyle.RELATIVE if relative else asked
         self._start_wall = start_wall
         self._recording = recording
+        # The hex digits of the longest request, without what is counted in it.
+        specs, layout = recording.protocol.instructions, recording.protocol.layout
+        data = max((spec.length for spec in specs), default=0)
+        self._longest = 3 * (layout.head + data + layout.tail) - 1
         self._first = 0  # the first row of the view when it was last drawn
         self._lines: dict[int, Text] = {}
 
@@ -237,9 +241,12 @@ class FrameList(ScrollView, can_focus=True):
         """The columns that fit, each with its width; the last one takes what is left."""
         usual = [column for column in OWN.values() if width >= _LEAST.get(column.name, 0)]
         left = width - _FRONT
+        spare = left - sum(self._room(column) + 1 for column in usual)
         fitting: list[tuple[Column, int]] = []
         for column in self.columns or usual:
-            room = self._time_width if column is TIME else column.width
+            room = self._room(column)
+            if column is BYTES and not self.columns:
+                room = max(room, min(self._longest, room + spare))
             if column is BYTES and width < _LEAST[NO.name]:
                 room -= 3
             if fitting and left < min(room, 8):
@@ -250,6 +257,9 @@ class FrameList(ScrollView, can_focus=True):
             column, room = fitting[-1]
             fitting[-1] = column, room + left + 1
         return fitting
+
+    def _room(self, column: Column) -> int:
+        return self._time_width if column is TIME else column.width
 
     @property
     def _time_width(self) -> int:

@@ -63,3 +63,27 @@ def test_an_answer_shows_its_fields_and_what_it_answers() -> None:
     shown = {line.label: line.text for line in details(protocol, record, state=False)}
     assert shown["voltage"] == "0000 0000 0111 1011  123  tenths of a volt"
     assert shown["answers"] == f"{asked.hex(' ')}  @128 MainBattery"
+
+
+@pytest.mark.parametrize(
+    ("grammar", "words"),
+    [("modbus_rtu", " --grammar modbus-rtu"), ("roboclaw", " --grammar FILE.py")],
+)
+def test_a_copied_frame_names_its_grammar(grammar: str, words: str) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("j", "j", "y")
+        assert screen.said.startswith("copied: bilprov send PORT '")
+        assert screen.said.endswith(f"'{words}")
+
+    operated(on_screen(load(FRAMED[grammar], "in a.mcap")), steps)
+
+
+def test_the_bytes_have_room_for_a_frame_where_there_is_some() -> None:
+    protocol = load(FRAMED["roboclaw"])
+    asked = build(protocol, "ForwardM1", {"address": 0x80, "speed": 64})
+    screen = browser(protocol, told(StreamDecoder(protocol), [Chunk(0, "host", asked)], [1]))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        assert any(f" {asked.hex(' ')} @128 ForwardM1" in line for line in text_of(screen))
+
+    operated(screen, steps, (100, 30))
