@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
-import msgspec
 from msgspec import UNSET
+from msgspec.structs import replace
 
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.bus_state import BusState
@@ -24,12 +24,12 @@ from bilprov.analyzer.decode.records import (
     LineRecord,
     Record,
 )
-from bilprov.analyzer.decode.replies import Heard, ReplyFramer
+from bilprov.analyzer.decode.replies import ReplyFramer
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.spec.codec import FRAMING_FAULTS, Judgement
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind, frame_size
-from bilprov.spec.protocol import Protocol, ResponseSpec
+from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State, after
 from bilprov.spec.steps import Steps
 
@@ -95,7 +95,7 @@ class Decoder:
         pause, self._unread_from = now - self._unread_from, None
         start, end = self._framer.span if self._framer.missing else (0, 0)
         self._framer.resume(self._framer.held, start, end + pause)
-        waiting, replace = self._pairing.waiting, msgspec.structs.replace
+        waiting = self._pairing.waiting
         later = [replace(w, end=w.end + pause, expires=w.expires + pause) for w in waiting]
         waiting.clear()
         waiting.extend(later)
@@ -246,13 +246,8 @@ class Decoder:
     def save(self, state: DecoderState) -> DecoderState:
         """Return `state` with the decoder's part of it filled in."""
         start, end = self._framer.span if self._framer.missing else (0, 0)
-        return DecoderState(
-            time=state.time,
-            timeout=state.timeout,
-            skew=state.skew,
-            heard=state.heard,
-            unsynced_since=state.unsynced_since,
-            spoken=state.spoken,
+        return replace(
+            state,
             sequence=self._sequence,
             state=self._state,
             frame=self._framer.held,
@@ -370,7 +365,7 @@ class Decoder:
             )
             if heard is None:
                 return
-            held = _held(heard)
+            held = Held.of_reply(heard.start, heard.reply)
             if not self._paired:
                 self._unpaired(held, anomalies.ALONE, out)
                 continue
@@ -386,12 +381,13 @@ class Decoder:
         heard = heard or self._replies.take_rest(alone=not self._both_heard)
         if heard is None:
             return
+        held = Held.of_reply(heard.start, heard.reply)
         if self._paired and waiting:
-            self._pair(_held(heard), waiting.popleft(), out)
+            self._pair(held, waiting.popleft(), out)
         elif self._paired:
-            self._unsolicited(_held(heard), out)
+            self._unsolicited(held, out)
         else:
-            self._unpaired(_held(heard), anomalies.ALONE, out)
+            self._unpaired(held, anomalies.ALONE, out)
 
     def _framed(self, framed: Framed, out: list[Record]) -> None:
         kind, start, end, known, data = framed
@@ -468,23 +464,10 @@ class Decoder:
         return known is not None and known.length == length
 
     def _pair(self, held: Held, waiting: Waiting, out: list[Record]) -> None:
-        verdict = anomalies.of_answer(self._protocol, held, waiting, self._skew)
-        if verdict.agrees and waiting.judgement.valid:
+        record = paired_record(self._protocol, held, waiting, self._skew, self._state)
+        if record.agrees and waiting.judgement.valid:
             self._in_doubt = False
-        out.append(
-            DeviceRecord(
-                held.t,
-                held.byte,
-                _meaning(self._protocol, held),
-                waiting.judgement,
-                waiting.sequence,
-                held.t - waiting.end,
-                verdict.agrees,
-                self._state,
-                verdict.faults,
-                held.reply,
-            )
-        )
+        out.append(record)
 
     def _unsolicited(self, held: Held, out: list[Record]) -> None:
         near_loss = self._lost_at is not None and held.t - self._lost_at <= self._pairing.late
@@ -498,26 +481,33 @@ def unpaired_record(
     protocol: Protocol, held: Held, why: anomalies.Cause, state: State
 ) -> DeviceRecord:
     """The record of a device byte that answers no instruction; `why` is the cause."""
-    verdict = anomalies.of_unpaired(protocol, held, why)
+    return _record(protocol, held, None, anomalies.of_unpaired(protocol, held, why), state)
+
+
+def paired_record(
+    protocol: Protocol, held: Held, waiting: Waiting, skew: int, state: State
+) -> DeviceRecord:
+    """The record of an answer to the instruction that waits for it; `skew` is as in Session."""
+    checked = anomalies.of_answer(protocol, held, waiting, skew)
+    return _record(protocol, held, waiting, checked, state)
+
+
+def _record(
+    protocol: Protocol,
+    held: Held,
+    waiting: Waiting | None,
+    checked: anomalies.AnswerCheck,
+    state: State,
+) -> DeviceRecord:
     return DeviceRecord(
-        held.t,
-        held.byte,
-        _meaning(protocol, held),
-        None,
-        None,
-        None,
-        verdict.agrees,
-        state,
-        verdict.faults,
-        held.reply,
+        t=held.t,
+        byte=held.byte,
+        answer=held.reply.response if held.reply else protocol.codes.get(held.byte),
+        answered=waiting.judgement if waiting else None,
+        instruction=waiting.sequence if waiting else None,
+        latency=held.t - waiting.end if waiting else None,
+        agrees=checked.agrees,
+        state=state,
+        faults=checked.faults,
+        reply=held.reply,
     )
-
-
-def _meaning(protocol: Protocol, held: Held) -> ResponseSpec | None:
-    """What an answer means, None for an unused code."""
-    return held.reply.response if held.reply else protocol.codes.get(held.byte)
-
-
-def _held(heard: Heard) -> Held:
-    reply = heard.reply
-    return Held(heard.start, reply.response.code if reply.response else -1, reply)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.batch import (
     INSTRUCTION,
     DeviceRows,
@@ -20,6 +19,7 @@ from bilprov.analyzer.decode.batch import (
     sliced,
 )
 from bilprov.analyzer.decode.column_batch import ColumnBatch
+from bilprov.analyzer.decode.decoder import paired_record
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.captures.schemas import Line
@@ -155,16 +155,9 @@ class FramedBatch(ColumnBatch):
         self, t: int, end: int, sequence: int, frame: bytes, judgement: Judgement, state: State
     ) -> DeviceRecord:
         decoding = self.decoding
-        reply = read_reply(decoding.protocol, frame, judgement)
-        response = reply.response
-        held = Held(t, response.code if response else -1, reply)
-        found = anomalies.of_answer(
-            decoding.protocol, held, Waiting(sequence, end, end, judgement), decoding.skew
-        )
-        return DeviceRecord(
-            t, held.byte, response, judgement, sequence, t - end, found.agrees, state,
-            found.faults, reply,
-        )  # fmt: skip
+        held = Held.of_reply(t, read_reply(decoding.protocol, frame, judgement))
+        waiting = Waiting(sequence, end, end, judgement)
+        return paired_record(decoding.protocol, held, waiting, decoding.skew, state)
 
     def _host_states(self, variable: str) -> NDArray[Any]:
         return self._column(variable, self._states[1:])

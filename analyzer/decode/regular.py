@@ -29,7 +29,7 @@ from bilprov.analyzer.decode.batch import (
 )
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.column_batch import ColumnBatch, objects
-from bilprov.analyzer.decode.decoder import TURNS, unpaired_record
+from bilprov.analyzer.decode.decoder import TURNS, paired_record, unpaired_record
 from bilprov.analyzer.decode.pairing import MOST, Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
@@ -193,8 +193,8 @@ class RegularBatch(ColumnBatch):
         assert record.instruction is not None
         waiting = Waiting(record.instruction, end, end, record.answered)
         held = Held(record.t, record.byte)
-        found = anomalies.of_answer(self.decoding.protocol, held, waiting, self.decoding.skew)
-        return replace(record, agrees=found.agrees, faults=found.faults)
+        protocol, skew = self.decoding.protocol, self.decoding.skew
+        return paired_record(protocol, held, waiting, skew, record.state)
 
     def _checked(self, rows: slice | NDArray[np.int64]) -> _Checked:
         """How some of the device's rows answer the frames of the same places."""
