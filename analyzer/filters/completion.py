@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from bilprov.analyzer.filters.fields import Field, Kind, fields_of, find, folded
+from bilprov.analyzer.filters.fields import Field, Kind, bytes_names, fields_of, find, folded
 from bilprov.analyzer.filters.parts import Part
 from bilprov.analyzer.filters.syntax import CLOSING, Place, place_at_end
 from bilprov.spec.protocol import Protocol
@@ -51,9 +51,10 @@ def completions(text: str, cursor: int, protocol: Protocol) -> list[Completion]:
     text = text[:cursor]
     begun = _begun(text)
     start = begun.start() if begun else len(text)
-    place = place_at_end(text[:start])
-    if begun and begun["sign"] and place_at_end(text):
-        begun, start, place = None, len(text), place_at_end(text)
+    octets = bytes_names(protocol)
+    place = place_at_end(text[:start], octets)
+    if begun and begun["sign"] and place_at_end(text, octets):
+        begun, start, place = None, len(text), place_at_end(text, octets)
     if place is None:
         return []
     if begun and begun["number"]:

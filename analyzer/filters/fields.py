@@ -95,6 +95,13 @@ def fields_of(protocol: Protocol) -> Mapping[str, Field]:
     return {**parts, **own, **{part.key: part for part in parts.values()}}
 
 
+@lru_cache(maxsize=8)
+def bytes_names(protocol: Protocol) -> frozenset[str]:
+    """The names of what is bytes, in lower case."""
+    fields = fields_of(protocol).items()
+    return frozenset(name.lower() for name, one in fields if one.kind is Kind.BYTES)
+
+
 def find(protocol: Protocol, name: str) -> Field | None:
     """The field of that name, in any case; None if there is none."""
     fields = fields_of(protocol)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from bilprov.analyzer.filters.checking import checked
+from bilprov.analyzer.filters.fields import bytes_names
 from bilprov.analyzer.filters.syntax import parse
 from bilprov.analyzer.filters.tree import Node
 from bilprov.spec.protocol import Protocol
@@ -48,4 +49,4 @@ def compile_filter(text: str, protocol: Protocol) -> Filter:
     The names are those of `fields_of(protocol)`. Raises FilterError, in one sentence that begins
     with the column.
     """
-    return Filter(checked(parse(text), protocol), protocol)
+    return Filter(checked(parse(text, bytes_names(protocol)), protocol), protocol)

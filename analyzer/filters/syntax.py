@@ -14,7 +14,7 @@ The parser is the kit's own: it also tells what may come next at a cursor.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import NamedTuple, NoReturn
 
@@ -55,19 +55,25 @@ class Place(NamedTuple):
     open: str = ""
 
 
-def parse(text: str) -> Part:
-    """Parse a filter. Raises FilterError."""
+def parse(text: str, octets: Collection[str] = BYTES) -> Part:
+    """Parse a filter. Raises FilterError.
+
+    Behind the names in `octets` (in lower case) bytes stand in hex, without quotes.
+    """
     if len(text) > LONGEST:
         sentence = f"the filter has {len(text)} characters, allowed are {LONGEST}"
         raise FilterError(sentence, LONGEST, len(text))
     if not text.strip():
         raise FilterError("the filter is empty; write a condition like faulty or latency > 20ms")
-    return _Parser(text).whole()
+    return _Parser(text, octets).whole()
 
 
-def place_at_end(text: str) -> Place | None:
-    """What may come next behind a text; None if it cannot be the beginning of a filter."""
-    parser = _Parser(text[: LONGEST + 1])
+def place_at_end(text: str, octets: Collection[str] = BYTES) -> Place | None:
+    """What may come next behind a text; None if it cannot be the beginning of a filter.
+
+    `octets` are as for `parse`.
+    """
+    parser = _Parser(text[: LONGEST + 1], octets)
     with suppress(FilterError):
         parser.whole()
     return parser.place
@@ -76,8 +82,9 @@ def place_at_end(text: str) -> Place | None:
 class _Parser:
     """Reads one text from left to right; `place` is where it ended, once the end was reached."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, octets: Collection[str]) -> None:
         self._text = text
+        self._octet_names = octets
         self._at = 0
         self._depth = 0
         self._open: list[Part] = []
@@ -174,7 +181,7 @@ class _Parser:
         among = sign.endswith("in")
         if token.text in ("{", "[") or (among and token.text == "("):
             return self._elements(self._take(), sign, left, [])
-        if _are_bytes(left, token) and not among:
+        if self._are_bytes(left, token) and not among:
             return self._octets(token)
         part = self._primary(sign, left)
         while self._taken("&"):
@@ -198,7 +205,7 @@ class _Parser:
         while not parts or (self._taken(",") and not self._closes()):
             self._reach(True, left, sign, listed=True)
             token = self._peek()
-            if _are_bytes(left, token):
+            if self._are_bytes(left, token):
                 parts.append(self._octets(token))
             else:
                 parts.append(self._ranged(self._primary(sign, left), sign, left))
@@ -208,6 +215,12 @@ class _Parser:
             sentence = f"a comma is missing before {self._written(token)!r}"
             raise FilterError(sentence, token.start, token.end)
         return Part("set", opening.start, self._close().end, parts=tuple(parts))
+
+    def _are_bytes(self, left: Part | None, token: Part) -> bool:
+        """Whether a token behind `left` and a sign is the first of bytes without quotes."""
+        if left is None or left.kind != "word" or left.text.lower() not in self._octet_names:
+            return False
+        return token.kind in ("number", "word", "moment") and token.text.lower() not in _KEYWORDS
 
     def _closes(self) -> bool:
         return self._peek().text == CLOSING[self._open[-1].text]
@@ -291,13 +304,6 @@ class _Parser:
 def _around(kind: str, parts: list[Part]) -> Part:
     """The part that consists of these."""
     return Part(kind, parts[0].start, parts[-1].end, parts=tuple(parts))
-
-
-def _are_bytes(left: Part | None, token: Part) -> bool:
-    """Whether a token behind `left` and a sign is the first of bytes without quotes."""
-    if left is None or left.kind != "word" or left.text.lower() not in BYTES:
-        return False
-    return token.kind in ("number", "word", "moment") and token.text.lower() not in _KEYWORDS
 
 
 def _wanted(sign: str) -> str:

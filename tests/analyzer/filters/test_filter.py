@@ -23,6 +23,7 @@ from bilprov.analyzer.filters.parts import FilterError
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event, conversation, decoded, hosts
+from tests.support.framed_traffic import FRAMED
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 
 TALK = [
@@ -450,3 +451,12 @@ def test_a_field_that_is_called_like_a_name_of_the_row_is_reached_by_its_long_na
     test = compile_filter("len == 1 and fields.len == 5 and FIELDS.LEN & 4", protocol)
 
     assert len(passing(test, records)) == len(hosts(records)) == 1
+
+
+@pytest.mark.parametrize("name", ["values", "fields.values", "Values"])
+@pytest.mark.parametrize("given", ["00", "00 03", "0x0003", "'00 03'"])
+def test_behind_a_field_of_bytes_stands_hex_as_behind_data(name: str, given: str) -> None:
+    protocol = load(FRAMED["modbus_rtu"])
+    compile_filter(f"{name} contains {given}", protocol)
+    with pytest.raises(FilterError, match="bytes are written like 05 or 11 ff"):
+        compile_filter(f"{name} contains late", protocol)
