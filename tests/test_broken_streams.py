@@ -302,7 +302,7 @@ QUIET = [
     ("decode", "00"),
     ("spec", "show"),
     ("encode", "Stop"),
-    ("conform", "sim", "--list"),
+    ("conform", "sim", "--level", "smoke", "--list"),
     ("simulate", "--list-faults"),
     ("lab", "score", "--only", "always-1", "--level", "smoke", "--jobs", "1"),
     ("ports", "/dev/null"),

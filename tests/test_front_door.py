@@ -56,7 +56,7 @@ UNUSED = {
     "completion fish": HEAVY,
     "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
     "send sim": {"prompt_toolkit", "rich", "numpy", "mcap"},
-    "conform sim --list": {"mcap", "numpy", "rich", "importlib.metadata"},
+    "conform sim --level smoke --list": {"mcap", "numpy", "rich", "importlib.metadata"},
     "conform sim --only link/*": {"bilprov.conformance.mutation", "textual", "pyarrow"},
     "replay --rate 0 captures/samples/examples.mcap": {"textual", "bilprov.analyzer.screen"},
     "replay --plain --rate 0 captures/samples/examples.mcap": {"textual"},

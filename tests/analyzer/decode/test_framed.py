@@ -54,7 +54,7 @@ def test_regular_traffic_of_a_drawn_layout_is_columns_alone(seed: int) -> None:
     assert {type(batch) for batch in parts} == {FramedBatch}
 
 
-@pytest.mark.sample(80)
+@pytest.mark.sample(40)
 @pytest.mark.parametrize("seed", range(60))
 @pytest.mark.parametrize("name", [*SHIPPED, None])
 def test_odd_traffic_is_that_of_a_session(name: str | None, seed: int) -> None:

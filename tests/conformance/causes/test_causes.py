@@ -55,6 +55,7 @@ def report_of(protocol: Protocol, fault: Fault) -> Report:
     return conform(Simulator(protocol, fault), grammar=protocol, options=SMOKE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "axis", "what", "when"), NAMED, ids=[row[0] for row in NAMED])
 def test_one_cause_names_what_goes_wrong_and_when(
     protocol: Protocol, name: str, axis: str, what: str, when: str
@@ -135,6 +136,7 @@ class Recorded:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["no-stop-once-it-has-rotated", "speed-ignored-after-left"])
 def test_a_cause_takes_in_nothing_that_contradicts_it(protocol: Protocol, name: str) -> None:
     recorded = Recorded(protocol, fault_bank(protocol)[name])

@@ -767,6 +767,7 @@ def test_a_byte_without_an_instruction_that_comes_again_and_again_is_a_failure(
     assert found[FAIL] >= found.total() // 8  # one in eight waits long enough to meet it
 
 
+@pytest.mark.slow
 def test_a_byte_too_many_now_and_then_is_a_failure(protocol: Protocol) -> None:
     chatty = Fault("x", "test", "", react=lambda d, e, r: (
         replace(r, answers=(*r.answers, (3 * MS, 0))) if e.frames % 10 == 9 else r

@@ -43,6 +43,7 @@ def target(protocol: Protocol, name: str, *, blind: bool = False) -> Target:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blind", [False, True])
 def test_it_is_told_once_and_the_cases_that_follow_from_it_name_it(
     protocol: Protocol, blind: bool
@@ -57,6 +58,7 @@ def test_it_is_told_once_and_the_cases_that_follow_from_it_name_it(
     assert "never gave up the frame 01, which had been cut short" in wrong["truncated/Stop/1/0"]
 
 
+@pytest.mark.slow
 def test_every_form_of_the_report_and_a_recheck_have_the_sentence(
     protocol: Protocol, tmp_path: Path
 ) -> None:
