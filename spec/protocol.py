@@ -13,7 +13,6 @@ import warnings
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
@@ -599,6 +598,8 @@ def _require_no_slip(tree: ast.Module, space: dict[str, Any]) -> None:
     names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
     used = {*_DECLARATIONS, *(node.id for node in names if isinstance(node.ctx, ast.Load))}
     for name in (node.id for node in names if node.id not in used):
+        from difflib import get_close_matches  # a few milliseconds, for few grammars
+
         value = space.get(name)
         kinds = [known for known, kind in _DECLARATIONS.items() if kind and isinstance(value, kind)]
         near = kinds or get_close_matches(name.upper(), _DECLARATIONS, 1, _NEAR)

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from bilprov.analyzer.decode.json_lines import JsonLine
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
@@ -53,7 +53,6 @@ def lines(records: list[Record]) -> list[dict[str, Any]]:
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-@settings(max_examples=100)
 @given(ACTS, SETTINGS)
 def test_a_line_tells_what_its_record_has(
     each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any]
