@@ -123,15 +123,17 @@ def _sparse(path: Path) -> None:
 
 def _index(*entries: tuple[int, int], start: int | None = None, crc: int = 0) -> Write:
     """A finished file whose chunk index has these offsets and lengths."""
-    front = _HEAD + _chunk(_TABLE + _message()) + _record(0x0F, bytes(4))
-    summary = b"".join(
-        _record(8, pack("<QQQQI", 0, 0, *entry, 0) + pack("<Q", 0) + _text(b"") + bytes(16))
-        for entry in entries
-    )
-    at = len(front) if start is None else start
-    return lambda path: _written(
-        path, (front, summary, _record(2, pack("<QQI", at, at, crc)), MAGIC)
-    )
+
+    def write(path: Path) -> None:
+        front = _HEAD + _chunk(_TABLE + _message()) + _record(0x0F, bytes(4))
+        summary = b"".join(
+            _record(8, pack("<QQQQI", 0, 0, *entry, 0) + pack("<Q", 0) + _text(b"") + bytes(16))
+            for entry in entries
+        )
+        at = len(front) if start is None else start
+        _written(path, (front, summary, _record(2, pack("<QQI", at, at, crc)), MAGIC))
+
+    return write
 
 
 def _statistics(count: int) -> bytes:

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.cli.settings import COMMON, DEVICE_KEYS, PortName
-from bilprov.analyzer.former_names import FORMER
 from tests.support import ROOT, commands
 from tests.support.commands import command
 
@@ -117,12 +116,6 @@ def test_the_users_file_is_in_the_home_where_no_other_place_is_set(
     monkeypatch.delenv("XDG_CONFIG_HOME")
     monkeypatch.setenv("HOME", str(place))
     assert "9600" in shown(place, "baud = 9600", "config")
-
-
-@pytest.mark.parametrize("name", FORMER)
-def test_the_table_of_a_former_name_is_refused_with_the_new_one(place: Path, name: str) -> None:
-    now = f"bilprov {name} is now bilprov {' '.join(FORMER[name])}"
-    assert now in shown(place, f"[{name}]\nforce = 0", "encode Stop")
 
 
 def test_every_port_of_a_command_may_be_a_named_device() -> None:

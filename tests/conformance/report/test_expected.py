@@ -248,18 +248,6 @@ def test_an_update_replaces_what_a_link_leads_to_and_keeps_its_mode(entries: Pat
     assert not [p for p in entries.parent.iterdir() if p.name.startswith(".")]
 
 
-def test_a_line_that_cannot_be_judged_leaves_the_file_alone(entries: Path) -> None:
-    before = entries.read_bytes()
-
-    code, report, _ = run("conform", "sim", "--fault", "echo", "--update-expected", file=entries)
-
-    assert (code, entries.read_bytes()) == (2, before)
-    assert report["unusable"]
-    none = entries.with_name("none")
-    assert run("conform", "sim", "--fault", "echo", "--update-expected", file=none)[0] == 2
-    assert not none.exists()
-
-
 def test_what_could_not_be_judged_is_never_hidden(tmp_path: Path) -> None:
     file = tmp_path / "f"
     file.write_text("unused-id/9/* : answer\nunused-id/9/* : stop\nunused-id/9/* : state\n")
