@@ -25,6 +25,7 @@ from bilprov.analyzer.transport.line_settings import (
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction
+from bilprov.captures.topics import CarLook as Look  # noqa: F401  # handed on
 from bilprov.spec import codec
 from bilprov.spec import explain as explaining
 from bilprov.spec.codec import Judgement

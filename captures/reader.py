@@ -149,12 +149,15 @@ class Capture:
             if isinstance(value, Chunk | Line | Look):
                 yield value
 
-    def recorded(self, after: StoredCheckpoint | None = None) -> Iterator[Recorded]:
+    def recorded(
+        self, after: StoredCheckpoint | None = None, looks: type[Look] = topics.CarLook
+    ) -> Iterator[Recorded]:
         """Yield all that was recorded and not decoded from the bytes, as `events` does.
 
-        Texts and numbers are as stored, so that a copy has them too.
+        Texts and numbers are as stored, so that a copy has them too; `looks` is the class of looks
+        at the device.
         """
-        return self._values(after, _RECORDED, as_stored=True)
+        return self._values(after, _RECORDED, as_stored=True, looks=looks)
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages of all topics that the file describes, or of those `wanted`, in order.
@@ -245,11 +248,12 @@ class Capture:
         after: StoredCheckpoint | None,
         wanted: Collection[str],
         as_stored: bool = False,
+        looks: type[Look] = topics.CarLook,
     ) -> Iterator[Recorded]:
         from bilprov.captures.recorded import recorded_values
 
         stored = self._stored(after)
-        return recorded_values(self.start, self._topics, stored, wanted, as_stored)
+        return recorded_values(self.start, self._topics, stored, wanted, as_stored, looks)
 
     @property
     def _topics(self) -> dict[int, str]:

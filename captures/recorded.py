@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
@@ -28,9 +28,11 @@ from bilprov.captures.storage.records import JSON_ERRORS
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import LONGEST, since
 
-_RECORDED: dict[str, type[Line | Look | CaseMark | Asked | Checkpoint]] = {
+_Kind: TypeAlias = type[Line | Look | CaseMark | Asked | Checkpoint]
+_Kinds: TypeAlias = Mapping[str, _Kind]
+_RECORDED: _Kinds = {
     topics.LINE: Line,
-    topics.LOOKS: Look,
+    topics.LOOKS: topics.CarLook,
     topics.CASES: CaseMark,
     topics.ASKS: Asked,
     topics.CHECKPOINT: Checkpoint,
@@ -45,13 +47,14 @@ def recorded_values(
     parts: Iterator[Part],
     wanted: Collection[str],
     as_stored: bool,
+    looks: type[Look],
 ) -> Iterator[Recorded]:
     """Yield the raw chunks among single messages, and the values of the topics that are `wanted`.
 
-    `start` is the capture's, `names` are its topics by channel. Texts and numbers are made safe
-    unless they are wanted `as_stored`.
+    `start` is the capture's, `names` are its topics by channel, `looks` the class of its looks.
+    Texts and numbers are made safe unless they are wanted `as_stored`.
     """
-    values = _recorded(start, names, parts, wanted)
+    values = _recorded(start, names, parts, wanted, {**_RECORDED, topics.LOOKS: looks})
     for value in _with_resumptions(values if as_stored else map(_safe, values)):
         if not isinstance(value, Events):
             yield value
@@ -63,7 +66,7 @@ def batches_of(
     """Yield the events among messages as arrays; arguments as in `recorded_values`."""
     held: list[Events | Chunk | Line] = []
     rows = size = 0
-    for value in _with_resumptions(map(_safe, _recorded(start, names, parts, wanted))):
+    for value in _with_resumptions(map(_safe, _recorded(start, names, parts, wanted, _RECORDED))):
         if isinstance(value, Events | Chunk | Line):
             held.append(value)
             if isinstance(value, Events):
@@ -100,7 +103,11 @@ def _with_resumptions(values: Iterator[Recorded | Events]) -> Iterator[Recorded 
 
 
 def _recorded(
-    start: int, names: Mapping[int, str], parts: Iterator[Part], wanted: Collection[str]
+    start: int,
+    names: Mapping[int, str],
+    parts: Iterator[Part],
+    wanted: Collection[str],
+    kinds: _Kinds,
 ) -> Iterator[Recorded | Events]:
     """The values of single messages; the raw chunks of whole blocks are arrays."""
     codes = np.full(1 << 16, _OTHER, np.uint8)
@@ -108,7 +115,7 @@ def _recorded(
         codes[channel] = _SIDES.get(topic, LINE if topic in wanted else _OTHER)
     for part in parts:
         if isinstance(part, Messages):
-            yield from _recorded_block(start, part, names, codes)
+            yield from _recorded_block(start, part, names, codes, kinds)
             continue
         t = since(start, part.log_time)
         if part.lost:
@@ -117,7 +124,7 @@ def _recorded(
         if code in (HOST, DEVICE):
             yield Chunk(t, SIDES[code], part.data)
         elif code == LINE:
-            yield from _decoded(part.data, names[part.channel], t)
+            yield from _decoded(part.data, kinds[names[part.channel]], t)
 
 
 def _recorded_block(
@@ -125,6 +132,7 @@ def _recorded_block(
     block: Messages,
     names: Mapping[int, str],
     codes: NDArray[np.uint8],
+    kinds: _Kinds,
 ) -> Iterator[Recorded | Events]:
     sides = codes[block.channel]
     raw = np.flatnonzero(sides <= DEVICE)
@@ -138,14 +146,14 @@ def _recorded_block(
             yield chunks.part(done, before)
             done = before
         data = block.content[block.start[row] : block.end[row]]
-        yield from _decoded(data, names[int(block.channel[row])], int(t[row]))
+        yield from _decoded(data, kinds[names[int(block.channel[row])]], int(t[row]))
     if done < len(chunks):
         yield chunks.part(done, len(chunks)) if done else chunks
 
 
-def _decoded(data: bytes, topic: str, t: int) -> Iterator[Recorded]:
+def _decoded(data: bytes, kind: _Kind, t: int) -> Iterator[Recorded]:
     try:
-        value = msgspec.json.decode(data, type=_RECORDED[topic])
+        value = msgspec.json.decode(data, type=kind)
     except JSON_ERRORS:
         return
     yield replace(value, t=t)

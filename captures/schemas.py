@@ -9,9 +9,12 @@ have `t_ns` and `latency_ns` beside, which mean the same everywhere.
 from __future__ import annotations
 
 import zlib
-from typing import Any, Literal, Self, TypeAlias
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeAlias
 
 import msgspec
+
+from bilprov.spec.state import State
 
 Direction = Literal["host", "device"]
 FrameKind = Literal["instruction", "response", "truncated", "garbage", "gap"]
@@ -175,18 +178,42 @@ class Asked(Timed, frozen=True):
 class Look(Timed, frozen=True):
     """One reading of the probe (topic `/conformance/looks`). None is what it cannot tell.
 
-    `motion` is a value of `spec.motion.Motion`, `stopped` where the wheels stand. `speed`,
-    `steering` (left is negative) and `led` are what was set, whether it moves or not. `left` and
-    `right` are the speeds of the wheels, forward positive, in any unit.
+    A class that `look_class` makes has the variables of the state too, as they were set, and the
+    speeds of a car's wheels. `variables` are these variables, `words` those of them that have
+    words, `car` is what a car declares.
     """
 
+    variables: ClassVar[tuple[str, ...]] = ()
+    words: ClassVar[frozenset[str]] = frozenset()
+    car: ClassVar[Any] = None
+
     moving: bool | None
-    motion: str | None = None
-    speed: int | None = None
-    steering: int | None = None
-    led: int | None = None
-    left: int | None = None
-    right: int | None = None
+
+    if TYPE_CHECKING:
+
+        def __init__(self, t: int, moving: bool | None, *told: Any, **named: Any) -> None: ...
+        def __getattr__(self, name: str) -> Any: ...
+
+
+@cache
+def look_class(state: type[State]) -> type[Look]:
+    """The class of the looks at devices that have these states."""
+    values = [(name, str if name in state.words else int) for name in state.variables]
+    wheels = [("left", int), ("right", int)] if state.wheels else []
+    made: Any = msgspec.defstruct(
+        "Look",
+        [(name, kind | None, None) for name, kind in (*values, *wheels)],
+        bases=(Look,),
+        namespace={
+            "__doc__": Look.__doc__,
+            "variables": state.variables,
+            "words": frozenset(state.words),
+            "car": state.wheels,
+        },
+        frozen=True,
+    )
+    found: type[Look] = made
+    return found
 
 
 class Checkpoint(Timed, frozen=True):

@@ -29,6 +29,7 @@ from bilprov.captures.schemas import (
     Log,
     Look,
     Response,
+    look_class,
 )
 from bilprov.spec import grammar
 from bilprov.spec.state import State, state_class
@@ -119,7 +120,14 @@ Shapes: TypeAlias = Mapping[type, type]
 """The classes of which the values of a capture are, by the class that stands for them here."""
 
 CAR_STATE = state_class(grammar.STATE.specs.values(), grammar.AT_REST, grammar.WHEELS)
-CAR_SHAPES: Shapes = {State: CAR_STATE}
+CarLook = look_class(CAR_STATE)
+CarLook.__doc__ = f"""{str(Look.__doc__).partition(chr(10))[0]}
+
+`motion` is a value of `spec.motion.Motion`, `stopped` where the wheels stand. `speed`,
+`steering` (left is negative) and `led` are what was set, whether it moves or not. `left` and
+`right` are the speeds of the wheels, forward positive, in any unit.
+"""
+CAR_SHAPES: Shapes = {State: CAR_STATE, Look: CarLook}
 _STAND_FOR: dict[type, type[msgspec.Struct]] = {
     FramedInstruction: Instruction,
     FramedResponse: Response,
@@ -128,7 +136,8 @@ _STAND_FOR: dict[type, type[msgspec.Struct]] = {
 
 def topic_of(value: Written) -> Topic:
     """The topic of a value."""
-    kind: type[msgspec.Struct] = State if isinstance(value, State) else type(value)
+    kinds = (base for base in (State, Look) if isinstance(value, base))
+    kind: type[msgspec.Struct] = next(kinds, type(value))
     return BY_VALUE[_STAND_FOR.get(kind, kind)]
 
 
@@ -161,7 +170,7 @@ def optional_fields(topic: str) -> tuple[str, ...]:
         if row.name == topic and row.schema:
             return tuple(
                 field.name
-                for field in msgspec.structs.fields(row.value)
+                for field in msgspec.structs.fields(CAR_SHAPES.get(row.value, row.value))
                 if type(None) in getattr(field.type, "__args__", ())
             )
     return ()

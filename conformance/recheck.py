@@ -21,7 +21,7 @@ from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import Evidence, open_evidence
-from bilprov.captures.schemas import CaseMark
+from bilprov.captures.schemas import CaseMark, look_class
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.coverage import COMBINED
@@ -145,7 +145,7 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     listener = _Results()
     report, strayed, cut = None, "", False
     try:
-        link = RecordedLink(evidence.capture.messages(TOPICS))
+        link = RecordedLink(evidence.capture.messages(TOPICS), look_class(grammar.state_type))
         target = Target(grammar, run.environment, lambda listener: link, link.interrupted)
         report = run_suite(
             target,

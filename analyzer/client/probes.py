@@ -14,16 +14,19 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from functools import cache
+from typing import Annotated, Any
 
 import msgspec
 
 from bilprov.analyzer.foreign import from_json
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.streams import parse_address
-from bilprov.captures.schemas import Look
+from bilprov.captures.schemas import Look, look_class
 from bilprov.captures.text import printable, quantity
+from bilprov.captures.topics import CarLook
 from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol
 
 _LONGEST = 1 << 16  # bytes of a line of the tcp probe
 _LONGEST_NAME = 200  # characters of a motion
@@ -45,6 +48,7 @@ class Probe(ABC):
 
     costly = False
     patience = 1.0
+    looks: type[Look] = CarLook  # the class of its looks
 
     @property
     def remark(self) -> str:
@@ -70,17 +74,13 @@ class Probe(ABC):
 _Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 
 
-class _Facets(msgspec.Struct):
-    """The facets in a line of the tcp probe; anything else in it is ignored."""
-
-    moving: bool | None = None
-    motion: str | None = None
-    speed: _Number | None = None
-    steering: _Number | None = None
-    led: _Number | None = None
-    left: _Number | None = None
-    right: _Number | None = None
-    number: int | None = None
+@cache
+def _facets_class(looks: type[Look]) -> Any:
+    """The class of what stands in a line of the tcp probe; anything else in it is ignored."""
+    told = looks.__struct_fields__[1:]
+    kinds: dict[str, Any] = {"moving": bool | None, **dict.fromkeys(looks.words, str | None)}
+    fields = [(name, kinds.get(name, _Number | None), None) for name in told]
+    return msgspec.defstruct("Facets", [*fields, ("number", int | None, None)])
 
 
 def _whole(value: float | None) -> int | None:
@@ -91,14 +91,14 @@ def _whole(value: float | None) -> int | None:
     return round(value) or (away if value else 0)
 
 
-def parse_look(line: bytes, now: int) -> Look:
-    """A line of JSON as a Look. Raises ProbeError unless it is an object of known facets."""
-    return _look(_facets(line), now)
+def parse_look(line: bytes, now: int, looks: type[Look] = CarLook) -> Look:
+    """A line of JSON as a look of a class. Raises ProbeError unless it has known facets."""
+    return _look(_facets(line, looks), now, looks)
 
 
-def _facets(line: bytes) -> _Facets:
+def _facets(line: bytes, looks: type[Look]) -> Any:
     try:
-        return from_json(line, _Facets)
+        return from_json(line, _facets_class(looks))
     except ValueError as error:
         raise ProbeError(
             f"the probe answered {printable(line.decode(errors='replace'))!r}, "
@@ -107,13 +107,11 @@ def _facets(line: bytes) -> _Facets:
         ) from error
 
 
-def _look(facets: _Facets, now: int) -> Look:
-    numbers = {
-        name: _whole(getattr(facets, name))
-        for name in ("speed", "steering", "led", "left", "right")
-    }
-    motion = facets.motion and facets.motion[:_LONGEST_NAME]
-    return Look(t=now, moving=facets.moving, motion=motion, **numbers)
+def _look(facets: Any, now: int, looks: type[Look]) -> Look:
+    told = {name: getattr(facets, name) for name in looks.__struct_fields__[2:]}
+    for name, value in told.items():
+        told[name] = (value and value[:_LONGEST_NAME]) if name in looks.words else _whole(value)
+    return looks(t=now, moving=facets.moving, **told)
 
 
 class TcpProbe(Probe):
@@ -179,11 +177,11 @@ class TcpProbe(Probe):
         self._receive()
         while (line := self._line()) is not None:
             if self._surplus and not self._numbered:
-                return Look(t=now, moving=None)
-            facets = _facets(line)
+                return self.looks(t=now, moving=None)
+            facets = _facets(line, self.looks)
             self._numbered = self._numbered or facets.number is not None
             if not self._numbered or facets.number == self._number:
-                return _look(facets, now)
+                return _look(facets, now, self.looks)
             self._surplus += 1
         if len(self._held) > _LONGEST:
             raise ProbeError(f"the probe at {self._name} sends no end of line")
@@ -268,8 +266,8 @@ class ExecProbe(Probe):
         if code in (126, 127):
             raise ProbeError(f"the probe's command {self._command!r} cannot be run (exit {code})")
         if code == 0:
-            return Look(t=now, moving=False)
-        return Look(t=now, moving=True if code == 1 and b"moving" in self._output else None)
+            return self.looks(t=now, moving=False)
+        return self.looks(t=now, moving=True if code == 1 and b"moving" in self._output else None)
 
     def close(self) -> None:
         """End the command."""
@@ -293,7 +291,7 @@ class ModemProbe(Probe):
 
     def take(self, now: int) -> Look:
         """The look, from the present state of the modem line."""
-        return Look(t=now, moving=self._port.modem_line(self._line))
+        return self.looks(t=now, moving=self._port.modem_line(self._line))
 
 
 class AskProbe(Probe):
@@ -319,7 +317,7 @@ class AskProbe(Probe):
         """The look, from the answer typed; whether it moves is unknown unless that is yes or no."""
         answer = sys.stdin.buffer.readline().strip().lower()
         moving = {b"y": True, b"yes": True, b"n": False, b"no": False}.get(answer)
-        return Look(t=now, moving=moving)
+        return self.looks(t=now, moving=moving)
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,15 +356,18 @@ PROBES = (
 """The kinds of probe, from which the help and error texts come; the last is a port's by default."""
 
 
-def open_probe(name: str, port: Port) -> Probe | None:
-    """The probe of that name, for the robot at this port; None for `none`.
+def open_probe(name: str, port: Port, protocol: Protocol) -> Probe | None:
+    """The probe of that name, for the robot of this protocol at this port; None for `none`.
 
     Raises ProbeError, in one sentence, for a name that none of PROBES takes, and for a probe that
     cannot be reached.
     """
     for kind in PROBES:
         if kind.takes(name):
-            return kind.open(name.partition(":")[2], port)
+            probe = kind.open(name.partition(":")[2], port)
+            if probe is not None:
+                probe.looks = look_class(protocol.state_type)
+            return probe
     *forms, last = (
         f"{kind.name}:{'|'.join(kind.values)}" if kind.values else kind.form for kind in PROBES
     )

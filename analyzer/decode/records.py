@@ -16,8 +16,10 @@ from bilprov.captures.schemas import (
     FramedResponse,
     Instruction,
     Line,
+    Look,
     Response,
     Timed,
+    look_class,
 )
 from bilprov.captures.topics import Shapes
 from bilprov.spec.codec import Judgement
@@ -198,7 +200,8 @@ class DeviceRecord(Timed, frozen=True, gc=False):
 def shapes_of(protocol: Protocol) -> Shapes:
     """The classes of what a capture of this protocol holds, where they are not the car's."""
     framed: Shapes = {Instruction: FramedInstruction, Response: FramedResponse}
-    return {State: protocol.state_type, **({} if protocol.plain else framed)}
+    own: Shapes = {State: protocol.state_type, Look: look_class(protocol.state_type)}
+    return {**own, **({} if protocol.plain else framed)}
 
 
 class LineRecord(msgspec.Struct, frozen=True):

@@ -62,7 +62,7 @@ def write_window(
     """
     settings = capture_settings(opened.capture, protocol)
     decoder = opened.decoder
-    values = timed(opened.recorded(), first_state(decoder).time)
+    values = timed(opened.recorded(protocol), first_state(decoder).time)
     if window.first is not None:
         state, values = _state_at(decoder, values, window.first, progress)
         decoder = StreamDecoder(protocol, **settings)
@@ -105,7 +105,7 @@ def write_selected(
     selected = _selected_times(opened_at(start), protocol, window, test, progress)
     opened = opened_at(start)
     part = _Part(protocol, out, opened.decoder)
-    values = timed(opened.recorded(), first_state(opened.decoder).time)
+    values = timed(opened.recorded(protocol), first_state(opened.decoder).time)
     for batch in batched(_before(values, end, [])):
         if selected.meets(batch[0].now, batch[-1].now) or part.hunts:
             for one in batch:

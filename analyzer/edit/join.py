@@ -38,7 +38,15 @@ from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Asked, Checkpoint, Direction, Line, Recorded, Resumption
+from bilprov.captures.schemas import (
+    Asked,
+    Checkpoint,
+    Direction,
+    Line,
+    Recorded,
+    Resumption,
+    look_class,
+)
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -155,7 +163,7 @@ def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:
         said = f"{said_of(source.capture.path)} begins here"
         begins = Line(source.first - joined.start, "gap", source.tap, said)
     fits = source.settings == joined.settings | {"attached": source.settings["attached"]}
-    for one in timed(source.capture.recorded(), 0):
+    for one in timed(source.capture.recorded(looks=look_class(protocol.state_type)), 0):
         value = one.value
         if isinstance(value, Checkpoint):
             continue

@@ -12,7 +12,7 @@ from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter, grammar_
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Checkpoint, Chunk, Line
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, look_class
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -60,7 +60,7 @@ def _write(capture: Capture, protocol: Protocol, out: RecordWriter, progress: Pr
     checkpoints, size = Checkpoints(protocol.sha256), 0
     for file in capture.attachments():
         out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
-    for value in capture.recorded():
+    for value in capture.recorded(looks=look_class(protocol.state_type)):
         progress(len(value.data) if isinstance(value, Chunk) else 0)
         if isinstance(value, Chunk | Line):
             out.event(value)

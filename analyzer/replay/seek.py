@@ -9,7 +9,7 @@ from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture
-from bilprov.captures.schemas import Chunk, Line, Recorded
+from bilprov.captures.schemas import Chunk, Line, Recorded, look_class
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CHECKPOINT
 from bilprov.spec.protocol import Protocol
@@ -38,9 +38,9 @@ class Opened(NamedTuple):
         """The events from there on, as arrays."""
         return self.capture.batches(self.after)
 
-    def recorded(self) -> Iterator[Recorded]:
+    def recorded(self, protocol: Protocol) -> Iterator[Recorded]:
         """All that was recorded from there on and not decoded from the bytes."""
-        return self.capture.recorded(self.after)
+        return self.capture.recorded(self.after, look_class(protocol.state_type))
 
 
 def opened_at(

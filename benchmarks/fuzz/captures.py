@@ -48,8 +48,9 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
 from bilprov.captures.reader import Capture, open_capture, open_indexed
-from bilprov.captures.schemas import MS, Asked, CaseMark, Checkpoint, Chunk, Look, Resumption
+from bilprov.captures.schemas import MS, Asked, CaseMark, Checkpoint, Chunk, Resumption
 from bilprov.captures.storage.records import MAGIC
+from bilprov.captures.topics import CarLook
 
 _START = 1_790_000_000_000_000_000  # ns since 1970
 
@@ -248,7 +249,7 @@ def _written(*, decoded: bool) -> bytes:
                 made = Checkpoint.of(event.t, protocol.sha256, encoded(state), None)
                 out.write(made, event.t)
                 out.event(Resumption(event.t, "gap", checkpoint=made, silent=turn % 16 == 7))
-            out.write(Look(event.t, True, motion="forward", left=3), event.t)
+            out.write(CarLook(event.t, True, motion="forward", left=3), event.t)
             out.write(Asked(event.t, "send"), event.t)
             out.write(CaseMark(event.t, f"case/{turn}", "end", "pass"), event.t)
             if turn % 6 == 5:

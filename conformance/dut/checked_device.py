@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from bilprov.captures.schemas import Look
+from bilprov.captures.schemas import Look, look_class
 from bilprov.conformance.dut.link import Device
 from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol
 
 _METHODS = ("receive", "advance", "deadline")
 
@@ -22,7 +23,7 @@ class CheckedDevice:
     Raises DeviceError where a method is missing. Times are in ns.
     """
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, protocol: Protocol) -> None:
         for name in _METHODS:
             if not callable(getattr(device, name, None)):
                 raise DeviceError(
@@ -30,6 +31,7 @@ class CheckedDevice:
                     "receive(bytes, now), advance(now), deadline() and, to be seen, look(now)"
                 )
         self._device = device
+        self._looks = look_class(protocol.state_type)
 
     def receive(self, data: bytes, now: int) -> None:
         """Bytes from the host that arrive at `now`."""
@@ -52,9 +54,14 @@ class CheckedDevice:
     def look(self, now: int) -> Look:
         """What the wheels and the LED do at `now`."""
         look = self._call("look", self._device.look, now)
-        if not isinstance(look, Look) or not str(look.motion).isprintable():
+        if not isinstance(look, Look) or not all(
+            str(getattr(look, name)).isprintable() for name in look.words
+        ):
             raise self._gave("look", look, "an instance of bilprov.Look")
-        return look
+        if isinstance(look, self._looks):
+            return look
+        told = {name: getattr(look, name, None) for name in self._looks.__struct_fields__[2:]}
+        return self._looks(look.t, look.moving, **told)
 
     def power_cycle(self, now: int) -> None:
         """Switch the device off and on at `now`; called only if the device has this method."""

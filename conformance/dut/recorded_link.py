@@ -58,11 +58,12 @@ class _Step:
 class RecordedLink:
     """A link over the messages of a recording, in their order and of `TOPICS` alone.
 
-    `cut` tells that the recording ended before the run did.
+    `cut` tells that the recording ended before the run did; `looks` is the class of its looks.
     """
 
-    def __init__(self, messages: Iterator[Message]) -> None:
+    def __init__(self, messages: Iterator[Message], looks: type[Look]) -> None:
         self.cut = False
+        self._looks = looks
         self._messages = messages
         self._heard: list[tuple[int, int]] = []
         self._number = 0
@@ -138,7 +139,7 @@ class RecordedLink:
         for message in self._messages:
             value = message.value
             if message.topic == topics.LOOKS:
-                look = self._value(value, Look)
+                look = self._value(value, self._looks)
             elif message.topic == topics.ASKS:
                 return _Step(self._value(value, Asked), bytes(sent), received, look)
             elif isinstance(value, bytes) and message.topic == topics.HOST_RAW:

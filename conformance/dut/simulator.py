@@ -13,7 +13,7 @@ from functools import cache, lru_cache
 import msgspec
 
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.captures.schemas import MS, Look
+from bilprov.captures.schemas import MS, Look, look_class
 from bilprov.conformance.dut.fault import CONFORMING, Event, Fault, Reaction
 from bilprov.spec.codec import Judgement, judge
 from bilprov.spec.motion import visible_motion
@@ -132,7 +132,8 @@ class Simulator:
         values = {name: getattr(state, name) for name in protocol.settings}
         values[protocol.car.by] = visible_motion(state)
         left, right = protocol.car.wheels(state, protocol.full_steering)
-        seen = Look(t=now, moving=state.moving, left=left, right=right, **values)
+        looks = look_class(protocol.state_type)
+        seen = looks(t=now, moving=state.moving, left=left, right=right, **values)
         return self.fault.show(seen) if self.fault.show else seen
 
     def probe(self, now: int) -> bytes:

@@ -148,7 +148,7 @@ def open_target(
             settings = settings or line_settings(protocol, None, None, None)
             port = stack.enter_context(open_port(name.text, settings))
             probe = PROBES[-1].name if probe is None else probe
-            eye = open_probe(probe, port)
+            eye = open_probe(probe, port, protocol)
             if eye:
                 stack.callback(eye.close)
             if reconnect and not Place(port.name).lasts:
@@ -185,7 +185,7 @@ def device_target(
         "fault": fault,
     }
     lossless = getattr(device, "lossless", False) is True
-    checked = device if isinstance(device, Simulator) else CheckedDevice(device)
+    checked = device if isinstance(device, Simulator) else CheckedDevice(device, protocol)
     return Target(
         protocol,
         Environment(True, observability, power, name, about, lossless),

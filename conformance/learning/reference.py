@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-from bilprov.captures.schemas import MS, Look
+from bilprov.captures.schemas import MS, look_class
 from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.alphabet import alphabet, reset
@@ -84,7 +84,8 @@ def _expected(model: Model, step: Step, after: ExpectedState) -> Output:
     left, right = protocol.car.wheels(state, protocol.full_steering)
     values = {name: getattr(state, name) for name in protocol.lights}
     values[protocol.car.by] = visible_motion(state)
-    look = Look(t=0, moving=state.moving, left=left, right=right, **values)
+    looks = look_class(protocol.state_type)
+    look = looks(t=0, moving=state.moving, left=left, right=right, **values)
     unknown = after.unknown - {protocol.car.speed} if after.still else after.unknown
     hidden = (facet for variable in unknown for facet in _shows(protocol, variable))
     return output_of(protocol, accepted.codes, look).without(hidden)

@@ -32,10 +32,11 @@ def state_words(state: State) -> str:
 def look_words(look: Look) -> str:
     """A look in words; facets that the probe does not report are left out."""
     moving = {True: "moving", False: "stopped", None: "moving unknown"}[look.moving]
-    facets = [moving] if look.motion in (None, "stopped") else [f"{moving} {look.motion}"]
-    for name in ("speed", "steering", "led"):
+    motion = look.car.drive(look).motion
+    facets = [moving] if motion in (None, look.car.still) else [f"{moving} {motion}"]
+    for name in look.variables:
         value = getattr(look, name)
-        if value is not None:
+        if value is not None and name != look.car.by:
             facets.append(f"{name} {value}")
     if look.left is not None and look.right is not None:
         facets.append(f"wheels {look.left}/{look.right}")

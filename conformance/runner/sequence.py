@@ -185,7 +185,7 @@ class _SequenceRun:
         """Wait until a frame the device may have truncated is over; then the state is unknown."""
         run, trial = self._run, self._trial
         trial.hear((yield from listen(None, 2 * run.waiting.timeout + run.waiting.usual)))
-        trial.expected = replace(run.model.found(), unknown=frozenset(("speed", "steering", "led")))
+        trial.expected = run.model.found()
 
     def _take(self, steps: list[Step]) -> tuple[ExpectedState, list[Step]]:
         """Apply the steps to the model, up to one after which the device discards the rest.

@@ -32,14 +32,13 @@ if TYPE_CHECKING:
 # What the import hands on, by module.
 _MODULES = {
     "bilprov.__main__": "main",
-    "bilprov.analyzer.api": "decode encode explain judge read_capture sniff",
+    "bilprov.analyzer.api": "Look decode encode explain judge read_capture sniff",
     "bilprov.analyzer.client.device": "Device",
     "bilprov.analyzer.client.driver": "NoAnswer Refused RobotError",
     "bilprov.analyzer.client.robot": "Robot",
     "bilprov.analyzer.grammar_file": "load_protocol",
     "bilprov.analyzer.transport.errors": "LinkError",
     "bilprov.captures.reader": "open_capture",
-    "bilprov.captures.schemas": "Look",
     "bilprov.conformance.api": "Options conform",
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}

@@ -15,6 +15,7 @@ from bilprov.analyzer.monitor.passive_judge import KEPT, MOVING, Findings, Passi
 from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line, Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.simulator import Simulator
@@ -48,7 +49,7 @@ def device(ms: float, data: str) -> Chunk:
 
 
 def seen(ms: float, moving: bool | None) -> Look:
-    return Look(round(ms * MS), moving)
+    return CarLook(round(ms * MS), moving)
 
 
 def judged(

@@ -29,7 +29,9 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.recheck import recheck
+from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
 from tests.support.robots import PATIENCE, ProbeServer, simulate
@@ -55,21 +57,21 @@ def look_of(probe: Probe) -> Look:
 @pytest.mark.parametrize(
     ("line", "look"),
     [
-        ('{"moving": true}', Look(7, True)),
-        ('{"moving": false}', Look(7, False)),
-        ('{"moving": null}', Look(7, None)),
-        ("{}", Look(7, None)),
-        ('{"moving": true, "battery": 7.2, "moods": [1]}', Look(7, True)),
-        ('{"moving": true, "motion": "forward"}', Look(7, True, motion="forward")),
+        ('{"moving": true}', CarLook(7, True)),
+        ('{"moving": false}', CarLook(7, False)),
+        ('{"moving": null}', CarLook(7, None)),
+        ("{}", CarLook(7, None)),
+        ('{"moving": true, "battery": 7.2, "moods": [1]}', CarLook(7, True)),
+        ('{"moving": true, "motion": "forward"}', CarLook(7, True, motion="forward")),
         (
             '{"moving": true, "speed": 200.0, "steering": -3.6, "led": 5}',
-            Look(7, True, speed=200, steering=-4, led=5),
+            CarLook(7, True, speed=200, steering=-4, led=5),
         ),
         # A wheel that turns slowly still turns.
-        ('{"moving": true, "left": 0.2, "right": -0.2}', Look(7, True, left=1, right=-1)),
-        ('{"moving": false, "left": 0, "right": 0.0}', Look(7, False, left=0, right=0)),
-        ('{"moving": false, "speed": null, "motion": null}', Look(7, False)),
-        ('{"moving": true}\r', Look(7, True)),
+        ('{"moving": true, "left": 0.2, "right": -0.2}', CarLook(7, True, left=1, right=-1)),
+        ('{"moving": false, "left": 0, "right": 0.0}', CarLook(7, False, left=0, right=0)),
+        ('{"moving": false, "speed": null, "motion": null}', CarLook(7, False)),
+        ('{"moving": true}\r', CarLook(7, True)),
     ],
 )
 def test_a_line_of_json_is_a_look(line: str, look: Look) -> None:
@@ -138,7 +140,7 @@ def test_an_answer_may_come_in_pieces() -> None:
         probe.ask()
         assert select.select([probe.fileno()], [], [], PATIENCE)[0]
         assert probe.take(7) is None
-        assert look_of(probe) == Look(7, True)
+        assert look_of(probe) == CarLook(7, True)
         probe.close()
 
 
@@ -215,13 +217,13 @@ def pty() -> Iterator[str]:
     ],
 )
 def test_a_probe_that_fails_ends_the_run_but_not_the_line(
-    pty: str, answer: bytes | None, words: str
+    protocol: Protocol, pty: str, answer: bytes | None, words: str
 ) -> None:
     with ExitStack() as stack:
         server = stack.enter_context(ProbeServer(answer))
         port = stack.enter_context(open_port(pty))
         stopper = stack.enter_context(Stopper())
-        probe = open_probe(server.name, port)
+        probe = open_probe(server.name, port, protocol)
         assert probe is not None
         stack.callback(probe.close)
 
@@ -233,12 +235,12 @@ def test_a_probe_that_fails_ends_the_run_but_not_the_line(
     assert "\n" not in str(ended.value)
 
 
-def test_a_look_that_knows_nothing_comes_through_the_link(pty: str) -> None:
+def test_a_look_that_knows_nothing_comes_through_the_link(protocol: Protocol, pty: str) -> None:
     with ExitStack() as stack:
         server = stack.enter_context(ProbeServer(b'{"moving": null}\n'))
         port = stack.enter_context(open_port(pty))
         stopper = stack.enter_context(Stopper())
-        probe = open_probe(server.name, port)
+        probe = open_probe(server.name, port, protocol)
         assert probe is not None
         stack.callback(probe.close)
 
@@ -301,8 +303,8 @@ def test_the_limit_of_a_tcp_probe_is_the_one_that_the_contract_tells() -> None:
 def test_a_commands_exit_code_and_output_tell(shell: str, moving: bool | None) -> None:
     probe = ExecProbe(f"({shell}) 2>/dev/null" if ">&2" in shell else shell)
 
-    assert look_of(probe) == Look(7, moving)
-    assert look_of(probe) == Look(7, moving)
+    assert look_of(probe) == CarLook(7, moving)
+    assert look_of(probe) == CarLook(7, moving)
     probe.close()
 
 
@@ -333,9 +335,9 @@ def test_a_command_that_is_given_up_is_ended() -> None:
 # -- names ----------------------------------------------------------------------------------------
 
 
-def test_none_is_no_probe(pty: str) -> None:
+def test_none_is_no_probe(protocol: Protocol, pty: str) -> None:
     with open_port(pty) as port:
-        assert open_probe("none", port) is None
+        assert open_probe("none", port, protocol) is None
 
 
 # -- ask ------------------------------------------------------------------------------------------

@@ -15,10 +15,10 @@ from mcap.writer import CompressionType, Writer
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture, open_indexed
-from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
+from bilprov.captures.schemas import Checkpoint, Chunk, Line
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import message_starts
-from bilprov.captures.topics import TOPICS, Written, encoded, topic_of
+from bilprov.captures.topics import TOPICS, CarLook, Written, encoded, topic_of
 from bilprov.captures.writer import CaptureWriter
 from tests.support.car import car_state
 
@@ -27,7 +27,7 @@ VALUES: list[Written] = [
     Line(0, "gap", "", "10 bytes"),
     Line(0, "modem", "host", "cts"),
     car_state("forward", 1, 0, 0),
-    Look(0, True),
+    CarLook(0, True),
     Checkpoint.of(0, "a" * 64, "{}"),
     Checkpoint.of(0, "a" * 64, "{}", resumes=True),
 ]

@@ -20,6 +20,7 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
+from bilprov.captures.topics import CarLook
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
 
@@ -42,7 +43,7 @@ def written(path: Path, checkpoints: dict[int, Checkpoint] | None = None) -> Pat
             if n % 10 == 3:
                 capture.write(Line(t, "modem", "host", f"cts {n}"), t)
             elif n % 10 == 8:
-                capture.write(Look(t, n % 20 == 8), t)
+                capture.write(CarLook(t, n % 20 == 8), t)
             else:
                 capture.chunk(Chunk(t, "device" if n % 2 else "host", b"%d" % n))
             if n in marks:

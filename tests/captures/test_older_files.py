@@ -78,5 +78,5 @@ def test_both_spellings_are_declarations_and_nothing_else_of_either_is(grammar_t
     for text in (grammar_text, bare(grammar_text)):
         require_declarations(text)
         for name in ("spec", "bilprov.spec"):
-            with pytest.raises(NotDeclared, match=re.escape("ImportFrom")):
+            with pytest.raises(NotDeclared, match=re.escape(f"from {name}.codec import judge")):
                 require_declarations(f"{text}\nfrom {name}.codec import judge\n")

@@ -29,10 +29,10 @@ from bilprov.captures.schemas import (
     Instruction,
     Line,
     Log,
-    Look,
     Response,
     Time,
 )
+from bilprov.captures.topics import CarLook
 from bilprov.captures.writer import FLUSH_AFTER, CaptureWriter
 from tests.support import ROOT
 from tests.support.car import car_state
@@ -51,8 +51,8 @@ ONE_OF_EACH: list[topics.Written] = [
     Line(11, "gap"),
     CaseMark(12, "valid/Speed/255", "begin"),
     CaseMark(13, "valid/Speed/255", "end", "pass", ""),
-    Look(14, True, "forward", 9, 0, 7, 9, 9),
-    Look(15, None),
+    CarLook(14, True, "forward", 9, 0, 7, 9, 9),
+    CarLook(15, None),
     Asked(16, "look", 14),
     Asked(17, "interrupt", None, "interrupted", False, True),
     Checkpoint.of(18, "0" * 64, '{"framer":"a\\u00e5"}'),

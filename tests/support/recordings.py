@@ -97,7 +97,7 @@ def forged(
     A `grammar` stands in the metadata; as the attachment `grammar_py` older recordings have it.
     """
     capture = open_capture(path)
-    kinds = {topic.name: topic.value for topic in topics.TOPICS}
+    kinds = {topic.name: topics.CAR_SHAPES.get(topic.value, topic.value) for topic in topics.TOPICS}
     metadata = {k: v for k, v in capture.contents.metadata.items() if k != topics.START_KEY}
     older = attached.get("grammar_py", b"").decode()
     if grammar or older:

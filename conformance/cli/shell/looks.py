@@ -14,7 +14,6 @@ from bilprov.captures.schemas import Look
 
 STEP = 0.5
 """Seconds of waiting at most: a signal that came just before it began is noticed then."""
-_FACETS = ("motion", "speed", "steering", "led", "left", "right")
 
 
 def asked(
@@ -55,25 +54,9 @@ def seen_words(look: Look | None) -> str:
 
 def look_words(look: Look | None) -> str:
     """All that the probe saw, in words: `seen moving: motion forward speed 80`."""
-    facets = [
-        f"{name} {value}" for name in _FACETS if (value := getattr(look, name, None)) is not None
-    ]
+    told = _told(look).items() if look else ()
+    facets = [f"{name} {value}" for name, value in told if value is not None]
     return f"{seen_words(look) or 'not observed'}{': ' if facets else ''}{' '.join(facets)}"
-
-
-class _LookLine(msgspec.Struct, frozen=True):
-    """A look as a JSON line, beside those of the frames."""
-
-    t: float
-    direction: None
-    kind: Literal["look"]
-    moving: bool | None
-    motion: str | None
-    speed: int | None
-    steering: int | None
-    led: int | None
-    left: int | None
-    right: int | None
 
 
 def look_text(look: Look, style: Literal["lines", "jsonl"]) -> str:
@@ -81,6 +64,10 @@ def look_text(look: Look, style: Literal["lines", "jsonl"]) -> str:
     seconds = look.t / 1e9
     if style == "lines":
         return f"{seconds:12.6f} - {look_words(look)}\n"
-    facets = {name: getattr(look, name) for name in ("moving", *_FACETS)}
-    line = _LookLine(t=seconds, direction=None, kind="look", **facets)
+    line = {"t": seconds, "direction": None, "kind": "look", "moving": look.moving, **_told(look)}
     return msgspec.json.encode(line).decode() + "\n"
+
+
+def _told(look: Look) -> dict[str, str | int | None]:
+    """What a look tells besides whether the device moves."""
+    return {name: getattr(look, name) for name in look.__struct_fields__[2:]}

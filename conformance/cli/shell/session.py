@@ -87,7 +87,7 @@ def agreed(
     """
     with ExitStack() as stack:
         stack.enter_context(port)
-        eye = open_probe(probe or PROBES[-1].name, port)
+        eye = open_probe(probe or PROBES[-1].name, port, protocol)
         if eye is not None:
             stack.callback(eye.close)
         note_hindrances(name)

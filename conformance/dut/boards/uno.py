@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 
 CHIP, FREQUENCY, FLASH = "atmega328p", 16_000_000, 1 << 15  # Hz, bytes
 
@@ -48,7 +49,7 @@ _RIGHT = _Motor(("B", 1), ("B", 2), ("D", 5), duty=0x48, connected=0x20)
 def look(memory: Callable[[int], int], now: int) -> Look:
     """What wheels and LED do, read from the pins and the PWM registers; `now` in ns."""
     left, right = _LEFT.speed(memory), _RIGHT.speed(memory)
-    return Look(
+    return CarLook(
         t=now,
         moving=bool(left or right),
         motion=_motion(left, right),

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.checked_device import DeviceError
 from bilprov.conformance.dut.simulator import Simulator
@@ -39,7 +39,7 @@ BROKEN = [
     ({"deadline": lambda: 1.5}, "the device's deadline gave 1.5"),
     ({"deadline": lambda: -1}, "the device's deadline gave -1 again after advance("),
     ({"receive": raising}, "the device's receive raised KeyError: 'x"),
-    ({"look": lambda: Look(t=0, moving=False)}, "the device's look raised TypeError"),
+    ({"look": lambda: CarLook(t=0, moving=False)}, "the device's look raised TypeError"),
     ({"deadline": None}, "the device object Own has no method deadline"),
 ]
 

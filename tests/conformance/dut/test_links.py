@@ -34,6 +34,7 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.dut.checked_device import DeviceError
 from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.simulator import Simulator
@@ -225,7 +226,7 @@ class Room:
         self.device = device
         self.stopper = stack.enter_context(Stopper())
         self.port = stack.enter_context(open_port(name))
-        self.probe = open_probe(probe, self.port)
+        self.probe = open_probe(probe, self.port, device.protocol)
         assert self.probe is not None
         stack.callback(self.probe.close)
         self.tap = Noted()
@@ -278,7 +279,7 @@ def test_the_port_goes_on_being_read_while_the_probe_is_asked(protocol: Protocol
         server = stack.enter_context(ProbeServer(b'{"moving": false}\n'))
         stopper = stack.enter_context(Stopper())
         port = stack.enter_context(open_port(name))
-        probe = open_probe(server.name, port)
+        probe = open_probe(server.name, port, protocol)
         assert probe is not None
         stack.callback(probe.close)
         tap = Noted()
@@ -344,7 +345,7 @@ class Replies(Probe):
         return self.ends[0]
 
     def take(self, now: int) -> Look:
-        return Look(now, os.read(self.ends[0], 1) == b"1")
+        return CarLook(now, os.read(self.ends[0], 1) == b"1")
 
     def reply(self, moving: bytes) -> None:
         os.write(self.ends[1], moving)
@@ -424,7 +425,7 @@ def test_listen_and_see_are_asks_of_their_own() -> None:
         def do(self, ask: Operation) -> int | Received | Observation:
             if isinstance(ask, Listen):
                 return Received((), 5)
-            return Observation(1, 2, Look(2, None))
+            return Observation(1, 2, CarLook(2, None))
 
     def procedure() -> Procedure[tuple[int, int]]:
         heard = yield from listen(1, 5)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 import pytest
 
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
 from bilprov.conformance.learning.drawing import dot_text
 from bilprov.conformance.learning.learner import Difference, Learner, differences
@@ -41,18 +42,18 @@ def reference(protocol: Protocol) -> Mealy[Output]:
 @pytest.mark.parametrize(
     ("look", "words"),
     [
-        (Look(t=0, moving=False), "stopped"),
-        (Look(t=0, moving=True), "moving"),
-        (Look(t=0, moving=None), ""),
-        (Look(t=0, moving=True, motion="forward", led=5), "forward, led 5"),
-        (Look(t=0, moving=False, motion="forward", left=0, right=0), "stopped"),
-        (Look(t=0, moving=True, left=9, right=4), "forward, left wheel ahead"),
-        (Look(t=0, moving=True, left=-9, right=4), "backward, left wheel ahead"),
-        (Look(t=0, moving=True, left=-4, right=-9), "backward, right wheel ahead"),
-        (Look(t=0, moving=True, left=9, right=-8), "rotate_right"),
-        (Look(t=0, moving=True, left=-9, right=9), "rotate_left"),
+        (CarLook(t=0, moving=False), "stopped"),
+        (CarLook(t=0, moving=True), "moving"),
+        (CarLook(t=0, moving=None), ""),
+        (CarLook(t=0, moving=True, motion="forward", led=5), "forward, led 5"),
+        (CarLook(t=0, moving=False, motion="forward", left=0, right=0), "stopped"),
+        (CarLook(t=0, moving=True, left=9, right=4), "forward, left wheel ahead"),
+        (CarLook(t=0, moving=True, left=-9, right=4), "backward, left wheel ahead"),
+        (CarLook(t=0, moving=True, left=-4, right=-9), "backward, right wheel ahead"),
+        (CarLook(t=0, moving=True, left=9, right=-8), "rotate_right"),
+        (CarLook(t=0, moving=True, left=-9, right=9), "rotate_left"),
         (
-            Look(t=0, moving=True, motion="forward", left=-9, right=-9),
+            CarLook(t=0, moving=True, motion="forward", left=-9, right=-9),
             "forward, by its wheels backward",
         ),
     ],

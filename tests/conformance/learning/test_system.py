@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from bilprov.captures.schemas import MS, Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction, answers
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
@@ -62,7 +63,7 @@ class AlmostBlind(Simulator):
     """A robot of which is seen whether it moves, and nothing else."""
 
     def look(self, now: int) -> Look:
-        return Look(t=now, moving=super().look(now).moving)
+        return CarLook(t=now, moving=super().look(now).moving)
 
 
 def test_what_is_seen_twice_and_contradicts_what_was_known_is_a_deviation(

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.client.operations import Received
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
@@ -244,7 +245,7 @@ def told(state: State, **other: Any) -> Look:
         "steering": state.steering,
         "led": state.led,
     }
-    return Look(**(facets | other))
+    return CarLook(**(facets | other))
 
 
 Shown = dict[str, str]  # the words of a device's own choices, by point
@@ -415,7 +416,7 @@ def test_a_curve_is_told_from_a_rotation_by_the_wheels_where_they_are_seen(
 ) -> None:
     turning = car_state(Motion.ROTATE_LEFT, speed=100)
     curving = ExpectedState(turning, unknown=frozenset({"motion", "steering"}))
-    look = Look(0, True, motion, 100, None, 0, left, right)
+    look = CarLook(0, True, motion, 100, None, 0, left, right)
 
     assert judge_state(choosing(protocol, CURVE), curving, look).verdict is verdict
 
@@ -781,7 +782,7 @@ def test_a_byte_too_many_now_and_then_is_a_failure(protocol: Protocol) -> None:
 
 
 def only_moving(look: Look) -> Look:
-    return Look(t=look.t, moving=look.moving)
+    return CarLook(t=look.t, moving=look.moving)
 
 
 def test_a_probe_that_tells_only_moving_cannot_see_a_setting(protocol: Protocol) -> None:
@@ -806,7 +807,7 @@ def test_a_probe_that_tells_only_moving_cannot_see_a_setting(protocol: Protocol)
 def test_a_probe_that_does_not_know_whether_it_moves_vouches_for_nothing(
     protocol: Protocol,
 ) -> None:
-    device = Simulator(protocol, Fault("x", "test", "", show=lambda look: Look(look.t, None)))
+    device = Simulator(protocol, Fault("x", "test", "", show=lambda look: CarLook(look.t, None)))
 
     report = conform(device, grammar=protocol, options=Options(only=("*-*/*/1", "valid/Stop")))
 

@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
@@ -88,7 +89,7 @@ class TellingOnlyWhetherItMoves(Simulator):
     """Its probe sees no speed, so that a speed that a fault has zeroed shows only by standing."""
 
     def look(self, now: int) -> Look:
-        return Look(t=now, moving=super().look(now).moving)
+        return CarLook(t=now, moving=super().look(now).moving)
 
 
 def test_every_variant_has_its_verdict_here_and_every_other_choice_its_variant(

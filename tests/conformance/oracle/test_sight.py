@@ -12,6 +12,7 @@ from rich.console import Console
 
 from bilprov.analyzer.client.operations import Observation, Observe
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
@@ -244,8 +245,8 @@ def result(ident: str, **axes: Verdict) -> CaseResult:
     )
 
 
-DARK = Look(0, None)
-LIT = Look(0, True, "forward", 9, 0, 7, 9, 9)
+DARK = CarLook(0, None)
+LIT = CarLook(0, True, "forward", 9, 0, 7, 9, 9)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from bilprov.captures.schemas import MS, Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
@@ -47,7 +48,7 @@ class LyingProbe:
         self._follow(now)
         self.looks.append(self._robot.look(now))
         seen = self._lie(self, self._random)
-        return Look(now, seen.moving) if self._brief else msgspec.structs.replace(seen, t=now)
+        return CarLook(now, seen.moving) if self._brief else msgspec.structs.replace(seen, t=now)
 
     def ago(self, time: int) -> Look:
         """What the robot did `time` ns ago."""
@@ -95,7 +96,7 @@ LAGS = (lags(100 * MS), lags(200 * MS))
 def forgets(probe: LyingProbe, random: Random) -> Look:
     """From some moment on nothing is known."""
     known = probe.looks[-1].moving if len(probe.looks) < 300 else None
-    return Look(probe.looks[-1].t, known)
+    return CarLook(probe.looks[-1].t, known)
 
 
 LIES: dict[str, Lie] = {

@@ -10,6 +10,7 @@ import pytest
 
 from bilprov.analyzer.client.operations import Ended, Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import AnyCase
@@ -305,7 +306,7 @@ def played(device: Simulator, items: Sequence[str]) -> list[tuple[tuple[int, ...
 
 def replace_time(look: Look) -> Look:
     facets = {name: getattr(look, name) for name in Look.__struct_fields__}
-    return Look(**(facets | {"t": 0}))
+    return CarLook(**(facets | {"t": 0}))
 
 
 @pytest.mark.slow

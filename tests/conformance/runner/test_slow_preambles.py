@@ -7,6 +7,7 @@ from fnmatch import fnmatchcase
 import pytest
 
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
@@ -49,7 +50,7 @@ class Motor(Simulator):
 
     def look(self, now: int) -> Look:
         moves = self.state.moving and self.state.speed > self._dead * (4 if self._tired else 1)
-        return Look(super().look(now).t, moves)
+        return CarLook(super().look(now).t, moves)
 
 
 def variables(instruction: InstructionSpec | None) -> str:

@@ -19,7 +19,7 @@ from bilprov.analyzer.client.operations import (
     Reply,
     Send,
 )
-from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.link import Environment
@@ -232,7 +232,7 @@ def followed(limit: TimeLimit, *done: tuple[Operation, Reply]) -> str:
 
 
 def seen(asked: int, now: int) -> Observation:
-    return Observation(asked * SECOND, now * SECOND, Look(now * SECOND, moving=False))
+    return Observation(asked * SECOND, now * SECOND, CarLook(now * SECOND, moving=False))
 
 
 def heard(now: int) -> Received:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import Look
+from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform, run_suite
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
@@ -138,7 +139,7 @@ def test_answers_in_a_row_are_one_entry_in_a_case_that_passed_and_only_there() -
     went(log, b"\0\0", 5)
     came(log, b"\0", 6)
     came(log, b"\1", 7)
-    log.done(Observe(), Observation(8, 8, Look(8, moving=False)))
+    log.done(Observe(), Observation(8, 8, CarLook(8, moving=False)))
     came(log, b"\2", 9)
 
     passed = log.attached(a_case("one", Verdict.PASS)).log
