@@ -10,7 +10,7 @@ import click
 
 from bilprov.analyzer.cli.command import argument, group, option
 from bilprov.analyzer.cli.options import (
-    LineOptions,
+    SendingLineOptions,
     asked_here,
     confirm_effect,
     note_each,
@@ -48,7 +48,7 @@ class RobotOptions:
     power: str | None = option(
         metavar="exec:COMMAND", help="A command that switches it off and on."
     )
-    line: LineOptions = group(LineOptions)
+    line: SendingLineOptions = group(SendingLineOptions)
     yes: bool = yes_option()
     fault: str | None = fault_option(
         help="With sim: misbehave in this way; random:SEED or random:SEED.NUMBER draws one."

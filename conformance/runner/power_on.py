@@ -283,10 +283,10 @@ def _line_fault(run: Run, exchanges: list[tuple[bytes, Received]]) -> str:
             f"nobody answered in {run.timers.boot / 1e9:.0f} s: check power, wiring (TX to RX, "
             "common ground), the port and --baud"
         )
-    if all(heard.codes == tuple(frame) for frame, heard in exchanges):
+    if all(heard.codes[: len(frame)] == tuple(frame) for frame, heard in exchanges):
         return (
-            "the line is an echo, every byte came back unchanged: a loop-back plug, or TX and RX "
-            "wired together"
+            "the line is an echo, every byte came back unchanged: a loop-back plug, TX and RX "
+            "wired together, or an adapter that hears itself (--echo)"
         )
     return ""
 

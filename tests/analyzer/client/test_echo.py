@@ -16,6 +16,7 @@ from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.captures.schemas import MS
+from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
@@ -147,19 +148,47 @@ def test_a_signal_within_an_echo_brings_the_device_to_rest() -> None:
 
 def test_commands_that_send_take_the_echo_away(tmp_path: Path) -> None:
     capture = tmp_path / "line.mcap"
-    words = ("--grammar", "modbus-rtu")
-    item = "WriteSingleRegister 4 9 address=1"
-    made = command(*words, "sniff", "sim", "--count", "8", "-w", str(capture))
+    words = ("--grammar", "examples/relay_board.py")
+    made = command(*words, "sniff", "sim", "--count", "4", "-w", str(capture))
     assert made.returncode == 0, made.stderr
-    with served_here(Bus(load_protocol("modbus-rtu"))) as (port, _):
-        sent = command(*words, "send", port, item, "--echo", "--yes")
-        typed = command(*words, "send", port, "--echo", "--yes", stdin=f"{item}\n".encode())
+    with served_here(Bus(load_protocol("examples/relay_board.py"))) as (port, _):
         again = command("replay", str(capture), "--to", port, "--echo", "--yes", "--rate", "0")
-        without = command(*words, "send", port, item, "--yes")
+        sent = command(*words, "send", port, "On address=1", "--echo", "--yes")
+        typed = command(*words, "send", port, "--echo", "--yes", stdin=b"On address=1\n")
+        without = command(*words, "send", port, "On address=1", "--yes")
     for done in (sent, typed):
         assert (done.returncode, done.stderr) == (0, b"")
         assert done.stdout.count(b"\n") == 2
     assert again.returncode == 0, again.stderr
     assert b" sent, 0 differences\n" in again.stderr
     assert without.returncode == 1
-    assert b"8 bytes came without an instruction" in without.stderr
+    assert b"an answer is not allowed: 55 56 00 00 00 stands where" in without.stderr
+
+
+class EchoedCar(Simulator):
+    """A conforming robot car on a line that echoes what the host sends."""
+
+    def power_cycle(self, now: int) -> None:
+        super().power_cycle(now)
+        self.unechoed = b""
+
+    def receive(self, data: bytes, now: int) -> None:
+        self.unechoed += data
+        super().receive(data, now)
+
+    def deadline(self) -> int | None:
+        return 0 if self.unechoed else super().deadline()
+
+    def advance(self, now: int) -> bytes:
+        echo, self.unechoed = self.unechoed, b""
+        return echo + super().advance(now)
+
+
+def test_a_robot_on_a_line_with_an_echo_is_judged_and_without_the_option_it_is_not() -> None:
+    with served_here(EchoedCar(load_protocol())) as (port, probe):
+        words = ("conform", port, "--probe", probe, "--yes", "--only", "valid/Stop")
+        judged = command(*words, "--echo")
+        without = command(*words)
+    assert judged.returncode == 0, judged.stdout
+    assert without.returncode == 2
+    assert b"or an adapter that hears itself (--echo)" in without.stdout
