@@ -473,7 +473,7 @@ def _elements(
         value, name = many.prefix.parse(raw), f"{spec.name} count"
         yield BitGroup(at, len(raw), 8 * len(raw) - 1, 0, _bits(raw), name, value, many.how)
         at += len(raw)
-    width, meaning = many.width, spec.prose or spec.name
+    width, meaning = many.width, spec.prose
     for number, value in enumerate(values):
         bits, name = _bits(frame[at : at + width]), f"{spec.name}[{number}]"
         yield BitGroup(at, width, 8 * width - 1, 0, bits, name, value, meaning)
@@ -501,11 +501,11 @@ def _whole_group(judgement: Judgement | Reply, at: int, spec: FieldSpec, value: 
     raw = judgement.frame[at : at + spec.size]
     fault = not spec.in_range(value)
     named = next((name for name, number in spec.names if number == value), "")
-    meaning = named or spec.prose or spec.name
+    meaning = named or spec.prose
     if fault:
-        meaning += f"; allowed are {spec.allowed}"
+        meaning = "; ".join(filter(None, (meaning, f"allowed are {spec.allowed}")))
     elif not judgement.framed:
-        meaning += f", {spec.allowed}"
+        meaning = ", ".join(filter(None, (meaning, spec.allowed)))
     return BitGroup(
         at, spec.size, 8 * spec.size - 1, 0, _bits(raw), spec.name, value, meaning, fault
     )

@@ -128,13 +128,14 @@ def read_reply(
     if layout.has_data and way.data is not None and not reason:
         data = layout.data_of(frame)
         needed = way.data.measure(data, values)
-        if needed == len(data) or _takes_rest(way.data):
+        has_some = bool(data) or response is None or Outcome.VALID in response.outcomes
+        if has_some and (needed == len(data) or _takes_rest(way.data)):
             fields = tuple(way.data.decode(data).items())
             specs = way.data.fields
             if asked and asked.instruction and protocol.registers:
                 told = asked.instruction.reads
                 registers = registers_in(protocol, told, way.data, data, values)
-        elif data or (response and Outcome.VALID in response.outcomes):
+        elif has_some:
             reason = f"it has {len(data)} data bytes, {needed} are due"
     address = layout.address_of(frame)
     checked = layout.check is not None and not layout.check.asked

@@ -68,10 +68,10 @@ def decode(options: DecodeOptions) -> None:
     sender = options.sender
     if not options.words and sys.stdin.isatty():
         raise click.UsageError("nothing to decode: give HEX, a FILE or - for standard input")
-    out = stream_output(options.style)
     source = _source(options.words)
     if isinstance(source, bytes):
         protocol = protocol_in_use()
+        out = stream_output(options.style, protocol)
         test = compiled(options.expression, protocol)
         asked = _asked(options, protocol)
         session = Session(protocol, heard=BOTH if asked else frozenset({sender}))
@@ -87,7 +87,7 @@ def decode(options: DecodeOptions) -> None:
         return
     batches, start, protocol = _decoded(source, options)
     test = compiled(options.expression, protocol)
-    shown = Shown(out, test and test.started(start))
+    shown = Shown(stream_output(options.style, protocol), test and test.started(start))
     for batch in batches:
         shown.show(batch)
 

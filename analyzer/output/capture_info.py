@@ -137,7 +137,7 @@ def _about(summary: Summary, carried: bool) -> Iterator[tuple[str, str]]:
     if summary.same_grammar:
         yield "recorded with", "the grammar in use"
     elif summary.same_grammar is False:
-        which = "another grammar, which is in the file" if carried else "not the grammar in use"
+        which = "the grammar that is in the file" if carried else "not the grammar in use"
         yield "recorded with", which
     yield "host sent", quantity(summary.bytes["host"], "byte")
     yield "device sent", quantity(summary.bytes["device"], "byte")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.console import can_show
 from bilprov.analyzer.output.json_text import JsonText
-from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer
+from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer, hex_width
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
@@ -86,6 +86,7 @@ def write_out(text: str) -> None:
 
 def stream_output(
     style: Literal["lines", "jsonl"],
+    protocol: spec.Protocol,
     write: Callable[[str], object] = write_out,
     time: Callable[[int], str] | None = None,
 ) -> StreamOutput:
@@ -98,7 +99,8 @@ def stream_output(
         return StreamOutput(write, JsonText())
     arrows = ("→", "←") if can_show("→←") else ASCII_ARROWS
     colour = _wants_colour(sys.stdout)
-    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, time=time))
+    width = hex_width(protocol)
+    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, time=time, width=width))
 
 
 def opened_output(
@@ -125,7 +127,7 @@ def opened_output(
 
         colour = _wants_colour(sys.stdout)
         return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
-    return stream_output(style, write, times.padded if rows.time else None)
+    return stream_output(style, protocol, write, times.padded if rows.time else None)
 
 
 def has_terminal() -> bool:

@@ -23,9 +23,12 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import printable
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import usual_way
 from bilprov.spec.state import State
 
 HEX_WIDTH = 11  # fits four bytes; longer frames shift the rest of the line to the right
+_LONGEST = 12  # bytes for which all lines are made wider
 WORDS_WIDTH = 22
 
 SEVERITY_COLOURS = {
@@ -35,12 +38,24 @@ SEVERITY_COLOURS = {
 }
 
 
+def hex_width(protocol: Protocol) -> int:
+    """The columns for the bytes of its requests and answers, without what is counted in them."""
+    sizes = [
+        layout.head + data.length + layout.tail
+        for spec in protocol.instructions
+        for layout, data in ((protocol.layout, spec.data), usual_way(protocol, spec))
+        if data
+    ]
+    return max(HEX_WIDTH, 3 * min(_LONGEST, max(sizes, default=0)) - 1)
+
+
 class LineRenderer:
     """Renders records for one output.
 
     `colour` adds ANSI colour codes, which only a terminal should get. `arrows` are the signs for
     host and device bytes; give `ASCII_ARROWS` where the output's encoding has no others. `time`
-    writes a time (ns since the start), which is in seconds without it.
+    writes a time (ns since the start), which is in seconds without it. The bytes have `width`
+    columns.
     """
 
     def __init__(
@@ -49,8 +64,10 @@ class LineRenderer:
         colour: bool,
         arrows: tuple[str, str] = ("→", "←"),
         time: Callable[[int], str] | None = None,
+        width: int = HEX_WIDTH,
     ) -> None:
         self._colour = colour
+        self._width = width
         self._time = time or _seconds
         self._to_device, self._to_host = arrows
         self._host = PerFrame(self._host_text)
@@ -75,7 +92,7 @@ class LineRenderer:
     def _host_text(self, record: HostRecord) -> tuple[str, str]:
         """What stands before the state, and behind it."""
         severity = severity_of(record)
-        body = f"{record.hex:<{HEX_WIDTH}}  {record.words:<{WORDS_WIDTH}}"
+        body = f"{record.hex:<{self._width}}  {record.words:<{WORDS_WIDTH}}"
         text = f"{self._to_device} {self._paint(body, severity)}"
         return text, self._why(record.reason, severity)
 
@@ -89,7 +106,7 @@ class LineRenderer:
         return f"{text}{latency}{self._why(record.reason, severity)}".rstrip()
 
     def _device_text(self, coded: str, name: str, severity: Severity | None) -> str:
-        body = f"{coded:<{HEX_WIDTH}}  {name:<13}"
+        body = f"{coded:<{self._width}}  {name:<13}"
         return f"{self._to_host} {self._paint(body, severity)}"
 
     def _fault_line(self, fault: Anomaly) -> str:

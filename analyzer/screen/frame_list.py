@@ -17,6 +17,7 @@ from textual.strip import Strip
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, TimeStyle
+from bilprov.analyzer.output.text_lines import hex_width
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.signs import CUT, MARK, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
 from bilprov.captures.text import printable
@@ -79,10 +80,7 @@ class FrameList(ScrollView, can_focus=True):
         self.time_style: TimeStyle = TimeStyle.RELATIVE if relative else asked
         self._start_wall = start_wall
         self._recording = recording
-        # The hex digits of the longest request, without what is counted in it.
-        specs, layout = recording.protocol.instructions, recording.protocol.layout
-        data = max((spec.length for spec in specs), default=0)
-        self._longest = 3 * (layout.head + data + layout.tail) - 1
+        self._bytes_width = hex_width(recording.protocol)
         self._first = 0  # the first row of the view when it was last drawn
         self._lines: dict[int, Text] = {}
 
@@ -246,7 +244,7 @@ class FrameList(ScrollView, can_focus=True):
         for column in self.columns or usual:
             room = self._room(column)
             if column is BYTES and not self.columns:
-                room = max(room, min(self._longest, room + spare))
+                room = max(room, min(self._bytes_width, room + spare))
             if column is BYTES and width < _LEAST[NO.name]:
                 room -= 3
             if fitting and left < min(room, 8):

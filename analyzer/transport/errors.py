@@ -64,7 +64,7 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
     """Return a LinkError that says that there is no such port, and which there are."""
     if name == SIM:
         return LinkError(
-            "sim is not a port but the simulator inside bilprov conform and bilprov send; "
+            "sim is not a port: it is the simulator of conform sim, send sim and sniff sim; "
             "`bilprov simulate` serves one at a port, whose name it prints"
         )
     name = name or "port ''"

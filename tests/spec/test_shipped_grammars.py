@@ -27,12 +27,13 @@ from bilprov.spec.codec import Judgement, build, judge
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import question
 from bilprov.spec.framing import Framer
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import agrees, build_reply, read_reply, reply_size
 from bilprov.spec.safe_grammar import require_declarations
 from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
 from tests.frame_vectors import ReplyVector, RequestVector
 from tests.support import ROOT
+from tests.support.framed_traffic import FRAMED
 
 VECTORS: dict[str, ModuleType] = {
     "modbus-rtu": vectors_modbus_rtu,
@@ -280,3 +281,14 @@ def test_a_wrong_answer_does_not_agree() -> None:
 
     assert not agrees(protocol, request, echo)
     assert not agrees(protocol, request, refused)
+
+
+def test_a_refusal_without_data_has_no_fields() -> None:
+    text = FRAMED["dynamixel1"].replace('"values" / Bytes(asked.size)', '"values" / GreedyBytes')
+    protocol = load(text)
+    asked = judge(protocol, build(protocol, "Read", {"address": 1, "register": 30, "size": 2}))
+    refused = read_reply(protocol, bytes.fromhex("ff ff 01 02 40 bc"), asked)
+    assert refused.describe() == "@1 INSTRUCTION"
+    assert refused.fields == ()
+    empty = read_reply(protocol, bytes.fromhex("ff ff 01 02 00 fc"), asked)
+    assert empty.fields == (("values", b""),)

@@ -65,7 +65,7 @@ class Driving(Closing):
         }
         self._stopper = stopper
         self._style = style
-        self._output = stream_output(style)
+        self._output = stream_output(style, protocol)
         self._probe = probe
         self._unasked = 0  # bytes that answer no instruction, since the line began
         self._abandoned = False  # the rest of the line

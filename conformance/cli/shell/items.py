@@ -81,7 +81,7 @@ def send_items(
                 f"--expect names {len(expected)} and {planned} should be answered: name one for "
                 f"each instruction, {_NO_ANSWER} where no answer should come"
             )
-    output, run, check = stream_output(style), ReplayRun(), AnswerCheck()
+    output, run, check = stream_output(style, protocol), ReplayRun(), AnswerCheck()
     pauses = [what for what in steps if isinstance(what, float)]  # those that are to come
     opened = _opened(port, settings, wait=wait)
     if opened is None:

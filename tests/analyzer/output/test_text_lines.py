@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.text_lines import LineRenderer
+from bilprov.analyzer.output.text_lines import HEX_WIDTH, LineRenderer, hex_width
 from bilprov.captures.schemas import Line
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import conversation, decoded
+from tests.support.framed_traffic import FRAMED
 
 TALK = [
     (b"\x11\xff", b"\0"),
@@ -37,3 +39,14 @@ def test_foreign_text_is_made_safe(protocol: Protocol, event: str, detail: str) 
 
         assert text.isprintable()
         assert len(text) < 500
+
+
+@pytest.mark.parametrize(("grammar", "width"), [("relay_board", 23), ("stk500v1", 35)])
+def test_the_bytes_have_the_columns_that_the_frames_of_the_grammar_need(
+    grammar: str, width: int
+) -> None:
+    assert hex_width(load(FRAMED[grammar])) == width
+
+
+def test_the_columns_of_the_cars_bytes_stay(protocol: Protocol) -> None:
+    assert hex_width(protocol) == HEX_WIDTH

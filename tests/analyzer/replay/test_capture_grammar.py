@@ -202,7 +202,7 @@ def test_info_tells_that_the_grammar_is_in_the_file(file: Path) -> None:
     shown = given(("capture", "info", "{}"), file)
     values = json.loads(given(("capture", "info", "{}", "--json"), file).stdout)
 
-    assert b"another grammar, which is in the file" in shown.stdout
+    assert b"recorded with          the grammar that is in the file" in shown.stdout
     assert b"Closes some relays" not in shown.stdout
     assert topics.GRAMMAR_TEXT not in values["metadata"]
     assert values["same_grammar"] is False
