@@ -173,6 +173,8 @@ class FieldSpec:
             return self.constant.hex(" ")
         if self.names:
             return ", ".join(f"{value} ({name})" for name, value in self.names)
+        if self.flags:
+            return "sums of " + ", ".join(f"{mask} ({name})" for name, mask in self.flags)
         return f"{self.low} to {self.high}"
 
     @property
@@ -182,6 +184,8 @@ class FieldSpec:
             return "N,N" if self.many.element else "HEX"
         if self.names:
             return "|".join(name for name, _ in self.names)
+        if self.flags:
+            return f"0..{self.mask}"
         return f"{self.low}..{self.high}"
 
     @property

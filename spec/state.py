@@ -288,9 +288,13 @@ def value_words(value: Any) -> str:
     if not isinstance(value, FromOld):
         return str(value)
     factor, plus, low, high = value
-    times = {1: "", -1: "-"}.get(factor, f"{factor} x ")
     added = f" {'-' if plus < 0 else '+'} {abs(plus)}" if plus else ""
-    return f"{times}old value{added} ({low} to {high})"
+    return f"{times(factor)}old value{added} ({low} to {high})"
+
+
+def times(factor: int) -> str:
+    """A factor as it stands before what it multiplies: `-`, `258 x `."""
+    return {1: "", -1: "-"}.get(factor, f"{factor} x ")
 
 
 def after(state: State, values: Assigned) -> State:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from bilprov.analyzer.output.console import heading, table
 from bilprov.spec.checks import CheckFunction, Sum, Xor
-from bilprov.spec.data import DataSpec
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import Protocol
 
@@ -111,7 +111,11 @@ def layout_json(layout: Layout) -> list[dict[str, Any]]:
 
 def data_in_words(data: DataSpec) -> str:
     """The fields of data with what they allow; a constant stands as its bytes."""
-    return " ".join(
-        f"{part.name}={part.allowed_in_short}" if part.constant is None else part.constant.hex(" ")
-        for part in data.fields
-    )
+    return " ".join(map(_field_in_words, data.fields))
+
+
+def _field_in_words(part: FieldSpec) -> str:
+    if part.constant is not None:
+        return part.constant.hex(" ")
+    flags = f" ({' '.join(name for name, _ in part.flags)})" if part.flags else ""
+    return f"{part.name}={part.allowed_in_short}{flags}"

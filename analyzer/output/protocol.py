@@ -18,7 +18,7 @@ from bilprov.spec.errata import Finding
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Reading
-from bilprov.spec.state import Effect, FromField, FromOld, value_words
+from bilprov.spec.state import Effect, FromField, FromOld, times, value_words
 
 
 def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
@@ -71,10 +71,10 @@ def _instructions(protocol: Protocol) -> RenderableType:
             rows.append((str(spec.id), *told, header + " .." * spec.length, data, spec.prose))
         else:
             answer = "none" if spec.answer is None else data_in_words(spec.answer)
-            rows.append((f"{spec.id:02x}", *told, data, answer, spec.prose))
+            rows.append((str(spec.id), *told, data, answer, spec.prose))
     more = ("frame", "data") if protocol.plain else ("data", "answer")
     columns = ("id", "name", "document", *more, "meaning")
-    return table(columns, rows, right="id" if protocol.plain else "")
+    return table(columns, rows, right="id")
 
 
 def _effect_rows(protocol: Protocol) -> Iterator[tuple[str, str]]:
@@ -92,7 +92,7 @@ def _power_on(protocol: Protocol) -> dict[str, Any]:
 
 def _effect(effect: Effect) -> str:
     words = [
-        f"{variable} = {'-' if value.factor < 0 else ''}{value.field}"
+        f"{variable} = {times(value.factor)}{value.field}"
         if isinstance(value, FromField)
         else f"{variable} = {value_words(value)}"
         for variable, value in effect.assignments
