@@ -76,11 +76,13 @@ class Instruction(Timed, frozen=True, gc=False):
 class FramedInstruction(Instruction, frozen=True, gc=False):
     """Host bytes of a protocol whose frames are more than a header byte and data.
 
-    `address` is who is meant, where frames have an address. The others are as in an Instruction.
+    `address` is who is meant, where frames have an address. With `uncertain` the bytes may not be
+    one frame, and `reason` has why. The others are as in an Instruction.
     """
 
     fields: dict[str, Any]
     address: int | None = None
+    uncertain: bool = False
 
 
 class Response(Timed, frozen=True, gc=False):
@@ -108,8 +110,8 @@ class Response(Timed, frozen=True, gc=False):
 class FramedResponse(Timed, frozen=True, gc=False):
     """One answer of several bytes, with the instruction it answers.
 
-    `fields` are its data and `address` is whose it is, if it has one. The others are as in a
-    Response.
+    `fields` are its data and `address` is whose it is, if it has one. With `uncertain` the bytes
+    may not be one answer, and `reason` has why. The others are as in a Response.
     """
 
     hex: str
@@ -120,6 +122,7 @@ class FramedResponse(Timed, frozen=True, gc=False):
     reason: str
     fields: dict[str, Any]
     address: int | None = None
+    uncertain: bool = False
 
     @property
     def latency_ns(self) -> int | None:

@@ -125,7 +125,8 @@ class HostRecord(Timed, frozen=True, gc=False):
         )
         if judgement is None or not judgement.framed:
             return value
-        return FramedInstruction(**msgspec.structs.asdict(value), address=judgement.address)
+        told, address = msgspec.structs.asdict(value), judgement.address
+        return FramedInstruction(**told, address=address, uncertain=self.uncertain)
 
 
 class DeviceRecord(Timed, frozen=True, gc=False):
@@ -187,7 +188,8 @@ class DeviceRecord(Timed, frozen=True, gc=False):
         if self.reply is None:
             return Response(self.t, self.hex, self.byte, *told)
         fields = plain_values(self.reply.told)
-        return FramedResponse(self.t, self.hex, *told, fields, self.reply.address)
+        address, uncertain = self.reply.address, self.uncertain
+        return FramedResponse(self.t, self.hex, *told, fields, address, uncertain)
 
     @property
     def name(self) -> str | None:

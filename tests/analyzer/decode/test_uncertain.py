@@ -12,6 +12,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from bilprov.analyzer import api
@@ -55,6 +56,8 @@ def test_a_frame_that_only_silence_ends_is_uncertain_wherever_it_is_shown() -> N
     odd, whole = hosts(decoded(Session(MODBUS, heard=frozenset({"host"})), events))
 
     assert (odd.uncertain, whole.uncertain) == (True, False)
+    assert (msgspec.json.decode(msgspec.json.encode(odd.value))["uncertain"]) is True
+    assert msgspec.to_builtins(whole.value)["uncertain"] is False
     assert odd.value.reason == odd.reason == f"crc is 02 03, right is 85 07; {SILENT_END}"
     assert LineRenderer(colour=False).line(odd).endswith(SILENT_END)
     texts = [(one.label, one.text) for one in details(MODBUS, odd, state=False)]
@@ -91,6 +94,7 @@ def test_an_answer_that_only_silence_ends_is_uncertain() -> None:
     events = [Chunk(0, "host", READ), Chunk(MS, "device", bytes.fromhex("11030602"))]
     (one,) = devices(decoded(Session(MODBUS), events))
     assert one.uncertain
+    assert msgspec.to_builtins(one.value)["uncertain"] is True
     assert one.reason.endswith(SILENT_END)
     line = json.loads(JsonText().text([one]))
     assert line["uncertain"] is True
