@@ -99,14 +99,14 @@ def test_the_simulator_of_each_drawn_grammar_conforms(seeds: range) -> None:
     assert conforming > CHUNK // 2
 
 
-def other_source(protocol: Protocol) -> str:
+def other_source(protocol: Protocol, fault: str) -> str:
     """A text by which the protocol is another one to what remembers protocols."""
-    return f"{protocol.source}# faulty\n"
+    return f"{protocol.source}# {fault}\n"
 
 
 def never_stops(protocol: Protocol) -> Protocol:
     """The protocol of a robot that a faulty instruction does not stop."""
-    return replace(protocol, on_fault=Effect(), source=other_source(protocol))
+    return replace(protocol, on_fault=Effect(), source=other_source(protocol, "never stops"))
 
 
 def doubles(protocol: Protocol, variable: str) -> Protocol | None:
@@ -119,7 +119,8 @@ def doubles(protocol: Protocol, variable: str) -> Protocol | None:
         )
         for spec in protocol.instructions
     )
-    return replace(protocol, instructions=instructions, source=other_source(protocol))
+    source = other_source(protocol, f"doubles {variable}")
+    return replace(protocol, instructions=instructions, source=source)
 
 
 def _doubled(variable: str, name: str, value: object) -> tuple[str, object]:
