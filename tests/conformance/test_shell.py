@@ -283,7 +283,7 @@ with Robot(sys.argv[1]) as robot:
             ("Speed 80", "Forward", "pause=60000", "Stop", "--yes"),
             "ended with 1",
         ),
-        (("-m", "bilprov", "conform"), ("--yes",), "ended with 3"),
+        (("-m", "bilprov", "conform"), ("--level", "smoke", "--yes"), "ended with 3"),
         (("-c", ROBOT), (), "ended with 1"),
     ],
 )

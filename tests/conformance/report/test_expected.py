@@ -313,7 +313,9 @@ def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path: Path, kind: str) -
 
     assert str(raised.value).isprintable()
     if kind != "nul":
-        result = command("conform", "sim", "--expect-failures", str(tmp_path / "f"))
+        result = command(
+            "conform", "sim", "--level", "smoke", "--expect-failures", str(tmp_path / "f")
+        )
         assert (result.returncode, result.stdout) == (2, b"")
         assert len(result.stderr.decode().splitlines()) == 1
         assert sentence(result).startswith("bilprov: ")
@@ -322,4 +324,4 @@ def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path: Path, kind: str) -
 def suite_ids_here() -> tuple[str, ...]:
     from bilprov.conformance.api import Options
 
-    return suite_ids(load_protocol(), Options())
+    return suite_ids(load_protocol(), Options(level="smoke"))

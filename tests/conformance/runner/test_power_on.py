@@ -110,14 +110,15 @@ def test_a_device_object_that_never_stops_sending_ends_the_run(protocol: Protoco
         def advance(self, now: int) -> bytes:
             return super().advance(now) + bytes(1000)
 
-    report = conform(Endless(protocol), grammar=protocol)
+    options = Options(level="smoke")
+    report = conform(Endless(protocol), grammar=protocol, options=options)
 
     assert report.exit == 1
     assert 0 < report.counts["fail"] < 20
     # Nothing of the suite is judged: what was not run is inconclusive, by name.
-    whole = {case.id for case in select_cases(protocol, Options())}
+    whole = {case.id for case in select_cases(protocol, options)}
     left = {r.id for r in report.results if r.verdict is Verdict.INCONCLUSIVE}
-    assert len(whole) > 1500
+    assert len(whole) > 30
     most = max(len(r.received) - 2 * len(r.sent) for r in report.results)
     assert 0 < most <= 2 * SPARE_ANSWERS  # what it floods does not fill the memory
     assert whole - left == {r.id for r in report.results if r.verdict is Verdict.FAIL} & whole
