@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from bilprov.analyzer.decode.near_misses import NearMiss, fitting_check, near_miss
+from bilprov.analyzer.decode.near_misses import Checked, NearMiss, fitting_check, near_miss
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.captures.schemas import Direction
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import covered
 
 _SHOWN = 24  # bytes of what does not decode
 _LOOKED_AT = 512  # bytes from there on that tell what it nearly is
@@ -68,7 +69,7 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
     share = DecodedShare()
     begun: HostRecord | DeviceRecord | None = None
     data, offset = b"", 0
-    wrong: dict[Direction, list[bytes]] = {"host": [], "device": []}
+    wrong: dict[Direction, list[Checked]] = {"host": [], "device": []}
     for record in records:
         if not isinstance(record, HostRecord | DeviceRecord):
             continue
@@ -81,7 +82,7 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
             if begun is None:
                 begun, offset = record, side.bytes
             if _has_wrong_check(protocol, record) and len(wrong[direction]) < _FRAMES:
-                wrong[direction].append(record.data)
+                wrong[direction].append(_checked(protocol, record))
         if begun is not None and direction == _direction(begun) and len(data) < _LOOKED_AT:
             data += record.data
         side.bytes += len(record.data)
@@ -89,9 +90,24 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
         direction = _direction(begun)
         near = _near(protocol, begun, data)
         share.first = Undecoded(direction, offset, begun.t, data[:_SHOWN], near)
-        layout = protocol.layout if direction == "host" else protocol.reply
-        share.check = fitting_check(layout, wrong[direction])
+        share.check = _fitting(protocol, wrong, direction)
     return share
+
+
+def _checked(protocol: Protocol, record: HostRecord | DeviceRecord) -> Checked:
+    """A frame, with what the check of its request covers."""
+    asked = record.answered if isinstance(record, DeviceRecord) else None
+    return Checked(record.data, covered(protocol, asked.frame) if asked else b"")
+
+
+def _fitting(
+    protocol: Protocol, wrong: dict[Direction, list[Checked]], direction: Direction
+) -> str:
+    """A usual check that fits where the declared one is wrong, of this direction or the other."""
+    host = fitting_check(protocol.layout, wrong["host"])
+    asked = protocol.layout.covered[0] if protocol.layout.covered else ""
+    device = fitting_check(protocol.reply, wrong["device"], asked)
+    return host or device if direction == "host" else device or host
 
 
 def _direction(record: HostRecord | DeviceRecord) -> Direction:

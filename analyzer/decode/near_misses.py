@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import product
 from typing import Literal, NamedTuple
 
 from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
@@ -112,42 +114,59 @@ def _bytes(count: int) -> str:
     return "1 byte" if count == 1 else f"{count} bytes"
 
 
-def fitting_check(layout: Layout, frames: Iterable[bytes]) -> str:
-    """A usual check that is right in each of these frames, in words; "" if there is none.
+class Checked(NamedTuple):
+    """A frame whose declared check is wrong, and what the check of its request covers."""
 
-    The frames are those whose declared check is wrong. One frame alone says little of a check of
-    one byte: two are needed then.
+    frame: bytes
+    asked: bytes = b""
+
+
+def fitting_check(layout: Layout, frames: Iterable[Checked], asked: str = "") -> str:
+    """A usual check that is right in each of these frames, as it is declared; "" if there is none.
+
+    `asked` names the covered part of the request, if a check of the answer may count it too. One
+    frame alone says little of a check of one byte: two are needed then.
     """
     given = list(frames)
     check = layout.check
     if check is None or len(given) < (2 if check.part.size == 1 else 1):
         return ""
-    for first in (check.first, *range(min(layout.head, min(map(len, given))))):
-        for function in _USUAL:
-            for order in _ORDERS:
-                if _fits(check, function, first, order, given):
-                    return _in_words(check, function, first, order)
+    places = {part.offset: part.name for part in layout.parts if part.offset >= 0}
+    places |= {layout.head: "data"} if layout.has_data else {}
+    tried = product(
+        sorted({check.asked, bool(asked)}, key=check.asked.__ne__),
+        sorted(places, key=check.first.__ne__),
+        _USUAL,
+        _ORDERS,
+    )
+    for counts_asked, first, function, order in tried:
+        if counts_asked <= bool(asked) and _fits(
+            replace(check, asked=counts_asked, first=first), function, order, given
+        ):
+            begins = "" if first == check.first else places[first]
+            return _in_words(layout, check, function, order, asked * counts_asked, begins)
     return ""
 
 
-def _fits(
-    check: Check, function: CheckFunction, first: int, order: Order, frames: list[bytes]
-) -> bool:
-    """Whether a check from the byte `first` on is right in every frame."""
-    for frame in frames:
-        covered = frame[first : len(frame) - check.last]
-        if function(covered) != int.from_bytes(check.part.raw(frame), order):
-            return False
-    return True
+def _fits(check: Check, function: CheckFunction, order: Order, frames: list[Checked]) -> bool:
+    """Whether another function, in the place of the check, is right in every frame."""
+    return all(
+        function((asked if check.asked else b"") + check.covered(frame))
+        == int.from_bytes(check.part.raw(frame), order)
+        for frame, asked in frames
+    )
 
 
-def _in_words(check: Check, function: CheckFunction, first: int, order: Order) -> str:
-    said = [declared(function)]
-    if first != check.first:
-        said.append(f"of the bytes from {first} on")
-    if check.part.size > 1 and order != check.part.number.order:
-        said.append(f"in the {order}-endian order")
-    return " ".join(said)
+def _in_words(
+    layout: Layout, check: Check, function: CheckFunction, order: Order, asked: str, begins: str
+) -> str:
+    """The check as a grammar declares it; `begins` is the part that its bytes begin with."""
+    size, covered = check.part.size, layout.covered[0]
+    kind = "Byte" if size == 1 else f"Int{8 * size}u{order[0]}"
+    counted = f"asked.{asked}.data + " if asked else ""
+    said = f'"{check.part.name}" / Checksum({kind}, {declared(function)}, '
+    said += f"{counted}this.{covered}.data)"
+    return said + (f', with "{covered}" beginning at "{begins}"' if begins else "")
 
 
 def declared(function: CheckFunction) -> str:

@@ -70,7 +70,7 @@ def test_a_check_that_fits_is_told() -> None:
     result = checked("modbus-rtu", "11 03 00 6b 00 03 87 76 11 06 00 01 00 03 9b 9a")
 
     assert result.returncode == 1
-    assert b"Crc(16, 0x8005, 0xFFFF, reflected=True) in the big-endian order" in result.stdout
+    assert b'"crc" / Checksum(Int16ub, Crc(16, 0x8005, 0xFFFF, reflected=True)' in result.stdout
 
 
 def test_a_grammar_that_captures_cannot_carry_is_told(tmp_path: Path) -> None:

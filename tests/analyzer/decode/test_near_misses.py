@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.analyzer.decode.near_misses import declared, fitting_check, near_miss
+from bilprov.analyzer.decode.near_misses import Checked, declared, fitting_check, near_miss
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.checks import Crc, Sum
 from tests.vectors_modbus_rtu import REQUESTS
@@ -55,30 +55,44 @@ def test_a_valid_frame_is_no_near_miss() -> None:
     [
         (
             lambda body: Crc(16, 0x8005, 0xFFFF, reflected=True)(body).to_bytes(2, "big"),
-            "Crc(16, 0x8005, 0xFFFF, reflected=True) in the big-endian order",
+            '"crc" / Checksum(Int16ub, Crc(16, 0x8005, 0xFFFF, reflected=True), this.covered.data)',
         ),
         (
             lambda body: Crc(16, 0x1021)(body[1:]).to_bytes(2, "little"),
-            "Crc(16, 0x1021, 0x0000) of the bytes from 1 on",
+            '"crc" / Checksum(Int16ul, Crc(16, 0x1021, 0x0000), this.covered.data), '
+            'with "covered" beginning at "id"',
         ),
         (lambda body: b"\1\2", ""),
     ],
 )
 def test_a_usual_check_that_fits_is_found(used, said: str) -> None:  # type: ignore[no-untyped-def]
     bodies = [one.frame[:-2] for one in REQUESTS if one.outcome == "valid"]
-    frames = [body + used(body) for body in bodies]
+    frames = [Checked(body + used(body)) for body in bodies]
 
     assert fitting_check(load_protocol("modbus-rtu").layout, frames) == said
 
 
 def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
     layout = load_protocol("dynamixel1").layout
-    frames = [bytes.fromhex("FFFF 01 02 01 04"), bytes.fromhex("FFFF 02 02 01 05")]
+    frames = [Checked(bytes.fromhex(f"FFFF 0{to} 02 01 0{to + 3}")) for to in (1, 2)]
+    negative = [Checked(frame[:-1] + bytes([-sum(frame[2:-1]) & 0xFF])) for frame, _ in frames]
 
     assert fitting_check(layout, frames[:1]) == ""
-    assert fitting_check(layout, frames) == "Sum(8)"
-    negative = [frame[:-1] + bytes([-sum(frame[2:-1]) & 0xFF]) for frame in frames]
-    assert fitting_check(layout, negative) == "Sum(8, complement=2)"
+    assert fitting_check(layout, frames) == '"sum" / Checksum(Byte, Sum(8), this.covered.data)'
+    assert "Checksum(Byte, Sum(8, complement=2), this" in fitting_check(layout, negative)
+
+
+def test_a_check_that_counts_the_request_too_is_found() -> None:
+    layout = load_protocol("modbus-rtu").reply
+    frames = [Checked(bytes([1, 3, 2, 0, n]), bytes([1, 3, 0, n])) for n in range(3)]
+    crc = Crc(16, 0x1021)
+    ends = [crc(asked + frame).to_bytes(2, "big") for frame, asked in frames]
+    whole = [one._replace(frame=one.frame + end) for one, end in zip(frames, ends, strict=True)]
+
+    assert fitting_check(layout, whole, "request") == (
+        '"crc" / Checksum(Int16ub, Crc(16, 0x1021, 0x0000), asked.request.data + this.covered.data)'
+    )
+    assert fitting_check(layout, whole) == ""
 
 
 def test_a_check_is_told_as_it_is_declared() -> None:
