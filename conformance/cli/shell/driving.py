@@ -56,12 +56,14 @@ class Driving(Closing):
         self.check = AnswerCheck()
         self.look: Look | None = None
         self.over = False
+        stopping = self._stopping_words(protocol)
+        stops = "stops it and " if stopping else ""
         self.words: dict[str, tuple[Callable[[], object], str]] = {
             "help": (self._help, "shows this"),
             "state": (self._tell_state, "shows what the instructions so far predict"),
             "look": (self._tell_look, "shows what the probe sees"),
-            **self._stopping_words(protocol),
-            "quit": (self._quit, "stops it and leaves, as Ctrl-D does"),
+            **stopping,
+            "quit": (self._quit, f"{stops}leaves, as Ctrl-D does"),
         }
         self._stopper = stopper
         self._style = style
@@ -211,7 +213,8 @@ class Driving(Closing):
         self.look = asked(probe, self.attend, self._stopper, self.target.now)
 
     def _help(self) -> None:
-        specs, device = self._protocol.instructions, self._protocol.device
+        specs = self._protocol.instructions
+        stops = f"stops the {self._protocol.device}" if "home" in self.words else "ends that"
         show(
             heading("Instructions, in any case"),
             facts((f"{spec.name} {fields_in_words(spec)}".strip(), spec.prose) for spec in specs),
@@ -223,7 +226,7 @@ class Driving(Closing):
                         for part in free_parts(self._protocol)
                     ),
                     ("81 05", "bytes in hex, right or wrong"),
-                    (f"{PAUSE}500", f"waits, in milliseconds; Ctrl-C stops the {device}"),
+                    (f"{PAUSE}500", f"waits, in milliseconds; Ctrl-C {stops}"),
                     (SEPARATOR, "stands between several on a line"),
                     (COMMENT, "begins a comment"),
                     *((word, what) for word, (_, what) in self.words.items()),
