@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.causes.exchanges import Exchange
@@ -46,6 +47,7 @@ def features(protocol: Protocol) -> tuple[Feature, ...]:
 def _of_frames(protocol: Protocol) -> Iterator[Feature]:
     yield Feature("frame", lambda e: e.kind, "{}", 0, subject=True)
     yield Feature("fault", _fault, "{}", 0, subject=True)
+    yield Feature("stops", partial(_stops, protocol), "{}", 1, subject=True)
     yield Feature("outcome", lambda e: _whole(e, e.judgement.outcome.value), "{}", 0, subject=True)
     yield Feature("instruction", _instruction, "{}", 1, subject=True)
     yield Feature("cut", lambda e: "cut short" if e.step.truncated else "complete", "{}", 1)
@@ -63,6 +65,12 @@ def _fault(exchange: Exchange) -> str:
 def _instruction(exchange: Exchange) -> str:
     judgement = exchange.judgement
     return f"an instruction {judgement.name}" if judgement.instruction else "an unused ID"
+
+
+def _stops(protocol: Protocol, exchange: Exchange) -> str:
+    effect = exchange.step.frame_effect.effect
+    stops = effect is None or protocol.stops(effect)
+    return "a frame that stops it" if stops else "a frame that does not stop it"
 
 
 def _whole(exchange: Exchange, outcome: str) -> str | None:
