@@ -1,6 +1,7 @@
 """The public functions of `from bilprov import ...` for bytes, captures and taps.
 
-`protocol` is always the last argument; it is the kit's own unless given (see `load_protocol`).
+`protocol` is always the last argument: a grammar's name, its file, or a loaded one. It is the kit's
+own unless given.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.grammar_file import Grammar, given_protocol, load_protocol
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded
 from bilprov.analyzer.replay.capture_session import capture_decoder, capture_protocol, said_of_other
 from bilprov.analyzer.taps.sources import open_taps
@@ -30,34 +31,33 @@ from bilprov.spec import codec
 from bilprov.spec import explain as explaining
 from bilprov.spec.codec import Judgement
 from bilprov.spec.explain import Explanation
-from bilprov.spec.protocol import Protocol
 
 PIECE = 1 << 16  # bytes that are decoded at once
 
 
-def judge(frame: bytes, protocol: Protocol | None = None) -> Judgement:
+def judge(frame: bytes, protocol: Grammar | None = None) -> Judgement:
     """Judge one frame as a conforming device does.
 
     Raises ValueError for no bytes, and for more bytes than the header announces.
     """
-    return codec.judge(protocol or load_protocol(), frame)
+    return codec.judge(given_protocol(protocol), frame)
 
 
 def encode(
-    instruction: str, fields: Mapping[str, int] | None = None, protocol: Protocol | None = None
+    instruction: str, fields: Mapping[str, int] | None = None, protocol: Grammar | None = None
 ) -> bytes:
     """Encode an instruction as bytes, like `encode("LED", {"rgb": 5})`.
 
     Raises ValueError, in one sentence, for an unknown instruction or field, a missing field or a
     value out of its range.
     """
-    return codec.build(protocol or load_protocol(), instruction, fields)
+    return codec.build(given_protocol(protocol), instruction, fields)
 
 
 def explain(
     data: bytes,
     direction: Direction = "host",
-    protocol: Protocol | None = None,
+    protocol: Grammar | None = None,
     asked: bytes = b"",
 ) -> Explanation:
     """Explain every bit of the bytes, and what a conforming device answers and does.
@@ -65,21 +65,21 @@ def explain(
     `asked` are the requests that a device's bytes answer, where they are known. Raises ValueError,
     in one sentence, for host bytes that are no frame, and for requests that are not answered.
     """
-    protocol = protocol or load_protocol()
+    protocol = given_protocol(protocol)
     if direction == "host":
         return explaining.explain(protocol, data)
     return explaining.explain_responses(protocol, data, explaining.requests_of(protocol, asked))
 
 
 def decode(
-    data: bytes, direction: Direction = "host", protocol: Protocol | None = None
+    data: bytes, direction: Direction = "host", protocol: Grammar | None = None
 ) -> list[HostRecord | DeviceRecord]:
     """Decode host bytes into frames, or device bytes into responses.
 
     The bytes count as sent without a pause: all times are 0, and an incomplete last frame is
     reported as cut short.
     """
-    decoder = StreamDecoder(protocol or load_protocol(), heard=frozenset({direction}))
+    decoder = StreamDecoder(given_protocol(protocol), heard=frozenset({direction}))
     events = [Chunk(0, direction, data[at : at + PIECE]) for at in range(0, len(data), PIECE)]
     batches = chain.from_iterable(decoder.feed([event]) for event in events)
     records: list[HostRecord | DeviceRecord] = []
@@ -89,7 +89,7 @@ def decode(
     return records
 
 
-def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator[Record]:
+def read_capture(path: str | Path, protocol: Grammar | None = None) -> Iterator[Record]:
     """Decode a capture from its raw bytes and yield the records in order.
 
     Records are frames, answers, line events and anomalies. Unless a protocol is given, it is
@@ -100,11 +100,10 @@ def read_capture(path: str | Path, protocol: Protocol | None = None) -> Iterator
     cannot be read as a capture, and GrammarError for a grammar in it that cannot be used.
     """
     capture = open_capture(path)
-    if protocol is None:
-        protocol = capture_protocol([capture], load_protocol())
-        if other := said_of_other(capture, protocol):
-            warnings.warn(other, stacklevel=2)
-    decoder = capture_decoder(capture, protocol)
+    carried = capture_protocol([capture], load_protocol()) if protocol is None else None
+    if carried and (other := said_of_other(capture, carried)):
+        warnings.warn(other, stacklevel=2)
+    decoder = capture_decoder(capture, carried or given_protocol(protocol))
     for batch in decoded(decoder, capture.batches(), largest=TEXT_BATCH):
         yield from batch.records()
 
@@ -117,7 +116,7 @@ def sniff(
     device: str | None = None,
     *,
     settings: LineSettings | None = None,
-    protocol: Protocol | None = None,
+    protocol: Grammar | None = None,
 ) -> Iterator[Record]:
     """Listen to two taps, `host` and `device` (or to the host alone), and yield decoded records.
 
@@ -126,7 +125,7 @@ def sniff(
     ns since the start. Raises LinkError for a port that cannot be opened, ValueError where both
     names mean one line.
     """
-    protocol = protocol or load_protocol()
+    protocol = given_protocol(protocol)
     settings = settings or line_settings(protocol)
     with open_taps(settings, host, device) as taps:
         least = Machine().least_pause(*taps.names.values())

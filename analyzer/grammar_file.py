@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from functools import cache
 from os import PathLike
 from pathlib import Path
+from typing import TypeAlias
 
 import bilprov.spec
 from bilprov.analyzer.files import read_bounded
@@ -34,7 +35,11 @@ def dissector_program() -> str:
     return Path(bilprov.spec.__path__[0], "emit", "dissector.lua").read_text(encoding="utf-8")
 
 
-def given_protocol(grammar: str | PathLike[str] | Protocol | None) -> Protocol:
+Grammar: TypeAlias = str | PathLike[str] | Protocol
+"""A grammar: its name, its file, or the protocol that was loaded from it."""
+
+
+def given_protocol(grammar: Grammar | None) -> Protocol:
     """The protocol itself, or that of a grammar as `load_protocol` loads it."""
     if isinstance(grammar, Protocol):
         return grammar

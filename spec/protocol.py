@@ -943,16 +943,22 @@ def _require_each_outcome(
         possible = tuple(_outcomes(layout, instructions))
         silent = space.get("SILENT", ())
         if not isinstance(silent, tuple) or not all(isinstance(one, Outcome) for one in silent):
-            raise GrammarError(f"SILENT is {shown(silent)}, it must be a tuple of Outcome")
+            raise GrammarError(
+                f"SILENT is {shown(silent)}, allowed is a tuple: (Outcome.UNKNOWN_ID,)"
+            )
         both = [one.value for one in silent if one in answered]
         if both:
             raise GrammarError(
                 f"{both[0]} stands in RESPONSE and in SILENT, allowed is one of them"
             )
-    missing = [one.value for one in possible if one not in answered and one not in silent]
+    missing = [one for one in possible if one not in answered and one not in silent]
     if missing:
-        where = ", and it is not in SILENT" if "REPLY" in space else ""
-        raise GrammarError(f"no response stands for {', '.join(missing)}{where}")
+        told = ", ".join(f"Outcome.{one.name}" for one in missing)
+        where = f"; give it an Answer in RESPONSE, or put {told} into SILENT"
+        raise GrammarError(
+            f"no response stands for {', '.join(one.value for one in missing)}"
+            f"{where if 'REPLY' in space else ''}"
+        )
     if "REPLY" not in space:
         _require_each_name_once("two responses stand for", (o.value for o in answered))
 

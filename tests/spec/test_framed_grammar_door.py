@@ -198,6 +198,17 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         "Sum.complement is 3, allowed are 0, 1, 2",
         "Sum(8",
     ),
+    (
+        {"SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)": "SILENT = (Outcome.UNKNOWN_ID,)"},
+        "no response stands for bad checksum; give it an Answer in RESPONSE, or put "
+        "Outcome.BAD_CHECKSUM into SILENT",
+        "",
+    ),
+    (
+        {"(Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)": "Outcome.UNKNOWN_ID"},
+        "allowed is a tuple: (Outcome.UNKNOWN_ID,)",
+        "SILENT",
+    ),
 ]
 
 
