@@ -291,7 +291,6 @@ class DiffOptions:
         metavar="MS",
         type=Finite(0),
         default=20.0,
-        show_default=True,
         help="By how many milliseconds the latencies of a frame may differ: an adapter alone may "
         "delay an answer by 16.",
     )

@@ -49,7 +49,10 @@ def argument(**attributes: Any) -> Any:
 
 
 def option(*spellings: str, **attributes: Any) -> Any:
-    """A field that is an option, with click's attributes; spelled as the field unless given."""
+    """A field that is an option, with click's attributes; spelled as the field unless given.
+
+    The help has its default, unless that is 0 or standard output.
+    """
     return _declared(lambda name: [_option(spellings, name, attributes)])
 
 
@@ -101,7 +104,8 @@ def command(
 
 def _option(spellings: Sequence[str], name: str, attributes: Mapping[str, Any]) -> click.Option:
     spellings = spellings or [f"--{name.replace('_', '-')}"]
-    return PageOption([*spellings, name], **_completed(attributes))
+    shown = attributes.get("default") not in (None, 0, "-")
+    return PageOption([*spellings, name], show_default=shown, **_completed(attributes))
 
 
 def _completed(attributes: Mapping[str, Any]) -> dict[str, Any]:

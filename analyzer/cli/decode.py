@@ -47,7 +47,6 @@ class DecodeOptions:
         "--format",
         type=click.Choice(["lines", "jsonl"]),
         default="lines",
-        show_default=True,
         help="Text lines or JSON lines.",
     )
     expression: str | None = filter_option()

@@ -45,7 +45,7 @@ class ImpairedOptions:
     double: float = _rate(help="Bytes that come twice.")
     delay: float = _time(help="How long bytes are held back.")
     jitter: float = _time(help="And up to this much longer.")
-    seed: int = option(default=1, show_default=True, help="Selects the bytes that are hit.")
+    seed: int = option(default=1, help="Selects the bytes that are hit.")
     line: LineOptions = group(LineOptions)
 
 

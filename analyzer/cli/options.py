@@ -61,7 +61,6 @@ sender_option = partial(
     "--from",
     type=click.Choice(["host", "device"]),
     default="host",
-    show_default=True,
     help="Who sent the bytes.",
 )
 request_option = partial(
@@ -74,7 +73,6 @@ text_format_option = partial(
     "--format",
     type=click.Choice(["text", "json"]),
     default="text",
-    show_default=True,
     help="For people or for programs.",
 )
 plain_option = partial(flag, "Text lines on a terminal too: the same as --format lines.")
@@ -90,7 +88,6 @@ max_drive_option = partial(
     metavar="S",
     type=Finite(0),
     default=30.0,
-    show_default=True,
     help="Stop the robot after driving so long without a new instruction; 0 for no limit.",
 )
 judge_option = partial(

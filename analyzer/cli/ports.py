@@ -33,9 +33,7 @@ class PortsOptions:
     """The options of `ports`."""
 
     names: tuple[str, ...] = argument(metavar="[PORT]...", nargs=-1, type=PortName())
-    seconds: float = option(
-        type=Finite(0), default=2.0, show_default=True, help="How long to listen at a port."
-    )
+    seconds: float = option(type=Finite(0), default=2.0, help="How long to listen at a port.")
     ask: bool = flag("Send the link check at each common baud rate.")
     yes: bool = flag("With --ask: the robot may move, do not ask.")
     line: LineOptions = group(LineOptions)

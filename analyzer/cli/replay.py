@@ -73,7 +73,6 @@ class ReplayOptions:
     rate: float = option(
         type=Finite(0),
         default=1.0,
-        show_default=True,
         help="How fast it is played: 1 as recorded, 2 twice as fast, 0 without pauses.",
     )
     span: WindowOptions = group(WindowOptions)

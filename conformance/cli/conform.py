@@ -79,7 +79,6 @@ class CaseOptions:
         metavar="LEVEL",
         type=click.Choice(list(LEVELS)),
         default=STANDARD.name,
-        show_default=True,
         help="; ".join(f"{level.name}: {level.promise}" for level in LEVELS.values()) + ".",
     )
     only: tuple[str, ...] = option(

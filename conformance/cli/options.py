@@ -75,7 +75,7 @@ expect_failures_option = partial(
     "that fails (answer, stop, state) and, optionally, the message; # begins a comment. One that "
     "no longer fails is itself a failure.",
 )
-seed_option = partial(option, type=int, default=1, show_default=True)
+seed_option = partial(option, type=int, default=1)
 fault_option = partial(option, metavar="NAME", shell_complete=completion.faults)
 variant_option = partial(option, metavar="NAME", shell_complete=completion.variants)
 verbose_option = partial(flag, "List every case that did not pass.", "-v", "--verbose")

@@ -49,7 +49,6 @@ class ScoreOptions:
         "--random",
         type=click.IntRange(0),
         default=300,
-        show_default=True,
         metavar="N",
         help="How many random faults, random:1 to random:N.",
     )

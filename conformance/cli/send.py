@@ -44,7 +44,7 @@ class SendOptions:
         "Exit code 0 if exactly these come, else 1.",
     )
     style: Literal["lines", "jsonl"] = option(
-        "--format", type=click.Choice(["lines", "jsonl"]), default="lines", show_default=True
+        "--format", type=click.Choice(["lines", "jsonl"]), default="lines"
     )
     probe: str | None = option(
         help=f"What sees the robot: {', '.join(kind.form for kind in PROBES)} (the default for a "
