@@ -45,7 +45,8 @@ def details(protocol: Protocol, record: Record, *, state: bool) -> Iterator[Deta
         yield Detail("fault", f"{fault.kind}: {fault.reason}", look=look)
     if isinstance(record, HostRecord | DeviceRecord) and record.uncertain:
         yield Detail("uncertain", record.faults[-1].reason)
-    after = [Detail("state", record.state.described)] if state else []
+    told = record.state.described if state else ""
+    after = [Detail("state", told)] if told else []
     numbers: list[Detail] = []
     if isinstance(record, HostRecord):
         if record.judgement:

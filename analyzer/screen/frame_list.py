@@ -318,7 +318,8 @@ class FrameList(ScrollView, can_focus=True):
 def words_of(record: Record) -> tuple[str, str]:
     """What a row is, in words, and why it is odd, "" if it is not."""
     if isinstance(record, DeviceRecord) and record.answered and record.agrees is False:
-        return f"{record.words}, expected {record.answered.response.name}", ""
+        if not record.reply or not record.reply.reason:  # a damaged one tells what is wrong
+            return f"{record.words}, expected {record.answered.response.name}", ""
     if isinstance(record, HostRecord | DeviceRecord):
         return printable(record.words), printable(record.reason)
     if isinstance(record, LineRecord):

@@ -12,6 +12,7 @@ from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.details import details
+from bilprov.analyzer.screen.frame_list import words_of
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import Protocol, load
@@ -87,3 +88,19 @@ def test_the_bytes_have_room_for_a_frame_where_there_is_some() -> None:
         assert any(f" {asked.hex(' ')} @128 ForwardM1" in line for line in text_of(screen))
 
     operated(screen, steps, (100, 30))
+
+
+def test_a_damaged_answer_tells_what_is_wrong_with_it() -> None:
+    protocol = load(FRAMED["roboclaw"])
+    asked = build(protocol, "MainBattery", {"address": 0x80})
+    events = [Chunk(0, "host", asked), Chunk(MS, "device", b"\0\x7b\0\0")]
+    (batch,) = told(StreamDecoder(protocol), events, [2])
+    _, why = words_of(batch.records()[1])
+    assert why.startswith("crc is 00 00, right is ")
+
+
+def test_a_grammar_without_a_state_has_no_line_of_it() -> None:
+    protocol = load(FRAMED["modbus_rtu"])
+    asked = build(protocol, "ReadCoils", {"address": 1, "start": 0, "quantity": 8})
+    (batch,) = told(StreamDecoder(protocol), [Chunk(0, "host", asked)], [1])
+    assert "state" not in {one.label for one in details(protocol, batch.records()[0], state=True)}
