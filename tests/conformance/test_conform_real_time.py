@@ -22,6 +22,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support.commands import process
 from tests.support.robots import (
     TIMED_PROBES,
+    Hidden,
     ProbeServer,
     judged_exit,
     sentence,
@@ -43,16 +44,8 @@ def judged(output: bytes) -> tuple[int, Verdicts]:
     return report["exit"], verdicts
 
 
-class Unswitched:
-    """A device object whose power nobody can switch, as behind a port."""
-
-    def __init__(self, device: Simulator) -> None:
-        self.receive, self.advance = device.receive, device.advance
-        self.deadline, self.look = device.deadline, device.look
-
-
 def judged_in_virtual_time(protocol: Protocol, fault: str, only: list[str]) -> tuple[int, Verdicts]:
-    device = Unswitched(Simulator(protocol, fault_bank(protocol)[fault] if fault else None))
+    device = Hidden(Simulator(protocol, fault_bank(protocol)[fault] if fault else None))
     report = conform(device, grammar=protocol, options=Options(only=tuple(only)))
     return report.exit, {r.id: r.verdict.label for r in report.results}
 

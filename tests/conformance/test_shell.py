@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -21,7 +20,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import Done, command
-from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here
+from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here, until
 from tests.support.terminals import (
     CONTINUE,
     CTRL_C,
@@ -80,13 +79,6 @@ def car(
 
 def shell(port: str, lines: str, *more: str) -> Done:
     return command("send", port, "--yes", *more, stdin=lines.encode())
-
-
-def until(what: Callable[[], bool]) -> None:
-    give_up = time.monotonic() + PATIENCE
-    while not what():
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
 
 
 # -- lines from a pipe ----------------------------------------------------------------------------

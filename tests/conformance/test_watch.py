@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
 
@@ -21,7 +20,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.reports import a_case, a_run
-from tests.support.robots import PATIENCE, sentence, served_here, simulate
+from tests.support.robots import PATIENCE, plugged, sentence, served_here, simulate
 from tests.support.wires import Running, running
 
 FAULTY = ("--fault", "ok-to-bad-data")  # it stops, so that it is judged soon
@@ -91,15 +90,6 @@ class Moved(Simulator):
         super().receive(data, now)
         if self.state.moving:
             self.moved.set()
-
-
-@contextmanager
-def plugged(link: Path, device: Simulator) -> Iterator[None]:
-    """The device under a path of its own."""
-    with served_here(device, pty=True) as (port, _):
-        link.unlink(missing_ok=True)
-        link.symlink_to(port)
-        yield
 
 
 @pytest.mark.waits

@@ -260,6 +260,14 @@ def _serving(*words: str, lines: int = 2, probe: str = "127.0.0.1:0") -> Iterato
                 process.send_signal(signal.SIGTERM)
 
 
+def until(condition: Callable[[], object]) -> None:
+    """Wait until a condition holds."""
+    give_up = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < give_up
+        time.sleep(0.005)
+
+
 def at_rest(device: Simulator) -> bool:
     return not device.state.moving
 
@@ -294,6 +302,15 @@ def served_here(device: Any, *, pty: bool = False) -> Iterator[tuple[str, str]]:
         finally:
             stopper.stop()
             thread.join(PATIENCE)
+
+
+@contextmanager
+def plugged(link: Path, device: Simulator) -> Iterator[None]:
+    """Serve the device under a path of its own."""
+    with served_here(device, pty=True) as (port, _):
+        link.unlink(missing_ok=True)
+        link.symlink_to(port)
+        yield
 
 
 class ProbeServer:

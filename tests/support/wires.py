@@ -12,6 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
@@ -80,6 +82,15 @@ def running(*arguments: str) -> Iterator[Running]:
         command.process.wait()
         command.stdout.close()
         command.stderr.close()
+
+
+def read_from(port: Port, count: int) -> bytes:
+    """Read `count` bytes; the test's own time limit ends a wait that is in vain."""
+    data = b""
+    while len(data) < count:
+        wait_readable([port], None)
+        data += port.read()
+    return data
 
 
 class PtyRobot:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
-from tests.support.wires import PATIENCE, Running, json_lines, running
+from tests.support.wires import Running, json_lines, running
 
 
 @dataclass(frozen=True)
@@ -80,11 +80,3 @@ def kept(path: Path, direction: str = "host") -> bytes:
         for event in open_capture(path)
         if isinstance(event, Chunk) and event.direction == direction
     )
-
-
-def until(condition: Callable[[], object]) -> None:
-    """Wait until a condition holds."""
-    give_up = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < give_up
-        time.sleep(0.01)

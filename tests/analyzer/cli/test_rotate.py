@@ -24,9 +24,10 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
-from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, until, write
+from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, write
 from tests.support import commands
 from tests.support.attaching import Talk, attached
+from tests.support.robots import until
 from tests.support.wires import PtyRobot, json_lines, served
 
 START = 1_790_000_000_000_000_000

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -24,7 +22,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
-from tests.support.robots import PATIENCE, ProbeServer, served_here, simulate
+from tests.support.robots import PATIENCE, ProbeServer, plugged, served_here, simulate, until
 from tests.support.wires import json_lines, running
 
 pytestmark = pytest.mark.waits
@@ -182,22 +180,6 @@ def test_a_pause_at_rest_is_no_drive() -> None:
 
 
 # -- a port that comes late, or again -------------------------------------------------------------
-
-
-def until(what: Callable[[], bool]) -> None:
-    give_up = time.monotonic() + PATIENCE
-    while not what():
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
-
-
-@contextmanager
-def plugged(link: Path, device: Simulator) -> Iterator[None]:
-    """The device under a path of its own."""
-    with served_here(device, pty=True) as (port, _):
-        link.unlink(missing_ok=True)
-        link.symlink_to(port)
-        yield
 
 
 def test_a_port_that_is_not_there_yet_is_waited_for(tmp_path: Path, protocol: Protocol) -> None:

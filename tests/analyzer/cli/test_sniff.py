@@ -18,8 +18,9 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Line
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
-from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, until, write
+from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, write
 from tests.support import ROOT, commands
+from tests.support.robots import until
 from tests.support.wires import PATIENCE, PtyRobot, json_lines, running, served
 
 pytestmark = pytest.mark.waits

@@ -8,7 +8,6 @@ import json
 import signal
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -32,9 +31,10 @@ from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.decoding import Event, conversation, decoded
 from tests.support.grammars import undeclared
+from tests.support.robots import until
 from tests.support.terminals import on_terminal
 from tests.support.traffic import ACTS, SETTINGS, Act, played
-from tests.support.wires import PATIENCE, running
+from tests.support.wires import running
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 
@@ -288,10 +288,7 @@ def test_memory_does_not_grow_with_the_capture(tmp_path: Path, style: str) -> No
 def test_an_interrupted_export_leaves_no_file(tmp_path: Path, number: signal.Signals) -> None:
     path, out = much(tmp_path / "a.mcap", 1500), tmp_path / "a.csv"
     with running("export", str(path), "--format", "csv", "-o", str(out)) as export:
-        until = time.monotonic() + PATIENCE
-        while not any(part.stat().st_size > 100_000 for part in tmp_path.glob(".a.csv.*")):
-            assert time.monotonic() < until
-            time.sleep(0.01)
+        until(lambda: any(p.stat().st_size > 100_000 for p in tmp_path.glob(".a.csv.*")))
         code, _, said = export.end(number)
 
     assert (code, said.decode()) == (130, "stopped before the end\n")

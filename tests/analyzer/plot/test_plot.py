@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable
-from html.parser import HTMLParser
 from itertools import accumulate
 from pathlib import Path
 from random import Random
@@ -27,6 +26,7 @@ from tests.support import ROOT
 from tests.support.chromium import INSTALL, Page, chromium
 from tests.support.commands import command
 from tests.support.decoding import MS, Event, decoded, devices, hosts
+from tests.support.reports import Seen
 
 pytestmark = pytest.mark.waits
 
@@ -34,18 +34,6 @@ EXAMPLES = str(ROOT / "captures" / "samples" / "examples.mcap")
 SECOND = 1_000_000_000  # ns
 needs_chromium = pytest.mark.skipif(chromium() is None, reason=INSTALL)
 Open = Callable[..., Page]
-
-
-class Seen(HTMLParser):
-    """The elements of a page and their attributes, as a parser finds them."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
 
 
 def written(path: Path, events: list[Event]) -> str:

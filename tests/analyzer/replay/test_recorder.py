@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from bilprov.captures.reader import Message, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol
+from tests.support.robots import until
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
 
@@ -217,10 +217,7 @@ def test_a_file_that_breaks_is_told_and_nothing_more_is_made_for_it(
 ) -> None:
     recorder.path.unlink()
     recorder.events([Chunk(0, "host", b"x")])
-    give_up = time.monotonic() + 20
-    while not recorder.failure:
-        assert time.monotonic() < give_up
-        time.sleep(0.005)
+    until(lambda: recorder.failure)
 
     def asked() -> str:
         raise AssertionError("there is no file for it")

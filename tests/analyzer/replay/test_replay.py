@@ -23,6 +23,7 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT, commands
 from tests.support.decoding import MS, Event, conversation
+from tests.support.robots import until
 from tests.support.wires import PATIENCE, PtyRobot, json_lines, running, served
 
 pytestmark = pytest.mark.waits
@@ -188,9 +189,7 @@ def test_ctrl_c_leaves_the_device_stopped(capture: Write, protocol: Protocol) ->
         served(robot) as port,
         running("replay", str(path), "--to", port, "--yes", "--format", "jsonl") as command,
     ):
-        give_up = time.monotonic() + 20
-        while b"\x20" not in robot.frames and time.monotonic() < give_up:
-            time.sleep(0.01)
+        until(lambda: b"\x20" in robot.frames)
         code, _, _ = command.end()
 
     assert code == 0
@@ -216,9 +215,7 @@ def test_ctrl_c_ends_what_is_sent_as_fast_as_it_is_answered(
         served(robot) as port,
         running("replay", str(path), "--rate", "0", "--to", port, "--yes") as command,
     ):
-        give_up = time.monotonic() + 20
-        while robot.frames.count(b"\x20") < 2 and time.monotonic() < give_up:
-            time.sleep(0.01)
+        until(lambda: robot.frames.count(b"\x20") >= 2)
         code, _, _ = command.end()
 
     assert code in (0, 1)  # 1: nobody answers the stops

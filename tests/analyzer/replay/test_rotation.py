@@ -37,6 +37,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached
 from tests.support.commands import PATIENCE
 from tests.support.decoding import Event
+from tests.support.robots import until
 from tests.support.traffic import ACTS, SETTINGS, played, records_of
 
 START = 1_790_000_000_000_000_000
@@ -246,13 +247,6 @@ def test_only_a_recording_in_parts_is_said_to_be_one(protocol: Protocol, tmp_pat
     assert not replace(alone, path=Path(alone.path.name)).in_parts
 
 
-def until(recorder: Recorder, number: int) -> None:
-    give_up = time.monotonic() + PATIENCE
-    while recorder.path.name != f"a.{number:05d}.mcap":
-        assert time.monotonic() < give_up
-        time.sleep(0.002)
-
-
 @pytest.mark.waits
 def test_an_idle_line_ends_the_part_with_its_traffic_and_makes_no_empty_ones(
     protocol: Protocol, tmp_path: Path
@@ -266,11 +260,11 @@ def test_an_idle_line_ends_the_part_with_its_traffic_and_makes_no_empty_ones(
         pipeline.events([Line(0, "open"), Chunk(MS, "host", b"\x20")])
         for second in range(1, 60):
             pipeline.advance(second * SECOND)
-        until(recorder, 2)
+        until(lambda: recorder.path.name == "a.00002.mcap")
         pipeline.events([Chunk(60 * SECOND, "host", b"\x20")])
         pipeline.advance(60 * SECOND + 999 * MS)
         pipeline.advance(61 * SECOND)
-        until(recorder, 3)
+        until(lambda: recorder.path.name == "a.00003.mcap")
         pipeline.finish()
     assert [len(raw(part)) for part in part_paths(path).values()] == [1, 1, 0]
     starts = [

@@ -16,6 +16,7 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS
+from tests.support.robots import until
 
 START = 1_700_000_000_000_000_000
 
@@ -127,9 +128,7 @@ def test_a_part_that_cannot_be_written_is_told(
         if when == "when it ends":
             spool.events([Chunk(0, "host", Random(1).randbytes(5_000))])
             part = next(own_folder.rglob("*.mcap"))
-            while part.stat().st_size < 5_000:
-                assert time.monotonic() < give_up
-                time.sleep(0.005)
+            until(lambda: part.stat().st_size >= 5_000)
             with part.open("ab") as file:
                 file.write(b"from another program")
             spool.checkpoint(MS, lambda: None)

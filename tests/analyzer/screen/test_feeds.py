@@ -35,6 +35,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.car import car_state
 from tests.support.decoding import MS
+from tests.support.robots import until
 from tests.support.traffic import told
 
 SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
@@ -155,10 +156,7 @@ def test_a_capture_that_is_still_written_is_followed_to_its_end(
         feed.start()
         for count in (10, 50, 3000):
             written(feed.recording.rows // 2, count)
-            give_up = time.monotonic() + 20
-            while feed.recording.rows < 2 * count:
-                assert time.monotonic() < give_up
-                time.sleep(0.01)
+            until(lambda count=count: feed.recording.rows >= 2 * count)
     feed.join()  # the file is finished: nothing more can come
     capture = open_capture(path)
     whole = capture_feed(Opened(capture, capture_decoder(capture, protocol)), protocol)

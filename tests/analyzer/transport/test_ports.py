@@ -24,6 +24,7 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import list_ports, open_port, wait_readable
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from tests.support import ROOT
+from tests.support.wires import read_from
 from tests.vectors import LINE
 
 pytestmark = pytest.mark.waits
@@ -64,15 +65,6 @@ def listener() -> Iterator[socket.socket]:
 
 def url(listener: socket.socket, scheme: str = "socket") -> str:
     return f"{scheme}://127.0.0.1:{listener.getsockname()[1]}"
-
-
-def read_from(port: Port, count: int) -> bytes:
-    """Read `count` bytes; the test's own time limit ends a wait for bytes that never come."""
-    data = b""
-    while len(data) < count:
-        wait_readable([port], None)
-        data += port.read()
-    return data
 
 
 def master_gives(pty: PtyPair, count: int) -> bytes:

@@ -13,13 +13,12 @@ from contextlib import ExitStack, suppress
 import pytest
 
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.server import PROBE_LIMIT, REQUEST_LIMIT, UNREAD_LIMIT, serve
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import Listener, parse_address
 from tests.support.robots import PATIENCE
-from tests.support.wires import running
+from tests.support.wires import read_from, running
 
 pytestmark = pytest.mark.waits
 
@@ -117,14 +116,6 @@ def served() -> Iterator[Start]:
             return room
 
         yield start
-
-
-def read_from(port: Port, count: int) -> bytes:
-    data = b""
-    while len(data) < count:
-        wait_readable([port], None)
-        data += port.read()
-    return data
 
 
 def until_closed(peer: socket.socket) -> bytes:

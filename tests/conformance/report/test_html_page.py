@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,24 +19,12 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
 from tests.support.chromium import INSTALL, Page, chromium
-from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
+from tests.support.reports import EVIL, Seen, a_case, a_run, every_verdict, hostile
 
 pytestmark = pytest.mark.waits
 
 needs_chromium = pytest.mark.skipif(chromium() is None, reason=INSTALL)
 Open = Callable[..., Page]
-
-
-class Seen(HTMLParser):
-    """The elements of a page and their attributes, as a parser finds them."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
 
 
 @pytest.fixture
