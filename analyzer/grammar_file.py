@@ -58,15 +58,10 @@ def load_protocol(grammar: str | None = None) -> Protocol:
         source = read_bounded(file, _MOST, pipes=True).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         what = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        named = f"name a FILE.py or one of {', '.join(SHIPPED)}"
         if not file.suffix and isinstance(error, FileNotFoundError):
-            raise GrammarError(
-                f"there is no grammar {printable(name)}: name a FILE.py or one of "
-                f"{', '.join(SHIPPED)}"
-            ) from error
-        raise GrammarError(
-            f"the grammar {file} cannot be read: {what}; start from what "
-            "`bilprov spec emit grammar` writes"
-        ) from error
+            raise GrammarError(f"there is no grammar {printable(name)}: {named}") from error
+        raise GrammarError(f"the grammar {file} cannot be read: {what}; {named}") from error
     protocol = load(source, file.name)
     whole = with_imported(source)
     return protocol if whole == source else load(whole, file.name)

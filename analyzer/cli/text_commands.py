@@ -80,12 +80,19 @@ def encode(options: EncodeOptions) -> None:
 
     INSTRUCTION is a name in the grammar, FIELD one of its fields.
     """
+    from difflib import get_close_matches
+
     from bilprov.analyzer.cli.typed_input import encoded
     from bilprov.spec.codec import spaced
 
     for word in (options.name, *options.values):
         if word.startswith("-") and not word[1:2].isdigit():
-            raise click.NoSuchOption(word, possibilities=["--raw", "--help", "--grammar"])
+            known = ["--raw", "--help", "--grammar"]
+            if word in known:
+                raise click.UsageError(
+                    f"{word} stands behind --, where all words are values; put it before --"
+                )
+            raise click.NoSuchOption(word, possibilities=get_close_matches(word, known) or known)
     frame = _or_sentence(encoded, protocol_in_use(), options.name, options.values)
     if options.raw:
         sys.stdout.buffer.write(frame)

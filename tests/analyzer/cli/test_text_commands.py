@@ -14,6 +14,7 @@ from bilprov.analyzer.transport.machine import Process
 from bilprov.analyzer.transport.ports import PortInfo
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
+from tests.support import ROOT
 from tests.support.commands import command, process
 
 
@@ -126,3 +127,30 @@ def test_fields_of_every_kind_are_typed(grammar: str, words: str, sent: str) -> 
 
     assert (result.returncode, bool(result.stderr)) in ((0, False), (2, True))
     assert sent in (result.stdout + result.stderr).decode()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("On", "3"), "On takes address=1..4; got 3, write address=3\n"),
+        (
+            ("On", "--", "--grammar"),
+            "--grammar stands behind --, where all words are values; put it",
+        ),
+        (("On", "--gramar", "x"), "no such option '--gramar', did you mean --grammar?"),
+    ],
+)
+def test_what_was_meant_is_said(words: tuple[str, ...], said: str) -> None:
+    relay = str(ROOT / "examples" / "relay_board.py")
+    result = command("--grammar", relay, "encode", *words)
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert said in result.stderr.decode()
+
+
+@pytest.mark.parametrize("name", [".", "nosuch.py"])
+def test_a_grammar_that_is_no_file_is_told_with_the_names_that_there_are(name: str) -> None:
+    result = command("encode", "Stop", "--grammar", name)
+
+    assert (result.returncode, result.stdout) == (2, b"")
+    assert b"name a FILE.py or one of robot-car, modbus-rtu" in result.stderr
