@@ -318,8 +318,9 @@ class FrameList(ScrollView, can_focus=True):
 def words_of(record: Record) -> tuple[str, str]:
     """What a row is, in words, and why it is odd, "" if it is not."""
     if isinstance(record, DeviceRecord) and record.answered and record.agrees is False:
-        if not record.reply or not record.reply.reason:  # a damaged one tells what is wrong
-            return f"{record.words}, expected {record.answered.response.name}", ""
+        expected = f"{record.words}, expected {record.answered.response.name}"
+        if record.reply is None or not record.reply.reason:
+            return expected, ""
     if isinstance(record, HostRecord | DeviceRecord):
         return printable(record.words), printable(record.reason)
     if isinstance(record, LineRecord):
