@@ -428,6 +428,11 @@ class Protocol:
         found = {"motion": car.by, "speed": car.speed, "steering": car.steering}
         return found | dict(zip(("led", *lights[1:]), lights, strict=False))
 
+    @cached_property
+    def role_of(self) -> Mapping[str, str]:
+        """The inverse of `by_role`."""
+        return {name: role for role, name in self.by_role.items()}
+
     def noun(self, variable: str) -> str:
         """A variable in a sentence: `LED` where the instruction of that name is written so."""
         capital = variable.upper()

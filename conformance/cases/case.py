@@ -66,3 +66,23 @@ def runner_case(
     rest = protocol.power_on
     step = Step(frame, FrameClass.VALID, (), NOTHING, clause, reading=reading)
     return Case.of(step, id=ident, requirement=requirement, setup=rest, expected=rest, stop=False)
+
+
+OF_THE_RUN = {
+    "line/probe": ("safety", "the probe shows what the robot does"),
+    "line/unsolicited": ("responses", "answers only when it is asked"),
+    "line/lost": ("responses", "answers between the cases too"),
+    "line/pipelining": ("responses", "instructions sent ahead are answered too", "R-pipelining"),
+    "power-on/lost": ("responses", "the first instructions are answered too", "R-power-on"),
+    "power-on/first-fault": ("safety", "the first fault stops the robot too"),
+    "motion/settings": ("instructions", "moves in every setting"),
+    "leave/stopped": ("safety", "the run leaves the robot at rest"),
+}
+"""The cases of what is seen between the others: clause, requirement and, for some, the reading."""
+
+
+def case_of_the_run(protocol: Protocol, ident: str, frame: bytes = b"") -> Case:
+    """The case of that id among OF_THE_RUN; `frame` is what was sent."""
+    clause, requirement, *reading = OF_THE_RUN[ident]
+    section = getattr(protocol.clauses, clause)
+    return runner_case(protocol, ident, section, requirement, frame, *reading)

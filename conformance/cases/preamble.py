@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.spec.by_effect import frames_to, reached
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -20,11 +22,16 @@ def full_state(protocol: Protocol, mover: InstructionSpec) -> State:
     return reached(protocol, protocol.state(**ends, **{car.by: motion}))
 
 
-def in_motion(protocol: Protocol, motion: str | None, speed: int | None = None) -> State:
-    """A robot's state in a motion (None: it stands) at a speed, the greatest if none is given."""
+def in_motion(
+    protocol: Protocol,
+    motion: str | None,
+    speed: int | None = None,
+    lights: Mapping[str, int] | None = None,
+) -> State:
+    """A robot's state straight on in a motion (None: it stands), at the greatest speed or this."""
     car, fast = protocol.car, protocol.speeds[1]
     driving = {car.by: motion or car.still, car.speed: fast if speed is None else speed}
-    return protocol.state(**driving)
+    return protocol.state(**driving, **(lights or {}))
 
 
 def steps_to(protocol: Protocol, state: State, known: State | None = None) -> tuple[Step, ...]:

@@ -6,15 +6,10 @@ import re
 from collections.abc import Callable, Iterable
 from fnmatch import fnmatchcase
 
+from bilprov.conformance.cases.case import OF_THE_RUN
+
 CONDITIONAL_CASES = (
-    "line/probe",
-    "line/unsolicited",
-    "line/lost",
-    "line/pipelining",
-    "power-on/lost",
-    "power-on/first-fault",
-    "motion/settings",
-    "leave/stopped",
+    *OF_THE_RUN,
     "reading/version",
     "reading/led-id",
     "reading/led-upper-bits",

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import cycle, islice
 
 from bilprov.conformance.cases.frame_source import FILLS, Inputs, fill
-from bilprov.conformance.cases.preamble import steps_to
+from bilprov.conformance.cases.preamble import in_motion, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks
 from bilprov.conformance.cases.steps import FrameClass, Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, moving_to, setting
@@ -126,10 +126,8 @@ def _moving(protocol: Protocol, motion: str) -> Step:
 
 def _state(protocol: Protocol, motion: str) -> State:
     """A state in this motion, fast and straight on, with every light."""
-    car = protocol.car
     lights = {name: protocol.limits.get(name, (0, 0))[1] for name in protocol.lights}
-    driving = {car.by: motion, car.speed: _speed(protocol), car.steering: 0}
-    return protocol.state(**driving, **lights)
+    return in_motion(protocol, motion, _speed(protocol), lights)
 
 
 def _speed(protocol: Protocol) -> int:

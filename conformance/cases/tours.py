@@ -11,7 +11,7 @@ import random
 from dataclasses import dataclass
 
 from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.preamble import state_after, steps_to
+from bilprov.conformance.cases.preamble import in_motion, state_after, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.spec.protocol import Protocol
@@ -98,7 +98,7 @@ class Tours:
         motion = draw.choice([m for s in movers if (m := car.motion(s.effect))] or [car.still])
         speed = draw.randint(self._fast // 2, self._fast)
         lights = {n: draw.randint(*protocol.limits.get(n, (0, 0))) for n in protocol.lights}
-        state = protocol.state(**{car.by: motion, car.speed: speed, car.steering: 0, **lights})
+        state = in_motion(protocol, motion, speed, lights)
         return steps_to(protocol, state), _Where(state)
 
     def _next(self, where: _Where) -> Step:

@@ -40,6 +40,7 @@ class Event(msgspec.Struct, frozen=True, gc=False):
     host that waits for the previous answer.
     """
 
+    protocol: Protocol
     judgement: Judgement
     before: State
     frames: int

@@ -253,6 +253,7 @@ class Simulator:
         else:
             gap = self._gap
             event = Event(
+                self.protocol,
                 judgement,
                 before,
                 self.frames,

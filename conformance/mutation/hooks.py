@@ -270,7 +270,9 @@ def refuses_at_header(protocol: Protocol, acting: Trigger) -> Hooks:
         length = protocol.lengths[data[0]]
         frame = data + bytes(length)
         judgement, _ = device.step(frame, device.state)
-        if not acting.holds(Event(judgement, device.state, 0, 0, "instruction", now), memory):
+        if not acting.holds(
+            Event(protocol, judgement, device.state, 0, 0, "instruction", now), memory
+        ):
             return data
         memory["skips"], memory["skips of"], memory["skips at"] = length, data[0], now
         device.react_at_header(frame, now)

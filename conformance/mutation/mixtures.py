@@ -77,7 +77,7 @@ def _where_it_arises(protocol: Protocol, variant: Variant) -> tuple[list[int], l
         judgement = judge(protocol, frame)
         before = protocol.state(**{by: motion}, **top)
         kind = "truncated" if judgement.truncated else "instruction"
-        if acting.holds(Event(judgement, before, 0, 0, kind, 0), {}):
+        if acting.holds(Event(protocol, judgement, before, 0, 0, kind, 0), {}):
             ids.add(judgement.id)
             motions[motion] = None
     return sorted(ids), list(motions)

@@ -35,8 +35,7 @@ def _instruction(protocol: Protocol, spec: InstructionSpec) -> Name:
     """
     attributes: dict[str, object] = {"id": spec.id, "motion": protocol.car.motion(spec.effect)}
     if spec.effect.assignments:
-        roles = {name: role for role, name in protocol.by_role.items()}
-        attributes["variable"] = roles[variable_of(spec)]
+        attributes["variable"] = protocol.role_of[variable_of(spec)]
     for part in spec.fields[:1]:
         attributes |= {
             "header": protocol.header_bytes[spec.id, spec.length],
@@ -64,7 +63,7 @@ def names(protocol: Protocol) -> dict[str, Any]:
         return [_instruction(protocol, spec) for spec in specs]
 
     timing, motions = protocol.timing, list(moving_motions(protocol))
-    roles = {name: role for role, name in protocol.by_role.items()}
+    roles = protocol.role_of
     tops = {roles[name]: high for name, (_, high) in protocol.limits.items()}
     settings = [
         (roles[variable_of(spec)], _instruction(protocol, spec)) for spec in setters(protocol)

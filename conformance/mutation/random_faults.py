@@ -285,9 +285,7 @@ class FaultDraw:
             found += 2 * ["drives-on", *["resumes-after 15"] * in_silence]
             found.append("turns-bits led {bit of led}")
         elif spec.effect.assignments:
-            own = next(
-                role for role, name in self._protocol.by_role.items() if name == variable_of(spec)
-            )
+            own = self._protocol.role_of[variable_of(spec)]
             moves = self._protocol.car.moves(spec.effect)
             found += 3 * ["drives-on"]
             found += ["stands-still"] * (own != "motion") + ["sets motion {motion}"] * moves

@@ -152,7 +152,7 @@ def _examples(protocol: Protocol, acting: Trigger) -> list[bytes]:
             for size in sizes or [length + 1]:
                 frame = bytes([header, *data])[:size]
                 kind = "instruction" if size > length else "truncated"
-                event = Event(judge(protocol, frame), protocol.power_on, 0, 0, kind, 0)
+                event = Event(protocol, judge(protocol, frame), protocol.power_on, 0, 0, kind, 0)
                 if all(term.holds(term.of(event)) for term in frame_terms):
                     found.append(frame)
     return list(dict.fromkeys(found))[:_EXAMPLES]

@@ -17,8 +17,9 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import Event, History
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import OF_HEADERS
-from bilprov.spec.motion import Moment, Wheels, visible_motion
+from bilprov.spec.motion import Moment, visible_motion
 from bilprov.spec.open_points import open_point, points_after
+from bilprov.spec.state import Effect
 
 Subject = Callable[[Event], Any]
 
@@ -56,50 +57,44 @@ def _excess(event: Event) -> int:
     return event.judgement.length - known.length if known else 0
 
 
+def _effect(event: Event) -> Effect | None:
+    """The effect of a valid frame, None for a faulty one."""
+    known = event.judgement.instruction
+    return known.effect if known and event.judgement.valid else None
+
+
 def _set_motion(event: Event) -> str:
     """The motion that a valid frame sets, "" for none."""
-    known = event.judgement.instruction
-    return (_car(event).motion(known.effect) or "") if known and event.judgement.valid else ""
+    return event.protocol.car.motion(_effect(event) or Effect()) or ""
 
 
 def moment(event: Event) -> Moment:
     """The kind of a frame: faulty, or what its instruction does to the motion."""
-    known = event.judgement.instruction
-    return _car(event).moment(known.effect if event.judgement.valid and known else None)
-
-
-def _car(event: Event) -> Wheels:
-    car: Wheels = event.before.wheels
-    return car
+    return event.protocol.car.moment(_effect(event))
 
 
 def _turns(event: Event) -> bool:
     """Whether a valid frame sets another motion than that before it."""
-    motion, car = _set_motion(event), _car(event)
+    motion, car = _set_motion(event), event.protocol.car
     return motion in car.turns and motion != car.drive(event.before).motion
 
 
-def _led(event: Event) -> Any:
-    """The value of the LED, None where there is none."""
-    roles = _roles(event)
-    return next((getattr(event.before, n) for n, role in roles.items() if role == "led"), None)
+def _before(variable: str) -> Subject:
+    """The value of a variable before a frame, None where the protocol has none of that role."""
 
+    def value(event: Event) -> Any:
+        name = event.protocol.by_role.get(variable)
+        return None if name is None else getattr(event.before, name)
 
-def _roles(event: Event) -> dict[str, str]:
-    """What faults call each variable, by its name; see `Protocol.by_role`."""
-    car, names = _car(event), event.before.variables
-    found = {car.by: "motion", car.speed: "speed", car.steering: "steering"}
-    led, *others = (name for name in (*names, "") if name not in found)
-    return found | {led: "led"} | {name: name for name in others}
+    return value
 
 
 def _sets(event: Event) -> tuple[str, ...]:
     """The variables that a valid frame sets which leaves the motion alone."""
-    known = event.judgement.instruction
-    if known is None or moment(event) is not Moment.SETTING:
+    effect = _effect(event)
+    if effect is None or moment(event) is not Moment.SETTING:
         return ()
-    roles = _roles(event)
-    return tuple(roles[name] for name, _ in known.effect.assignments)
+    return tuple(event.protocol.role_of[name] for name, _ in effect.assignments)
 
 
 def _open(event: Event) -> tuple[str, ...]:
@@ -135,11 +130,8 @@ FRAME: dict[str, Subject] = {
 }
 STATE: dict[str, Subject] = {
     "moves": lambda e: visible_motion(e.before),
-    "motion": lambda e: _car(e).drive(e.before).motion,
-    "rotates": lambda e: _car(e).rotates(_car(e).drive(e.before).motion),
-    "speed": lambda e: _car(e).drive(e.before).speed,
-    "steering": lambda e: _car(e).drive(e.before).steering,
-    "led": _led,
+    "rotates": lambda e: e.protocol.car.rotates(e.protocol.car.drive(e.before).motion),
+    **{variable: _before(variable) for variable in ("motion", "speed", "steering", "led")},
     "pipelined": lambda e: e.pipelined,
     "pause": lambda e: e.pause / MS,
     "gap": lambda e: None if e.gap is None else e.gap / MS,

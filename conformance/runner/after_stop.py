@@ -68,8 +68,7 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
         settings = [settings[run.counters.next_check() % len(settings)]]
     for frame in settings:
         name = judge(run.protocol, frame).describe()
-        yield from _step(trial, run.wire(frame), name)
-        trial.expected = run.model.after(trial.expected, step_of(run.protocol, frame).frame_effect)
+        yield from _step(trial, frame, name)
         if looks:
             seen = yield from observe()
             if seen.look.moving:
@@ -78,7 +77,6 @@ def restart_guard(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     frame = moving_to(run.protocol, case.setup)
     if frame and case.setup.moving and case.kind is not FrameClass.VALID:
         yield from _step(trial, frame, judge(run.protocol, frame).name)
-        trial.expected = run.model.after(trial.expected, step_of(run.protocol, frame).frame_effect)
         if looks:
             yield from _moves_again(trial, frame)
 
@@ -87,7 +85,6 @@ def recovery(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
     """Check that the valid instruction right after a fault is answered and takes effect."""
     run = trial.run
     yield from _step(trial, case.then, judge(run.protocol, case.then).name)
-    trial.expected = run.model.after(trial.expected, step_of(run.protocol, case.then).frame_effect)
     if looks and run.config.observable:
         yield from _moves_again(trial, case.then)
 
@@ -95,14 +92,17 @@ def recovery(trial: Trial, case: Case, looks: bool) -> Procedure[None]:
 def _step(trial: Trial, frame: bytes, name: str) -> Procedure[None]:
     """Send a valid instruction after the stimulus; it must get its one right answer.
 
-    A device may discard what follows a fault until the line is idle (R-drain-known): one that has
-    shown this gets its pause first, one that has not gets the instruction a second time.
+    `frame` is as the grammar has it; the device is then expected to have carried it out. A device
+    may discard what follows a fault until the line is idle (R-drain-known): one that has shown this
+    gets its pause first, one that has not gets the instruction a second time.
     """
     run = trial.run
-    pause = run.waiting.idle
+    effect = step_of(run.protocol, frame).frame_effect
+    trial.expected = run.model.after(trial.expected, effect)
+    pause, sent = run.waiting.idle, run.wire(frame)
     if run.profile.flushes:
         yield from listen(None, pause)
-    yield from send(frame)
+    yield from send(sent)
     heard = yield from run.waiting.answers(1)
     due = (run.protocol.answers[Outcome.VALID].code,)
     if heard.codes == due:
@@ -110,7 +110,7 @@ def _step(trial: Trial, frame: bytes, name: str) -> Procedure[None]:
     if not heard.answers:
         heard = yield from listen(None, max(pause, run.waiting.patience))
     if not heard.answers:
-        yield from send(frame)
+        yield from send(sent)
         again = yield from run.waiting.answers(1)
         if again.codes == due:
             run.waiting.answer_pending = False

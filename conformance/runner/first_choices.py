@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from bilprov.analyzer.client.operations import Procedure, Received, listen, send
 from bilprov.captures.schemas import Look
-from bilprov.conformance.cases.case import runner_case
+from bilprov.conformance.cases.case import case_of_the_run
 from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.steps import code_of, step_of
 from bilprov.conformance.oracle.judge import differences
@@ -101,8 +101,7 @@ def _missed(run: Run, frame: bytes, look: Look) -> None:
     A byte changed on the line cannot cause this: a frame without a fault gets another answer. So
     it counts without a retry.
     """
-    clause, requirement = run.protocol.clauses.safety, "the first fault stops the robot too"
-    case = runner_case(run.protocol, "power-on/first-fault", clause, requirement, frame)
+    case = case_of_the_run(run.protocol, "power-on/first-fault", frame)
     reason = "the first fault after power-on was answered and did not stop it"
     fault = Axis(Verdict.FAIL, "stopped", look_words(look), reason)
     run.conclude(case, {"stop": fault})

@@ -21,7 +21,7 @@ from bilprov.analyzer.client.operations import (
 )
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
-from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.steps import step_of
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
@@ -195,8 +195,7 @@ def leave(run: Run) -> Procedure[Ended | None]:
 
 def _leave(run: Run) -> Procedure[Ended | None]:
     seen: Observation | None = None
-    clause, requirement = run.protocol.clauses.safety, "the run leaves the robot at rest"
-    case = runner_case(run.protocol, "leave/stopped", clause, requirement, stops(run.protocol))
+    case = case_of_the_run(run.protocol, "leave/stopped", stops(run.protocol))
     last = Trial(run, case)  # the stops are answered while the robot is watched too
     try:
         for _ in range(3):

@@ -16,7 +16,7 @@ from bilprov.analyzer.client.operations import (
     send,
 )
 from bilprov.captures.text import quantity
-from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.opening import at_rest, link_check, motion_first
 from bilprov.conformance.oracle.judge import judge_answers, judge_state, lost
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
@@ -134,10 +134,7 @@ def _ahead(run: Run) -> Procedure[None]:
         run.strays.missing(sum(due - count for count in short))
         return
     run.profile.one_by_one = True
-    clause, requirement = run.protocol.clauses.responses, "instructions sent ahead are answered too"
-    case = runner_case(
-        run.protocol, "line/pipelining", clause, requirement, stops(run.protocol), "R-pipelining"
-    )
+    case = case_of_the_run(run.protocol, "line/pipelining", stops(run.protocol))
     words = f"{quantity(max(short), 'answer')} to {due} stops sent at once"
     reason = f"loses answers: {words}, in each of {_TRIES} tries"
     run.conclude(
@@ -186,8 +183,7 @@ def first_frames_lost(run: Run) -> Procedure[None]:
     if not run.profile.flushes or any(choices.differs(point) for point in FLUSH_POINTS):
         return
     run.profile.flushes = False
-    clause, requirement = run.protocol.clauses.responses, "the first instructions are answered too"
-    case = runner_case(run.protocol, "power-on/lost", clause, requirement, b"", "R-power-on")
+    case = case_of_the_run(run.protocol, "power-on/lost")
     verdict, reason = Verdict.INCONCLUSIVE, "one of the first instructions was lost, later none was"
     if run.config.power:
         yield from power_cycle()

@@ -13,7 +13,7 @@ import msgspec
 
 from bilprov.analyzer.client.operations import Operation, Received, Reply
 from bilprov.conformance.cases.adaptation import on_the_wire
-from bilprov.conformance.cases.case import Case, runner_case
+from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.oracle.profile import Profile
@@ -308,8 +308,7 @@ class Run:
         why = self.doubt or self.looks.words
         if not why:
             return
-        clause, requirement = self.protocol.clauses.safety, "the probe shows what the robot does"
-        case = runner_case(self.protocol, "line/probe", clause, requirement, b"")
+        case = case_of_the_run(self.protocol, "line/probe")
         axis = Axis(
             Verdict.INCONCLUSIVE, "observations that agree", "observations that do not", why
         )

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bilprov.analyzer.client.operations import Procedure, listen, power_cycle, send
-from bilprov.conformance.cases.case import runner_case
+from bilprov.conformance.cases.case import case_of_the_run
 from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.homing import home, watch
@@ -123,7 +123,6 @@ def _tell(run: Run, moves: Setting, stands: Setting) -> None:
     reason = f"moves with {moves.words}{after}, not with {stands.words}"
     if moves.fresh and not stands.fresh:
         reason = f"moves with {moves.words}{after}, and no more with {stands.words} later"
-    clause, requirement = run.protocol.clauses.instructions, "moves in every setting"
-    case = runner_case(run.protocol, IDENT, clause, requirement, b"".join(stands.frames))
+    case = case_of_the_run(run.protocol, IDENT, b"".join(stands.frames))
     axis = Axis(Verdict.FAIL, "moving", "stopped", reason)
     run.conclude(case, {"state": axis})

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from bilprov.conformance.cases.case import runner_case
+from bilprov.conformance.cases.case import case_of_the_run
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.spec.protocol import Protocol
@@ -78,8 +78,7 @@ class StrayAnswers:
                 self._silence(Verdict.INCONCLUSIVE, f"flaky: {reason}")
 
     def _silence(self, verdict: Verdict, reason: str) -> None:
-        clause, requirement = self._protocol.clauses.responses, "answers between the cases too"
-        case = runner_case(self._protocol, "line/lost", clause, requirement, b"")
+        case = case_of_the_run(self._protocol, "line/lost")
         axis = Axis(verdict, "each instruction answered once", "no answer", reason)
         self._conclude(case, {"answer": axis}, certain=True)
 
@@ -96,6 +95,5 @@ class StrayAnswers:
             reason = f"flaky, only {times} in the run: {reason}"
         words = answer_words(self._protocol, tuple(code for _, code in came))
         axis = Axis(verdict, "no answer", words, reason, "R-unsolicited")
-        clause, requirement = self._protocol.clauses.responses, "answers only when it is asked"
-        case = runner_case(self._protocol, "line/unsolicited", clause, requirement, b"")
+        case = case_of_the_run(self._protocol, "line/unsolicited")
         self._conclude(case, {"answer": axis}, came, came[0][0])

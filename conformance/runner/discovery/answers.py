@@ -33,7 +33,7 @@ def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:
     """Every experiment that needs no look, in order: first those on which others depend."""
     yield from _led_experiments(protocol)
     fill = bytes([protocol.pad_byte])
-    some, frames = _setting(protocol), open_frames(protocol)
+    some, frames = step_of(protocol, link_check(protocol).setting), open_frames(protocol)
     length = min(2, protocol.data_lengths[-1])
     many = framed(protocol, protocol.stop.id, length, fill * length)
     yield _burst("R-drain-known", (many, some))
@@ -65,11 +65,6 @@ def answer_experiments(protocol: Protocol) -> Iterator[Experiment]:
             slow.frame,
             timed=True,
         )
-
-
-def _setting(protocol: Protocol) -> Step:
-    """A valid instruction that moves nothing: a setting, else the stop."""
-    return step_of(protocol, link_check(protocol).setting)
 
 
 def _exchange(run: Run, data: bytes, due: int, patience: int = 0) -> Procedure[Received]:
