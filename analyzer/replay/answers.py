@@ -17,7 +17,7 @@ from bilprov.analyzer.decode.records import (
     Severity,
     severity_of,
 )
-from bilprov.analyzer.replay.comparison import ReplayRun, answer_words
+from bilprov.analyzer.replay.comparison import ReplayRun, answer_words, code_of
 from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
 
@@ -98,7 +98,7 @@ def first_difference(protocol: Protocol, run: ReplayRun, expected: Sequence[int 
     frames = list(run.frames.items())
     for place, ((sequence, frame), code) in enumerate(zip(frames, expected, strict=False), start=1):
         record = run.answers.get(sequence)
-        came = record.byte if record else None
+        came = code_of(record)
         if came != code:
             return (
                 f"instruction {place} of {len(expected)}, {frame.words} ({frame.hex}): expected "

@@ -9,6 +9,9 @@ from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecor
 from bilprov.spec.codec import spaced
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
 
+DAMAGED = -2
+"""Stands for the code of an answer that is damaged."""
+
 _KEPT = 16  # unpaired device bytes
 
 
@@ -71,7 +74,7 @@ def differences(protocol: Protocol, recorded: ReplayRun, now: ReplayRun) -> Iter
         was, is_now = recorded.answers.get(sequence), now.answers.get(sequence)
         if was is None and sequence not in recorded.unanswered:
             continue
-        code, code_now = (answer.byte if answer else None for answer in (was, is_now))
+        code, code_now = code_of(was), code_of(is_now)
         if code != code_now:
             yield Difference(
                 sequence,
@@ -91,10 +94,19 @@ def _described(frame: HostRecord) -> str:
     return f"{frame.words} ({frame.hex})"
 
 
+def code_of(answer: DeviceRecord | None) -> int | None:
+    """The code of an answer, DAMAGED where it is not whole or wrong; None is no answer."""
+    if answer is None:
+        return None
+    return DAMAGED if answer.reply and answer.reply.reason else answer.byte
+
+
 def answer_words(protocol: Protocol, code: int | None) -> str:
     """The answer of this code in words, like `OK (00)`; None is no answer."""
     if code is None:
         return "no answer"
+    if code == DAMAGED:
+        return "a damaged answer"
     if code == PLAIN_ANSWER.code:
         return PLAIN_ANSWER.prose
     known = protocol.codes.get(code)

@@ -14,15 +14,18 @@ import pytest
 
 from benchmarks.adapter import Adapter
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
+from bilprov.analyzer.replay.answers import UNANSWERED_STOPS, first_difference
 from bilprov.analyzer.replay.comparison import ReplayRun, differences
 from bilprov.analyzer.replay.playback import played
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.writer import CaptureWriter
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.codec import build, judge
+from bilprov.spec.protocol import PLAIN_ANSWER, Protocol, load
+from bilprov.spec.replies import build_reply
 from tests.support import ROOT, commands
 from tests.support.decoding import MS, Event, conversation
+from tests.support.framed_traffic import FRAMED
 from tests.support.robots import until
 from tests.support.wires import PATIENCE, PtyRobot, json_lines, running, served
 
@@ -295,15 +298,32 @@ def test_a_capture_that_was_cut_before_its_first_chunk_is_said_to_hold_no_traffi
     assert "no traffic" not in commands.command("replay", str(whole), "--rate", "0").stderr.decode()
 
 
-def test_bytes_that_answer_nothing_are_all_counted_and_a_few_are_kept(protocol: Protocol) -> None:
-    recorded, now = ReplayRun(), ReplayRun()
-    for run, answers in ((recorded, 1), (now, 5000)):
-        session = Session(protocol)
-        for event in (Chunk(0, "host", b"\x00"), Chunk(MS, "device", b"\x00" * answers)):
-            for record in session.feed(event):
-                run.record(record)
-        for record in session.finish():
+def run_of(protocol: Protocol, asked: bytes, answered: bytes) -> ReplayRun:
+    run, session = ReplayRun(), Session(protocol)
+    for event in (Chunk(0, "host", asked), Chunk(MS, "device", answered)):
+        for record in session.feed(event):
             run.record(record)
+    for record in session.finish():
+        run.record(record)
+    return run
+
+
+def test_a_damaged_answer_differs_from_a_right_one_without_a_code() -> None:
+    protocol = load(FRAMED["roboclaw"])
+    asked = build(protocol, "MainBattery", {"address": 0x80})
+    right = build_reply(protocol, judge(protocol, asked), {"voltage": 120})
+    damaged = right[:-1] + bytes([right[-1] ^ 1])
+    recorded, now = (run_of(protocol, asked, answer) for answer in (right, damaged))
+
+    (difference,) = differences(protocol, recorded, now)
+
+    assert difference.reason.endswith("now a damaged answer")
+    assert first_difference(protocol, now, [PLAIN_ANSWER.code])
+    assert not first_difference(protocol, recorded, [PLAIN_ANSWER.code])
+
+
+def test_bytes_that_answer_nothing_are_all_counted_and_a_few_are_kept(protocol: Protocol) -> None:
+    recorded, now = (run_of(protocol, b"\x00", b"\x00" * answers) for answers in (1, 5000))
 
     (difference,) = differences(protocol, recorded, now)
     assert difference.reason.startswith("bytes that answer no instruction: recorded 0, now 4999 (")
