@@ -398,7 +398,9 @@ class _Reader:
         if isinstance(body, FixedSized):
             self._require_path("FixedSized", body.length, "length")
             inner = unwrapped(body.subcon)
-        elif any(part.role == "length" and not part.width for part in self._front):
+        elif isinstance(body, Switch) and any(
+            part.role == "length" and not part.width for part in self._front
+        ):
             raise LayoutError(
                 f"the data of {self._what} must be written FixedSized(this.length, ...), since "
                 f"{self._what} has a length"
