@@ -658,6 +658,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     instructions = _with_memory(instructions, space.get("MEMORY", ()))
     responses = _responses(space)
     _require_each_outcome(space, layout, instructions, responses)
+    _require_codes(instructions, responses)
     on_fault = _effect(faulty, variables, "FAULTY")
     _require_condition(at_rest, variables)
     wheels = _given(space, "WHEELS", Wheels)
@@ -966,6 +967,20 @@ def _require_each_outcome(
         )
     if "REPLY" not in space:
         _require_each_name_once("two responses stand for", (o.value for o in answered))
+
+
+def _require_codes(
+    instructions: tuple[InstructionSpec, ...], responses: tuple[ResponseSpec, ...]
+) -> None:
+    """Raise GrammarError for a field whose code is the name of no Answer."""
+    names = [spec.name for spec in responses]
+    for spec in instructions:
+        for part in spec.fields:
+            if part.code and part.code not in names:
+                raise GrammarError(
+                    f"{spec.name}.{part.name} has code={shown(part.code)}, allowed are names of "
+                    f"an Answer: {', '.join(names) or 'there is none'}"
+                )
 
 
 def _outcomes(layout: Layout, instructions: tuple[InstructionSpec, ...]) -> Iterable[Outcome]:

@@ -14,7 +14,7 @@ from tests.support.grammars import mutated
 MORE = {
     " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized, CString, "
     "GreedyString, NullTerminated, Optional, If, Float32b,",
-    " Data,": " AllOf, AnyOf, Crc, Data, Length, asked,",
+    " Data,": " AllOf, Ranged, AnyOf, Crc, Data, Length, asked,",
 }
 TEXT = mutated((ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8"), MORE)
 ID = '"id" / Byte'
@@ -208,6 +208,14 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         {"(Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)": "Outcome.UNKNOWN_ID"},
         "allowed is a tuple: (Outcome.UNKNOWN_ID,)",
         "SILENT",
+    ),
+    (
+        {
+            **read('"n" / Ranged(Byte, 0, 9, code="BAD"), '),
+            "SILENT = (": "SILENT = (Outcome.BAD_DATA, ",
+        },
+        "Read.n has code='BAD', allowed are names of an Answer: there is none",
+        "code=",
     ),
 ]
 
