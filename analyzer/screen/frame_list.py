@@ -33,6 +33,7 @@ SHOWN_ONLY = {column.name for column in (NO, DELTA, ARROW, WHAT)}
 """The names of those that are of this list alone."""
 
 _LEAST = {DELTA.name: 59, NO.name: 49}  # columns of the screen from which on these are shown
+_LENT = 6  # columns of what a row is that longer frames may take
 _LATE = 13  # columns of an answer's name
 _FRONT = 2  # columns before the first cell: the signs of a fault and of a mark
 _HEADINGS = {TimeStyle.ABSOLUTE: "clock", TimeStyle.UTC: "UTC"}
@@ -239,7 +240,7 @@ class FrameList(ScrollView, can_focus=True):
         """The columns that fit, each with its width; the last one takes what is left."""
         usual = [column for column in OWN.values() if width >= _LEAST.get(column.name, 0)]
         left = width - _FRONT
-        spare = left - sum(self._room(column) + 1 for column in usual)
+        spare = left - sum(self._room(column) + 1 for column in usual) + _LENT
         fitting: list[tuple[Column, int]] = []
         for column in self.columns or usual:
             room = self._room(column)
