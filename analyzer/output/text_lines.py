@@ -39,14 +39,18 @@ SEVERITY_COLOURS = {
 
 
 def hex_width(protocol: Protocol) -> int:
-    """The columns for the bytes of its requests and answers, without what is counted in them."""
-    sizes = [
+    """The columns for the bytes of most frames: a quarter of the kinds may be longer.
+
+    What is counted in a frame is left out.
+    """
+    sizes = sorted(
         layout.head + data.length + layout.tail
         for spec in protocol.instructions
         for layout, data in ((protocol.layout, spec.data), usual_way(protocol, spec))
         if data
-    ]
-    return max(HEX_WIDTH, 3 * min(_LONGEST, max(sizes, default=0)) - 1)
+    )
+    usual = sizes[len(sizes) * 3 // 4] if sizes else 0
+    return max(HEX_WIDTH, 3 * min(_LONGEST, usual) - 1)
 
 
 class LineRenderer:

@@ -69,7 +69,7 @@ def sniffed(capture: Capture, protocol: Protocol) -> str:
 def replayed(capture: Capture, protocol: Protocol) -> list[tuple[str, str, str]]:
     """Time, arrow, and what begins with the bytes, of the text lines of `replay` for frames."""
     text: list[str] = []
-    output = stream_output("lines", text.append)
+    output = stream_output("lines", protocol, text.append)
     for part in decoded_batches(capture, protocol, lambda size: None):
         output.show(part)
     lines = re.findall(r"^ *(-?[\d.]+) ([→←]|->|<-) (.*)$", "".join(text), re.M)

@@ -157,4 +157,4 @@ def test_the_screen_explains_answers_of_several_bytes(
 
 def test_a_function_above_127_is_refused_with_the_bits_that_fit() -> None:
     sent = command("send", "sim", "11 ff 4d a0", "--grammar", "modbus-rtu")
-    assert "11 7f 01 c0 35  @17 ILLEGAL_FUNCTION" in sent.stdout.decode(), sent.stderr
+    assert "11 7f 01 c0 35           @17 ILLEGAL_FUNCTION" in sent.stdout.decode(), sent.stderr

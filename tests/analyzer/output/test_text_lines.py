@@ -41,7 +41,7 @@ def test_foreign_text_is_made_safe(protocol: Protocol, event: str, detail: str) 
         assert len(text) < 500
 
 
-@pytest.mark.parametrize(("grammar", "width"), [("relay_board", 23), ("stk500v1", 35)])
+@pytest.mark.parametrize(("grammar", "width"), [("relay_board", 23), ("stk500v1", 11)])
 def test_the_bytes_have_the_columns_that_the_frames_of_the_grammar_need(
     grammar: str, width: int
 ) -> None:
