@@ -126,7 +126,7 @@ def test_the_sequences_send_every_byte_and_end_each_word_with_the_reset(protocol
         assert resets >= len(words)
         for case in cases:
             assert case.bursts[0].data == reset
-            assert case.facets == proof.facets
+            assert case.facets == proof.facets(protocol)
             sent.update(b"".join(case.sent))
 
     assert set(sent) == set(range(256))

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import pytest
 
 from bilprov.analyzer.client.operations import Ended, Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import Look
-from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import AnyCase
@@ -296,17 +296,12 @@ def played(device: Simulator, items: Sequence[str]) -> list[tuple[tuple[int, ...
         looked = link.do(Observe())
         assert isinstance(heard, Received)
         assert isinstance(looked, Observation)
-        seen.append((heard.codes, replace_time(looked.look)))
+        seen.append((heard.codes, msgspec.structs.replace(looked.look, t=0)))
     last = link.do(Listen(None, 60 * MS))
     looked = link.do(Observe())
     assert isinstance(last, Received)
     assert isinstance(looked, Observation)
-    return [*seen, (last.codes, replace_time(looked.look))]
-
-
-def replace_time(look: Look) -> Look:
-    facets = {name: getattr(look, name) for name in Look.__struct_fields__}
-    return CarLook(**(facets | {"t": 0}))
+    return [*seen, (last.codes, msgspec.structs.replace(looked.look, t=0))]
 
 
 @pytest.mark.slow
