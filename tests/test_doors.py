@@ -184,6 +184,7 @@ def require_writable_or_refused(data: bytes) -> None:
     show_compared([report] * 2, Console(file=screen), everything=True)
 
 
+@pytest.mark.slow
 @given(TEXTS, TEXTS)
 def test_a_report_of_a_run_is_safe_whatever_its_device_is_called(name: str, probe: str) -> None:
     report = conform(name=name, probe=probe, fault=name, options=Options(only=("valid/LED/1",)))

@@ -114,6 +114,7 @@ def counts(findings: Findings) -> dict[str, tuple[int, int]]:
 # -- one judge ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grammar", ["protocol", "horn"])
 def test_the_suite_and_the_passive_judge_accept_the_same_answers(
     grammar: str, request: pytest.FixtureRequest

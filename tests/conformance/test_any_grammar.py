@@ -119,6 +119,7 @@ def test_the_simulator_of_another_protocol_has_no_faults(option: list[str]) -> N
     assert f"{option[0]} is for the robot car and its family".encode() in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grammar", ["modbus-rtu", "stk500v1", "dynamixel1"])
 def test_simulated_traffic_is_answered_as_it_should_be(grammar: str) -> None:
     done = command("--grammar", grammar, "sniff", "sim", "--count", "4", "--format", "jsonl")

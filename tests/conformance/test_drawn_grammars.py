@@ -144,6 +144,7 @@ def test_a_fault_in_the_device_of_a_drawn_grammar_fails(seeds: range) -> None:
     assert tried
 
 
+@pytest.mark.slow
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seeds", CHUNKS, ids=str)
 def test_a_drawn_grammar_is_explained_encoded_and_emitted(seeds: range) -> None:

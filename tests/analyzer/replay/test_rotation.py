@@ -119,6 +119,7 @@ def raw(path: Path) -> list[tuple[str, bytes]]:
     return [(e.direction, e.data) for e in open_capture(path) if isinstance(e, Chunk)]
 
 
+@pytest.mark.slow
 @limits(max_examples=20)
 @given(
     acts=ACTS,

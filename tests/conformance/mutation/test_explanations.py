@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from bilprov.conformance.mutation.explanations import (
     CauseScore,
     Explained,
@@ -20,6 +22,7 @@ def test_a_fault_is_one_cause_that_names_it_and_shows(protocol: Protocol) -> Non
     assert found.unexplained == 0
 
 
+@pytest.mark.slow
 def test_of_two_faults_each_has_its_cause(protocol: Protocol) -> None:
     score = cause_score(protocol, ["no-stop-on-truncated", "speed-bit-0-lost"], 1, "smoke")
     [both] = score.pairs

@@ -248,6 +248,7 @@ def test_an_update_replaces_what_a_link_leads_to_and_keeps_its_mode(entries: Pat
     assert not [p for p in entries.parent.iterdir() if p.name.startswith(".")]
 
 
+@pytest.mark.slow
 def test_what_could_not_be_judged_is_never_hidden(tmp_path: Path) -> None:
     file = tmp_path / "f"
     file.write_text("unused-id/9/* : answer\nunused-id/9/* : stop\nunused-id/9/* : state\n")

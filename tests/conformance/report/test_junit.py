@@ -25,6 +25,7 @@ def cases(xml: junitparser.JUnitXml) -> dict[str, junitparser.TestCase]:
     return {case.name: case for suite in xml for case in suite}
 
 
+@pytest.mark.slow
 def test_the_totals_are_those_of_the_cases(protocol: Protocol) -> None:
     report = a_run(protocol, "bad-data/*", "unused-id/9/*", fault="no-stop-on-bad-data")
     xml = parsed([report], protocol)

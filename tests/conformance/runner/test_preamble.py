@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from bilprov.conformance.api import Options, conform, run_suite
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
@@ -49,6 +51,7 @@ def test_what_the_preamble_did_wrong_is_not_booked_on_the_frame_under_test(
     assert "already so before the frame under test" in as_markdown([report], protocol)
 
 
+@pytest.mark.slow
 def test_what_the_frame_under_test_did_wrong_is_its_own(protocol: Protocol) -> None:
     def react(_: object, event: Event, reaction: Reaction) -> Reaction:
         led = event.judgement.valid and event.judgement.name == "LED"
