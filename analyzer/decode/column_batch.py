@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import repeat
 from typing import Any, Self
@@ -21,8 +21,9 @@ from bilprov.spec.codec import Judgement
 from bilprov.spec.state import State
 
 
+@dataclass(frozen=True, eq=False)
 class ColumnBatch(Batch):
-    """Regular traffic as a dataclass of arrays; a subclass says how its frames are laid out.
+    """Regular traffic as arrays; a subclass says how its frames are laid out.
 
     `start` (ns) is when the first byte of each new frame came, `t` (ns) that of each answer;
     `device_after` new frames come before it. `before` is the state before the new frames. Before
@@ -38,7 +39,7 @@ class ColumnBatch(Batch):
     line_heard: NDArray[np.int64]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
+        kept = [getattr(self, field.name) for field in fields(self)]
         return type(self), tuple(kept)  # without what is worked out from them
 
     def __len__(self) -> int:

@@ -22,7 +22,6 @@ from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.decoder import paired_record
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord
-from bilprov.captures.schemas import Line
 from bilprov.spec.arrays.answers import NO_CODE, Answers, AnswerTables
 from bilprov.spec.arrays.requests import Requests, RequestTables
 from bilprov.spec.codec import Judgement
@@ -63,19 +62,12 @@ class FramedBatch(ColumnBatch):
     heard: NDArray[np.uint8]
     requests: Requests
     first: int
-    start: NDArray[np.int64]
     end: NDArray[np.int64]
     asked: Requests
     asked_end: NDArray[np.int64]
     sequence: NDArray[np.int64]
     answers: Answers
-    t: NDArray[np.int64]
-    device_after: NDArray[np.int64]
-    before: State
     new_states: Sequence[State] | None
-    lines: Sequence[Line]
-    line_after: NDArray[np.int64]
-    line_heard: NDArray[np.int64]
 
     @cached_property
     def hosts(self) -> HostRows:

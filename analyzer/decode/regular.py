@@ -33,7 +33,7 @@ from bilprov.analyzer.decode.decoder import TURNS, paired_record, unpaired_recor
 from bilprov.analyzer.decode.pairing import MOST, Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
-from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
@@ -90,15 +90,8 @@ class RegularBatch(ColumnBatch):
     frames: FrameColumns
     carried: int
     first: int
-    start: NDArray[np.int64]
     frame_end: NDArray[np.int64]
     byte: NDArray[np.uint8]
-    t: NDArray[np.int64]
-    device_after: NDArray[np.int64]
-    before: State
-    lines: Sequence[Line]
-    line_after: NDArray[np.int64]
-    line_heard: NDArray[np.int64]
 
     @cached_property
     def hosts(self) -> HostRows:

@@ -90,9 +90,9 @@ def capture_settings(
     }
 
 
-def capture_session(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Session:
-    """A session with the settings of the recording one; `timeout` is as in `capture_timeout`."""
-    return Session(protocol, **capture_settings(capture, protocol, timeout))
+def capture_session(capture: Capture, protocol: Protocol) -> Session:
+    """A session with the settings of the recording one."""
+    return Session(protocol, **capture_settings(capture, protocol))
 
 
 def capture_decoder(
