@@ -27,6 +27,9 @@ from bilprov.spec.protocol import (
     ResponseSpec,
 )
 
+GIVES_UP = 5
+"""The part of an answer's deadline after which a host that sends another request has given up."""
+
 
 class Reply(msgspec.Struct, frozen=True, gc=False):
     """One answer of a device.

@@ -147,7 +147,8 @@ def sniff(options: SniffOptions) -> int:
     HOST carries what the host sends, DEVICE what the device answers. Nothing is ever written to
     them. With --bridge PORT the host program opens the pty whose name is printed (on standard
     error) and every byte is passed on. sim is a simulated drive, to try the screen without a
-    device.
+    device. With --half-duplex PORT one tap hears both sides, as on RS-485; requests and answers are
+    separated by the grammar.
 
     On a terminal the traffic is shown on a screen, as by `bilprov replay`; ? lists its keys.
     Without -w the last GiB of it is kept meanwhile, and can be saved when the screen is left.
@@ -179,7 +180,10 @@ def sniff(options: SniffOptions) -> int:
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         given, wait = options.ports, options.wait
-        opened = _simulated(protocol, given, settings) or _opened(given, settings, stopper, wait)
+        opened = _simulated(protocol, given, settings)
+        if opened is None:
+            open_it = partial(opened_tap, given, settings, protocol, timeout)
+            opened = _opened(open_it, stopper, wait)
         if opened is None:
             return 0
         source = stack.enter_context(opened)
@@ -227,6 +231,7 @@ def sniff(options: SniffOptions) -> int:
             pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
             lost = _listen(source, pipeline, stopper, options.duration, tell, wait=wait)
+            pipeline.events(source.rest())
             pipeline.events([Line(source.seen, "close")])  # of later it is not known what came
             pipeline.finish()
             if recorder:  # before the text, which waits for somebody to read it
@@ -302,14 +307,12 @@ def _simulated(
     return SimulatedDrive(protocol, settings)
 
 
-def _opened(
-    given: Mapping[str, Sequence[str | None]], settings: LineSettings, stopper: Stopper, wait: bool
-) -> Source | None:
+def _opened(open_it: Callable[[], Source], stopper: Stopper, wait: bool) -> Source | None:
     """Open the tap that was asked for; with `wait`, once it can be. None if stopped before."""
     try:
         if not wait:
-            return opened_tap(given, settings)
-        return opened_when_there(partial(opened_tap, given, settings), lambda: stopper.stopped, say)
+            return open_it()
+        return opened_when_there(open_it, lambda: stopper.stopped, say)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
 

@@ -20,12 +20,13 @@ from bilprov.analyzer.decode.bus_state import BusState
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.framed_batch import FramedBatch, FramedDecoding
-from bilprov.analyzer.decode.pairing import GIVES_UP, MOST
+from bilprov.analyzer.decode.pairing import MOST
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.arrays.answers import AnswerTables
 from bilprov.spec.arrays.requests import Requests, request_tables
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import GIVES_UP
 from bilprov.spec.state import State, after
 from bilprov.spec.steps import Steps
 

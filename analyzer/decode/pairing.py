@@ -17,7 +17,7 @@ from bilprov.analyzer.decode.checkpoint import WaitingFrames
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import Judgement
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.replies import Reply
+from bilprov.spec.replies import GIVES_UP, Reply
 
 MOST: Final = 1 << 15
 """Instructions that wait at a time, and answers that are held: several times what a line carries.
@@ -25,10 +25,6 @@ MOST: Final = 1 << 15
 Only a forged file has more, in which a million instructions have the same time. Then the oldest is
 given up before its time.
 """
-
-
-GIVES_UP: Final = 5
-"""The part of an answer's deadline after which a host that sends another request has given up."""
 
 
 class Waiting(msgspec.Struct, frozen=True, gc=False):

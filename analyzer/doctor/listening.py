@@ -111,7 +111,8 @@ def _wired(
     codes = {spec.code for spec in protocol.responses}
     if data["host"] == data["device"] and not set(data["host"]) <= codes:
         sentence = "both taps hear the same bytes: they are on one wire, or the line is an echo"
-        return Finding("taps", Grade.BLOCKS, sentence)
+        command = f"bilprov sniff --half-duplex {quote(names['host'])}"
+        return Finding("taps", Grade.BLOCKS, sentence, command)
     straight, count = _fitting(protocol, chunks)
     turned, turned_count = _fitting(
         protocol, [Chunk(chunk.t, _OTHER[chunk.direction], chunk.data) for chunk in chunks]

@@ -11,9 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Final, NamedTuple, TypeAlias
 
+from bilprov.analyzer.taps.half_duplex import HalfDuplex
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.openings import Openings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, same_line, wait_readable
@@ -22,6 +24,7 @@ from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.captures.wall_clock import wall_clock
+from bilprov.spec.protocol import Protocol
 
 Events: TypeAlias = list[Chunk | Line]
 
@@ -127,6 +130,10 @@ class Source(Closing):
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
         """Append the chunks that have come, and the loss of a port, after the wait."""
 
+    def rest(self) -> Events:
+        """The events that were held back, at the end."""
+        return []
+
     def close(self) -> None:
         """Close the ports; further calls do nothing."""
         ports = list(self._ports.values())
@@ -230,6 +237,40 @@ def open_taps(settings: LineSettings, host: str, device: str | None = None) -> T
     return taps
 
 
+class HalfDuplexTap(Source):
+    """A passive tap on one wire that has both directions; they are told apart by the protocol.
+
+    `timeout` (ns) is the longest pause within a frame. Bytes are held back until it is known who
+    has sent them.
+    """
+
+    one_clock = True
+
+    def __init__(self, port: Port, protocol: Protocol, timeout: int) -> None:
+        super().__init__({"host": port})
+        self.names = {"wire": port.name}
+        self._wire = HalfDuplex(protocol, max(timeout, Machine().least_pause(port.name)))
+
+    def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
+        ports = list(self._ports.values())
+        if wait_readable(ports, timeout_s, also)[0]:
+            came = self._read("host", ready=True)
+            if isinstance(came, Chunk):
+                events += self._wire.feed(came.data, came.t)
+            elif came:
+                events += [*self._wire.rest(), came]
+        events += self._wire.advance(self.now())
+
+    def _note_unread(self, events: Events, asked: int, timeout: int) -> None:
+        super()._note_unread(events, asked, timeout)
+        if self._wire.since is not None:
+            self.seen = min(self.seen, self._wire.since)
+
+    def rest(self) -> Events:
+        """The bytes that were held back, at the end."""
+        return [*self._wire.rest()]
+
+
 class Bridge(Source):
     """A pty for the host program, connected to the device's port; every byte is passed on.
 
@@ -314,35 +355,49 @@ class Tap(NamedTuple):
     """A kind of tap: the option that asks for it, the option's metavar and help, and its opener.
 
     The kind whose `option` is empty takes the command's arguments. `opened` gets the names of the
-    ports, one for an option. It raises ValueError for wrong use, LinkError for a port that cannot
-    be opened.
+    ports, one for an option, and what `opened_tap` gets. It raises ValueError for wrong use,
+    LinkError for a port that cannot be opened.
     """
 
     option: str
     metavar: str
     help: str
-    opened: Callable[[Sequence[str], LineSettings], Source]
+    opened: Callable[[Sequence[str], LineSettings, Protocol, int], Source]
 
     @property
     def usage(self) -> str:
         """How the tap is asked for on the command line."""
-        return f"--{self.option} {self.metavar}" if self.option else self.metavar
+        if not self.option:
+            return self.metavar
+        return f"--{self.option.replace('_', '-')} {self.metavar}"
 
 
 TAPS = (
-    Tap("", "HOST [DEVICE]", "", lambda names, settings: open_taps(settings, *names)),
+    Tap("", "HOST [DEVICE]", "", lambda names, settings, *_: open_taps(settings, *names)),
     Tap(
         "bridge",
         "PORT",
         "Sit between host and device, at a pty whose name is printed.",
-        lambda names, settings: Bridge(open_port(names[0], settings)),
+        lambda names, settings, *_: Bridge(open_port(names[0], settings)),
+    ),
+    Tap(
+        "half_duplex",
+        "PORT",
+        "Listen to one wire that has both directions, as RS-485 and servo buses.",
+        lambda names, settings, *how: HalfDuplexTap(open_port(names[0], settings), *how),
     ),
 )
 
 
-def opened_tap(given: Mapping[str, Sequence[str | None]], settings: LineSettings) -> Source:
+def opened_tap(
+    given: Mapping[str, Sequence[str | None]],
+    settings: LineSettings,
+    protocol: Protocol,
+    timeout: int,
+) -> Source:
     """Open the tap that was asked for; `given` are the names of ports by option, None for none.
 
+    `timeout` (ns) is the longest pause within a frame.
     Raises ValueError, in one sentence, if not exactly one kind was asked for, and what opening it
     raises.
     """
@@ -354,5 +409,5 @@ def opened_tap(given: Mapping[str, Sequence[str | None]], settings: LineSettings
     if not asked:
         raise ValueError(f"nothing to sniff: give {usages}")
     if len(asked) > 1:
-        raise ValueError(f"give either {usages}, not both")
-    return asked[0].opened(ports[asked[0].option], settings)
+        raise ValueError(f"give either {usages}, only one of them")
+    return asked[0].opened(ports[asked[0].option], settings, protocol, timeout)

@@ -12,9 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.sources import (
     LATE,
     Bridge,
+    HalfDuplexTap,
+    Source,
     Taps,
     counted,
     require_two_lines,
@@ -73,11 +76,11 @@ def lines(events: list[Event]) -> list[Line]:
     return [event for event in events if isinstance(event, Line)]
 
 
-def poll_until(source: Taps | Bridge, host: int = 0, device: int = 0) -> list[Event]:
+def poll_until(source: Source, host: int = 0, device: int = 0) -> list[Event]:
     """Poll until so many bytes of each side were heard; the test's time limit ends it else."""
     events: list[Event] = []
     while len(heard(events, "host")) < host or len(heard(events, "device")) < device:
-        events += source.poll(None)
+        events += source.poll(0.05)
     return events
 
 
@@ -98,6 +101,20 @@ def test_taps_hear_every_byte_of_both_sides_and_never_write(
     assert not lines(events)
     taps.close()
     assert host_line.read() == device_line.read() == b""
+
+
+def test_one_tap_hears_both_directions_of_one_wire(host_line: PtyPair) -> None:
+    asked = bytes.fromhex("f703408200026575")
+    answer = bytes.fromhex("f70304000000032c3d")
+    with HalfDuplexTap(open_port(host_line.name), load_protocol("modbus-rtu"), 10_000_000) as tap:
+        host_line.write_some(asked + answer + asked[:5])
+        events = poll_until(tap, len(asked), len(answer))
+        events += tap.rest()
+        host_line.write_some(asked[:5])
+        events += poll_until(tap, 5)  # silence ends what is not whole
+
+        assert heard(events, "host") == asked + asked[:5] * 2
+        assert heard(events, "device") == answer
 
 
 def test_when_both_sides_are_readable_the_host_comes_first(
