@@ -74,6 +74,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     parser.addoption("--sample-seed", type=int, default=1, help="which rows a sample holds")
     parser.addoption(
+        "--examples", type=int, help="how many inputs Hypothesis draws for each of its tests"
+    )
+    parser.addoption(
         "--rewrite-transcripts",
         action="store_true",
         help="write what commands print now into tests/transcripts, instead of comparing it",
@@ -129,6 +132,13 @@ def _sampled(items: list[pytest.Item], seed: int) -> list[pytest.Item]:
     return [item for item in items if item not in left_out]
 
 
+def _draws(item: pytest.Item, examples: int) -> None:
+    """A test by Hypothesis draws so many inputs, also where its own settings say how many."""
+    test = item.obj  # type: ignore[attr-defined]
+    own = test._hypothesis_internal_use_settings
+    test._hypothesis_internal_use_settings = settings(own, max_examples=examples)
+
+
 @pytest.hookimpl(trylast=True)  # after pytest-randomly, whose order is kept
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Tests with very many rows run a seeded sample of them, unless --whole is given.
@@ -139,6 +149,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """
     if not config.getoption("--whole"):
         items[:] = _sampled(items, config.getoption("--sample-seed"))
+    if examples := config.getoption("--examples"):
+        for item in items:
+            if item.get_closest_marker("hypothesis"):
+                _draws(item, examples)
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     waiting = [item for item in items if item.get_closest_marker("waits")]
     waiting.sort(key=lambda item: not item.get_closest_marker("timeout"))  # the longest first

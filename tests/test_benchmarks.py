@@ -6,7 +6,7 @@ import ast
 import json
 import resource
 import signal
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,15 +14,12 @@ import pytest
 
 from benchmarks import captures, noise
 from benchmarks.bench import WORKS, measured
-from benchmarks.fuzz import engine
-from benchmarks.fuzz.engine import CORPUS, Failed, Target, Wrong, corpus, outcome_of, run, watched
-from benchmarks.fuzz.mutators import mutated_bytes
-from benchmarks.fuzz.targets import TARGETS
 from benchmarks.mutants import ROOMS, draw, mutations
 from benchmarks.plot import as_svg
 from benchmarks.report import as_json, as_markdown, between_markers, machine
 from benchmarks.setting import Setting, Sizes, Work
-from benchmarks.torture import exits, floods, kills, unplugs
+from benchmarks.torture import changes, exits, floods, guard, kills, unplugs
+from benchmarks.torture.guard import watched
 from benchmarks.torture.harm import Harm, Row
 from benchmarks.torture.harms import HARMS, page
 from bilprov.captures.schemas import Chunk
@@ -99,82 +96,55 @@ def test_mutants_of_a_room_are_other_python_on_as_many_lines(room: str) -> None:
     assert all((ROOT / name).exists() for name in ROOMS[room][1])
 
 
-# -- fuzzing --------------------------------------------------------------------------------------
+# -- captures that are damaged ---------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TARGETS)
-def test_a_target_takes_its_seeds_and_takes_or_refuses_what_is_damaged(name: str) -> None:
-    target = TARGETS[name]
-    row = run(target, 20, seed=1)
-
-    assert [finding.said for finding in row.findings] == []
+@pytest.mark.parametrize("path", changes.CORPUS, ids=lambda path: path.name)
+@pytest.mark.parametrize("use", changes.USES)
+def test_what_was_once_failed_on_fails_no_more(use: str, path: Path) -> None:
     with watched():
-        outcomes = [outcome_of(target, target.prepare(), data) for data in target.seeds()]
-    assert [one for one in outcomes if isinstance(one, Failed)] == []
+        assert changes.used(use, path.read_bytes()) in (True, False)
 
 
-@pytest.mark.parametrize("path", [path for name in TARGETS for path in corpus(name)])
-def test_what_a_target_once_failed_on_fails_no_more(path: Path) -> None:
-    target = TARGETS[path.parent.name]
-
-    with watched():
-        outcome = outcome_of(target, target.prepare(), path.read_bytes())
-
-    assert not isinstance(outcome, Failed), outcome.said
-
-
-def test_each_folder_of_the_corpus_belongs_to_a_target() -> None:
-    assert {path.name for path in CORPUS.iterdir()} <= TARGETS.keys()
-
-
-def spin() -> None:
+def spin(_: object) -> None:
     while True:
         pass
 
 
-def grow() -> None:
-    bytearray(2 * engine.MEMORY)
+def grow(_: object) -> None:
+    bytearray(2 * guard.MEMORY)
 
 
-def wrong() -> None:
-    raise Wrong("two ways differ")
-
-
-def leave() -> None:
+def leave(_: object) -> None:
     raise SystemExit(0)
 
 
 @pytest.mark.parametrize(
     ("act", "error"),
-    [(leave, "SystemExit"), (wrong, "Wrong: two ways differ"), (spin, "Endless"), (grow, "Memory")],
+    [
+        (leave, "SystemExit: 0 at "),
+        (lambda _: guard.require(False, "two ways differ"), "Wrong: two ways differ at "),
+        (spin, "Endless: more than 0.02 s of computing at "),
+        (grow, "MemoryError at "),
+    ],
 )
-def test_each_way_to_fail_is_noticed_and_the_input_shortened(
-    monkeypatch: pytest.MonkeyPatch, act: Callable[[], None], error: str
+def test_each_way_to_fail_is_noticed(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, act: Callable[[object], None], error: str
 ) -> None:
-    if act is spin:
-        monkeypatch.setattr(engine, "CPU_SECONDS", 0.02)
-        monkeypatch.setattr(engine, "_TRIES", 5)
+    monkeypatch.setattr(guard, "CPU_SECONDS", 0.02)
+    monkeypatch.setattr(changes, "_OUT", tmp_path)
+    monkeypatch.setattr(changes, "USES", dict.fromkeys(changes.USES, act))
     before = resource.getrlimit(resource.RLIMIT_AS)
 
-    def test(data: bytes) -> Hashable:
-        if b" " in data:
-            act()
-        return len(data)
+    wrong = wrong_in(changes.HARM.measure(7, 1, lambda count: None))
 
-    made = Target("made", lambda: test, (ValueError,), lambda: [b"a b"], mutated_bytes, 1)
-    row = run(made, 20, seed=1)
-
-    (finding,) = row.findings
-    assert finding.failure.error.startswith(error)
-    assert row.crashes == finding.times > 0
-    assert finding.data == b" " or act is spin  # each try takes its time
+    assert [one.startswith(error) for one in wrong] == [True] * 4
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
 # -- torture --------------------------------------------------------------------------------------
 
-FEW = {"damage": 48, "hostile": 1, "kills": 3, "exits": 4, "signals": 2}
+FEW = {"damage": 48, "changes": 70, "hostile": 1, "kills": 3, "exits": 4, "signals": 2}
 
 
 def rows_of(name: str, runs: int) -> list[Row]:

@@ -19,22 +19,36 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+import click
 import msgspec
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from bilprov.__main__ import main
+from bilprov.__main__ import COMMANDS, front_door, main
+from bilprov.analyzer.cli.options import Finite
+from bilprov.analyzer.cli.settings import (
+    COMMON,
+    SettingsError,
+    read_settings,
+    use_settings,
+    user_file,
+)
 from bilprov.analyzer.cli.typed_input import bytes_or_pause
 from bilprov.analyzer.client.probes import ProbeError, parse_look
+from bilprov.analyzer.filters.moments import instant
 from bilprov.analyzer.foreign import LARGEST_NUMBER, LONGEST_TEXT, from_json, from_toml
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.output.row_columns import ColumnError, chosen_columns
+from bilprov.analyzer.transport.line_settings import line_named
 from bilprov.analyzer.transport.machine import Machine
+from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.profile import Figures, profile_from
 from bilprov.conformance.report.expected import ExpectedError, ExpectedFile
 from bilprov.conformance.report.html.page import as_html
@@ -348,6 +362,48 @@ def test_what_is_typed_is_bytes_a_pause_or_a_sentence(text: str) -> None:
         with suppress(ValueError):
             found = bytes_or_pause(protocol, item)
             assert found if isinstance(found, bytes) else 0 <= found <= 60
+
+
+@given(TEXTS | st.sampled_from(["9" * 16_000 + "x", "5ms", "[::1]:50", "9600 8E1.5", "time,len"]))
+def test_what_stands_behind_an_option_is_a_value_or_a_sentence(text: str) -> None:
+    protocol = load_protocol()
+    conversions: tuple[Callable[[], object], ...] = (
+        lambda: instant(text),
+        lambda: parse_address(text),
+        lambda: chosen_columns(text, protocol),
+        lambda: parse_allowed(protocol, (text,)),
+        lambda: Finite(0).convert(text, None, None),
+        lambda: line_named(protocol, text),
+    )
+    for convert in conversions:
+        with suppress(ValueError, click.BadParameter, ColumnError):
+            convert()
+
+
+KEYS = st.sampled_from([*COMMON, "port", "probe", "wait", "yes", "expect", "columns", "format"])
+
+
+@given(
+    st.dictionaries(KEYS | TEXTS, JSON, max_size=3),
+    st.sampled_from(["device.car", "sniff", "send", "export", "device"]),
+)
+def test_settings_are_taken_by_each_command_or_refused(values: dict[str, Any], table: str) -> None:
+    lines = [f"{json.dumps(key)} = {json.dumps(value)}" for key, value in values.items()]
+    with tempfile.TemporaryDirectory() as folder:
+        environ = {"XDG_CONFIG_HOME": folder}
+        user_file(environ).parent.mkdir()
+        text = "\n".join(
+            ['[device.car]\nport = "x"'] * (table != "device") + [f"[{table}]", *lines]
+        )
+        user_file(environ).write_bytes(text.encode("utf-8", "surrogatepass"))
+        with click.Context(front_door, info_name="bilprov") as ctx, suppress(SettingsError):
+            found = read_settings(COMMANDS, environ)
+            for name in ("sniff", "send", "export"):
+                command = front_door.get_command(ctx, name)
+                assert command
+                use_settings(ctx, command, name, found)
+                with suppress(click.UsageError):
+                    command.make_context(name, ["car", "car"], parent=ctx)
 
 
 ARGUMENTS = {

@@ -15,30 +15,17 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from benchmarks.fuzz import engine
-from benchmarks.fuzz.captures import (
-    examined,
-    foreign_captures,
-    loose_capture,
-    mended,
-    own_captures,
-)
-from benchmarks.product import metadata
+from benchmarks.torture.capture_seeds import foreign_captures, loose_capture, own_captures, parts
+from benchmarks.torture.capture_uses import examined, mended
+from benchmarks.torture.guard import folder, guarded, watched
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.doctor.capture_file import of_capture
 from bilprov.analyzer.doctor.finding import Grade
-from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.replay.recorder import RecordWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.storage import records
 from bilprov.captures.storage.records import MAGIC, RECORD_HEAD
-from bilprov.captures.topics import PART
-from bilprov.captures.writer import CaptureWriter
-
-_START = 1_790_000_000_000_000_000  # ns since 1970
 
 Messages = list[tuple[int, str, str]]
 
@@ -66,27 +53,8 @@ def kinds() -> tuple[Kind, ...]:
         Kind("without its index", (own[0][: _data_end(own[0])],)),
         *(Kind(f"foreign {n}", (one,), own=False) for n, one in enumerate(foreign_captures())),
         Kind("foreign, no chunks", (loose_capture(),), own=False, chunked=False),
-        Kind("in parts", _parts()),
+        Kind("in parts", parts()),
     )
-
-
-def _parts() -> tuple[bytes, ...]:
-    """A recording in three parts."""
-    about = metadata(load_protocol())
-    paths = [engine.folder() / f"part-{number}.mcap" for number in range(3)]
-    writer: CaptureWriter = RecordWriter(paths[0], _START, {**about, PART: "1"})
-    for number, path in enumerate(paths):
-        if number:
-            writer = writer.following(path, {**about, PART: str(number + 1)})
-        for turn in range(12):
-            t = (12 * number + turn) * 10 * MS
-            writer.chunk(Chunk(t, "host", bytes([turn]) * 4))
-            writer.chunk(Chunk(t + MS, "device", bytes([number])))
-            if turn % 4 == 3:
-                writer.write(Line(t + 2 * MS, "modem", "host", "RTS"), t + 2 * MS)
-                writer.flush()
-    writer.close()
-    return tuple(path.read_bytes() for path in paths)
 
 
 def _bounds(data: bytes) -> list[int]:
@@ -160,7 +128,7 @@ class Outcome(NamedTuple):
 
 def _placed(files: tuple[bytes, ...]) -> Path:
     """Write the files of a capture; gives the name under which it is opened."""
-    name = engine.folder() / ("input.mcap" if len(files) == 1 else "input-in-parts.mcap")
+    name = folder() / ("input.mcap" if len(files) == 1 else "input-in-parts.mcap")
     for number, data in enumerate(files, 1):
         (part_path(name, number) if len(files) > 1 else name).write_bytes(data)
     return name
@@ -218,7 +186,7 @@ def _outcomes(damage: Damage, runs: int, random: Random) -> Iterator[Outcome]:
     for run in range(runs):
         kind = random.choice(kinds())
         read = partial(judged, kind, _damaged(random, kind, damage))
-        outcome = engine.guarded(read)
+        outcome = guarded(read)
         if not isinstance(outcome, Outcome):
             outcome = Outcome(wrong=str(outcome))
         yield outcome._replace(wrong=outcome.wrong and f"run {run}, {kind.name}: {outcome.wrong}")
@@ -229,7 +197,7 @@ def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
     rows = []
     for number, (name, damage) in enumerate(DAMAGES.items()):
         share = len(range(number, runs, len(DAMAGES)))
-        with engine.watched():
+        with watched():
             outcomes = list(_outcomes(damage, share, Random(f"{seed} {name}")))
         rows.append(_row(name, outcomes))
         progress(share)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from benchmarks.fuzz.targets import measure as fuzzed
-from benchmarks.torture import damage, exits, floods, hostile, kills, noise, unplugs
-from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture import changes, damage, exits, floods, hostile, kills, noise, unplugs
 
 _HEAD = """# Reliability
 
@@ -17,30 +15,17 @@ has the limits.
 """
 
 
-def _fuzz(runs: int, seed: int, progress: Progress) -> list[Row]:
-    """The targets of `make fuzz`."""
-    return [
-        Row(
-            f"fuzzed inputs for {row.target}",
-            row.inputs,
-            f"{row.crashes:,} crashes; {row.refused:,} refused with a sentence",
-            tuple(f"{one.failure.error} at {one.failure.where}" for one in row.findings),
-        )
-        for row in fuzzed(runs, seed, progress=progress)
-    ]
-
-
 HARMS = {
     harm.name: harm
     for harm in (
         damage.HARM,
+        changes.HARM,
         hostile.HARM,
         kills.HARM,
         unplugs.HARM,
         *exits.HARMS,
         floods.HARM,
         noise.HARM,
-        Harm("fuzz", "damaged inputs for every reader", 2_500_000, _fuzz),
     )
 }
 

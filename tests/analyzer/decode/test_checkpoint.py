@@ -201,3 +201,7 @@ def test_no_text_whatever_breaks_the_decoding(protocol: Protocol, data: st.DataO
 @pytest.mark.parametrize("text", ["", "{}", "[" * 100_000, '"\ud800"', "null", "\0", "1e999"])
 def test_what_is_no_state_at_all_is_refused(protocol: Protocol, text: str) -> None:
     assert decoded(text, protocol) is None
+
+
+def test_a_time_that_no_clock_shows_is_refused(protocol: Protocol) -> None:
+    assert decoded(encoded(replace(some_state(protocol), time=(1 << 61) + 1)), protocol) is None

@@ -6,36 +6,55 @@ breaks a checksum gets no further than the reader's first look.
 
 from __future__ import annotations
 
+import json
+import re
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from random import Random
 from struct import error as StructError
 from struct import pack, pack_into, unpack_from
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from benchmarks.fuzz.mutators import HOSTILE, change, damaged, json_mutator
 from bilprov.captures.storage import records
 from bilprov.captures.storage.records import MAGIC, MESSAGE_HEAD, RECORD_HEAD
 from bilprov.captures.topics import CHANNEL_START_KEY, METADATA_NAME, START_KEY, TOPICS
 
 _CHUNK_INDEX = 0x08
+_NUMBERS = (0, 1, 16, 255, 1 << 16, 1 << 24, (1 << 31) - 1, 1 << 31, (1 << 32) - 1, 1 << 62)
+_LONGEST = 1 << 16  # bytes of what is damaged
+_HOW_MANY = (1, 1, 1, 1, 1, 2, 2, 3, 5, 9)
+_LENGTHS = (1, 1, 2, 3, 4, 8, 9, 16, 64)
 _TIMES = (0, 1, 1 << 31, (1 << 53) + 1, 1 << 62, (1 << 63) - 1, 1 << 63, (1 << 64) - 1)
 _LARGEST = 1 << 17  # bytes of an unpacked chunk that is changed
 
+# Texts that readers stumble over.
+_HOSTILE = (
+    *("", " ", "\0", "\n", "\r\n", "\x1b[31m", "\u202e", "\u2028", "\ufeff", "\ud800"),
+    *("\U0010ffff", "é", "\xb2", "٣", "[/x]", "%s", "{0}", "=1+1", "../", "~", "-", "--"),
+    *("a" * 300, "'" * 3, "nan", "inf", "-inf", "1e999", "-0", "1_0", "0x", "0b2", "08"),
+    *("1e-400", "9" * 30, "9" * 5000),
+)
 _WORDS = tuple(
     text.encode("utf-8", "surrogatepass")
     for text in (
         *(text for topic in TOPICS for text in (topic.name, topic.encoding)),
         *(START_KEY, CHANNEL_START_KEY, METADATA_NAME, "bilprov ", "zstd", "lz4", "json"),
-        *HOSTILE,
+        *_HOSTILE,
     )
 )
 
 _pack = zstandard.ZstdCompressor(level=1).compress
-_change_json = json_mutator(())
+_VALUE = re.compile(rb'(?<=[:,\[])\s*("[^"]*"|[^][{}:,"]+)')  # in JSON; some are keys
+_VALUES = tuple(
+    json.dumps(value).encode()
+    for value in (
+        *(None, True, -1, 256, 0.5, 1e308, 1 << 63, 1 << 64, -(1 << 70), float("nan"), [], {}),
+        *([None], {"": None}, *_HOSTILE),
+    )
+)
 
 
 class Record(NamedTuple):
@@ -45,11 +64,11 @@ class Record(NamedTuple):
     content: bytes
 
 
-def mutated_capture(random: Random, pool: Sequence[bytes]) -> bytes:
+def changed_capture(random: Random, pool: Sequence[bytes]) -> bytes:
     """A capture from the pool with some changes, most of them inside of its records."""
     data = random.choice(pool)
     if random.random() < 0.15:
-        return damaged(random, data, pool, _WORDS)
+        return _damaged(random, data, pool)
     found, rest = _split(data[len(MAGIC) :])
     for _ in range(random.choice((1, 1, 1, 2, 3, 6))):
         _change(random, found, pool, inside=False)
@@ -58,7 +77,7 @@ def mutated_capture(random: Random, pool: Sequence[bytes]) -> bytes:
     if kind < 0.05:
         data = data[: random.randrange(len(data) + 1)]
     elif kind < 0.15:
-        data = damaged(random, data, pool, _WORDS)
+        data = _damaged(random, data, pool)
     return data
 
 
@@ -85,7 +104,7 @@ def _change(random: Random, found: list[Record], pool: Sequence[bytes], inside: 
     chunks = [one for one in others if one.opcode == records.CHUNK]
     if inside and chunks:
         others, _ = _split(_unpacked(random.choice(chunks).content) or b"")
-    change(random, found, others, lambda: others[:1])
+    _change_items(random, found, others, lambda: others[:1])
 
 
 def _changed(random: Random, record: Record, pool: Sequence[bytes]) -> Record:
@@ -101,7 +120,7 @@ def _changed(random: Random, record: Record, pool: Sequence[bytes]) -> Record:
             return Record(opcode, _packed(random, _bytes(parts) + rest, content))
     if opcode == records.MESSAGE and len(content) >= MESSAGE_HEAD.size and random.random() < 0.8:
         return Record(opcode, _changed_message(random, content, pool))
-    return Record(opcode, damaged(random, content, pool, _WORDS))
+    return Record(opcode, _damaged(random, content, pool))
 
 
 def _changed_message(random: Random, content: bytes, pool: Sequence[bytes]) -> bytes:
@@ -116,13 +135,65 @@ def _changed_message(random: Random, content: bytes, pool: Sequence[bytes]) -> b
         moved = log_time + random.choice((-1, 1, 10**9, -(10**9), 10**15))
         log_time = random.choice((*_TIMES, moved, moved, moved))
     elif data.startswith(b"{"):
-        data = _change_json(random, (data,))
+        data = _changed_json(random, data)
     else:
-        data = damaged(random, data, pool)
+        data = _damaged(random, data, pool)
     head = MESSAGE_HEAD.pack(
         channel, sequence & (1 << 32) - 1, log_time & (1 << 64) - 1, publish_time
     )
     return head + data
+
+
+def _changed_json(random: Random, data: bytes) -> bytes:
+    """JSON with other values, or keys, in up to three places."""
+    for _ in range(random.choice((1, 1, 2, 3))):
+        if places := [found.span(1) for found in _VALUE.finditer(data)]:
+            start, end = random.choice(places)
+            data = data[:start] + random.choice(_VALUES) + data[end:]
+    return data
+
+
+def _change_items(random: Random, items: Any, others: Any, news: Callable[[], Any]) -> None:
+    """Make one change in bytes or a list: a part goes, comes again or moves, or a new one comes.
+
+    `others` are those of another input, `news` gives pieces that are in none.
+    """
+    at, count = random.randrange(len(items) + 1), random.choice(_LENGTHS)
+    kind = random.randrange(6)
+    if kind == 0:
+        del items[at : at + count]
+    elif kind == 1:
+        items[at:at] = items[at : at + count] * random.choice((1, 1, 2, 40))
+    elif kind == 2:
+        start = random.randrange(len(others) + 1)
+        part = others[start : start + count]
+        items[at : at + random.choice((0, len(part)))] = part
+    elif kind == 3 and items:
+        other = random.randrange(len(items))
+        at = min(at, len(items) - 1)
+        items[at], items[other] = items[other], items[at]
+    else:
+        new = news()
+        items[at : at + random.choice((0, len(new)))] = new
+
+
+def _damaged(random: Random, data: bytes, pool: Sequence[bytes]) -> bytes:
+    """Some bytes with one to nine changes; parts of others in the pool may get into them."""
+    changed = bytearray(data)
+
+    def new() -> bytes:
+        number = (random.choice(_NUMBERS) + random.randint(-1, 1)) % (1 << 64)
+        cut = number.to_bytes(8, "little")[: random.choice((1, 2, 4, 8))]
+        return random.choice(
+            (cut, random.randbytes(random.choice(_LENGTHS)), random.choice(_WORDS))
+        )
+
+    for _ in range(random.choice(_HOW_MANY)):
+        if changed and random.random() < 0.2:
+            changed[random.randrange(len(changed))] ^= 1 << random.randrange(8)
+        else:
+            _change_items(random, changed, random.choice(pool), new)
+    return bytes(changed[:_LONGEST])
 
 
 def _unpacked(content: bytes) -> bytes | None:
