@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.outputs import Shown
     from bilprov.analyzer.output.statistics import Statistics
     from bilprov.analyzer.replay.recorder import Recorder
-    from bilprov.analyzer.replay.spool import Spool
 
 MOST_BYTES = 1 << 14  # that wait to be decoded: so many take a millisecond, and a pty holds 4 KiB
 
@@ -33,7 +32,7 @@ class Pipeline:
     decoder: StreamDecoder
     statistics: Statistics
     shown: Shown
-    recorder: Recorder | Spool | None = None
+    recorder: Recorder | None = None
     judge: PassiveJudge | None = None
     patience: int = 0
     _pending: list[Chunk | Line] = field(default_factory=list)

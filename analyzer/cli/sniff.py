@@ -205,7 +205,7 @@ def sniff(options: SniffOptions) -> int:
         )
         if path:
             note_each([not_carried(protocol)])
-        recorder: Recorder | Spool | None = None
+        recorder: Recorder | None = None
         kept: str | None = None
         if path:
             recorder = stack.enter_context(

@@ -221,9 +221,9 @@ class Recorder(Closing):
 
     def events(self, events: Iterable[Chunk | Line]) -> None:
         """Write raw events, before they are decoded."""
-        writer = self._writer
-        if writer.failure:
+        if self.failure:
             return
+        writer = self._writer
         for event in events:
             if self._part_since is None:
                 self._part_since = event.t
@@ -239,7 +239,7 @@ class Recorder(Closing):
         Call it once for each batch, with 0 frames too.
         """
         self._count(frames, now)
-        if not self._throttle.stopped and not self.failure:
+        if not (self.failure or self._throttle.stopped):
             for record in records():
                 self._write(record)
 
@@ -286,8 +286,7 @@ class Recorder(Closing):
         self._writer.go_on_in(part_path(self._name, self._part), about, t, self._rotation.keep)
 
     def _count(self, frames: int, now: int) -> None:
-        change = self._throttle.count(frames, now)
-        if change:
+        if not self.failure and (change := self._throttle.count(frames, now)):
             name, why = change
             self._state = None  # so that the first state is written when they resume
             self._writer.write(Log(_wall(self._start + now), Severity.INFO, why, name), now)

@@ -8,15 +8,14 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter
 from bilprov.analyzer.replay.rotation import Rotation
 from bilprov.captures import topics
-from bilprov.captures.closing import Closing
+from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
@@ -32,11 +31,21 @@ def new_name() -> str:
     return time.strftime("capture-%Y%m%d-%H%M%S.mcap", time.localtime())
 
 
-class Spool(Closing):
-    """Records as a Recorder does, into temporary files that are deleted at `close`.
+class _Nowhere(BackgroundWriter):
+    """Stands for a writer whose file could not be made: it has failed from the beginning on."""
 
-    At most about `most` bytes are kept. `failure` is as a Recorder's. Nobody asked for these files,
-    so they may fail from the beginning on.
+    def __init__(self, failure: str) -> None:
+        self.failure, self.waited_ns, self.oldest = failure, 0, 0
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class Spool(Recorder):
+    """Records into temporary files that are deleted at `close`.
+
+    At most about `most` bytes are kept. Nobody asked for these files, so they may fail from the
+    beginning on. After `finish` only `keep` and `close` are called.
     """
 
     def __init__(
@@ -46,60 +55,23 @@ class Spool(Closing):
         most: int = MOST_BYTES,
         shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
-        self.failure = ""
-        self._start_wall = start_wall
-        self._metadata = dict(metadata)
         self._shapes = shapes
-        self._recorder: Recorder | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
+        rotation = Rotation(size=most // PARTS, keep=PARTS)
         try:
             self._folder = tempfile.TemporaryDirectory(
                 prefix="bilprov-", ignore_cleanup_errors=True
             )
-            self._name = Path(self._folder.name) / _NAME
-            rotation = Rotation(size=most // PARTS, keep=PARTS)
-            self._recorder = Recorder(self._name, start_wall, metadata, rotation, shapes)
+            super().__init__(Path(self._folder.name, _NAME), start_wall, metadata, rotation, shapes)
         except (CaptureError, OSError) as error:
-            self._note(error.strerror if isinstance(error, OSError) else error)
+            self.bytes = 0
+            self._writer = _Nowhere(str(_why(error)))
 
     @property
-    def bytes(self) -> int:
-        """How many raw bytes were handed over."""
-        return self._recorder.bytes if self._recorder else 0
-
-    @property
-    def waited_ns(self) -> int:
-        """How long the reader has waited in all for files that were too slow."""
-        return self._recorder.waited_ns if self._recorder else 0
-
-    @property
-    def oldest(self) -> int:
-        """The time (ns since the start) from which on everything is there."""
-        return self._recorder.oldest if self._recorder else 0
-
-    def part_due(self, now: int) -> bool:
-        """Whether `checkpoint` begins a part at `now` (ns); see Recorder."""
-        return self._recorder is not None and self._recorder.part_due(now)
-
-    def events(self, events: Iterable[Chunk | Line]) -> None:
-        """Write raw events, before they are decoded."""
-        self._do(lambda recorder: recorder.events(events))
-
-    def decoded(self, frames: int, now: int, records: Callable[[], Iterable[Record]]) -> None:
-        """Write a decoded batch; see Recorder."""
-        self._do(lambda recorder: recorder.decoded(frames, now, records))
-
-    def checkpoint(self, t: int, save: Callable[[], str | None]) -> None:
-        """Write a checkpoint at `t` if one is due, or begin the next part if this one is full."""
-        self._do(lambda recorder: recorder.checkpoint(t, save))
-
-    def tick(self, now: int) -> None:
-        """Let time pass to `now`."""
-        self._do(lambda recorder: recorder.tick(now))
-
-    def finish(self) -> None:
-        """End the recording; only `keep` and `close` are called after it."""
-        self._do(lambda recorder: recorder.finish())
+    def failure(self) -> str:
+        """Why the session cannot be saved, in one sentence; "" while it can."""
+        why = self._writer.failure
+        return f"the session cannot be saved: {printable(why)}" if why else ""
 
     def keep(self, path: Path) -> None:
         """Keep the finished recording as a new capture.
@@ -107,38 +79,27 @@ class Spool(Closing):
         Raises CaptureError if there is a file of this name, or if it cannot be written; then the
         temporary files stay, and the sentence says where.
         """
-        if self.failure or not self._recorder:
+        if self.failure:
             raise CaptureError(self.failure)
         try:
-            if self._recorder.oldest or len(self._recorder.paths) > 1:
-                self._join(path, self._recorder.oldest)
+            if self.oldest or len(self.paths) > 1:
+                self._join(path)
             else:
-                self._copy(self._recorder.path, path)
+                self._copy(self.path, path)
         except (CaptureError, OSError) as error:
-            why = error.strerror if isinstance(error, OSError) else error
             kept = Path(tempfile.mkdtemp(prefix="bilprov-kept-"))
-            for part in self._recorder.paths:
+            for part in self.paths:
                 shutil.move(part, kept)
+            why = printable(_why(error))
             raise CaptureError(
-                f"{printable(path)} was not written ({printable(why)}); the capture is in {kept}"
+                f"{printable(path)} was not written ({why}); the capture is in {kept}"
             ) from error
 
     def close(self) -> None:
         """Delete the temporary files; further calls do nothing."""
-        if self._recorder:
-            self._recorder.close()
+        super().close()
         if self._folder:
             self._folder.cleanup()
-
-    def _do(self, act: Callable[[Recorder], object]) -> None:
-        """Do something with the recorder, and note its failure; nothing once there was one."""
-        if self._recorder and not self.failure:
-            act(self._recorder)
-            self._note(self._recorder.failure)
-
-    def _note(self, why: object) -> None:
-        if why:
-            self.failure = f"the session cannot be saved: {printable(why)}"
 
     @staticmethod
     def _copy(part: Path, path: Path) -> None:
@@ -149,14 +110,18 @@ class Spool(Closing):
                 path.unlink(missing_ok=True)
                 raise
 
-    def _join(self, path: Path, oldest: int) -> None:
+    def _join(self, path: Path) -> None:
         """Write all parts into one capture; what was decoded from the bytes is left out."""
-        with RecordWriter(path, self._start_wall, self._metadata, self._shapes) as writer:
-            if oldest:
-                gone = f"what came before {oldest / 1e9:.3f} s was dropped: no room"
-                writer.event(Line(oldest, "gap", "", gone))
+        with RecordWriter(path, self._start, self._metadata, self._shapes) as writer:
+            if self.oldest:
+                gone = f"what came before {self.oldest / 1e9:.3f} s was dropped: no room"
+                writer.event(Line(self.oldest, "gap", "", gone))
             for event in open_capture(self._name).recorded():
                 if isinstance(event, Chunk | Line):
                     writer.event(event)
                 elif isinstance(event, Checkpoint):
                     writer.write(event, event.t)
+
+
+def _why(error: CaptureError | OSError) -> object:
+    return error.strerror if isinstance(error, OSError) else error

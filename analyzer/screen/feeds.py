@@ -167,7 +167,7 @@ class ScreenOutput(NoOutput):
         self,
         feed: Feed[Any],
         statistics: Statistics | None = None,
-        recorder: Recorder | Spool | None = None,
+        recorder: Recorder | None = None,
         most: int = MOST_MEMORY,
     ) -> None:
         self._feed = feed
