@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,7 +32,10 @@ from bilprov.analyzer.cli.reading import opened_captures, protocol_of, reading
 from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
+    from bilprov.analyzer.replay.capture_parts import Progress
+    from bilprov.analyzer.replay.recorder import RecordWriter
     from bilprov.captures.reader import Capture
+    from bilprov.spec.protocol import Protocol
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,7 @@ def cut(options: CutOptions) -> None:
     Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT.
     """
     from bilprov.analyzer.edit.cut import write_selected, write_window
-    from bilprov.analyzer.edit.new_capture import cut_metadata, new_capture
+    from bilprov.analyzer.edit.new_capture import cut_metadata
     from bilprov.analyzer.replay.capture_session import require_begun, said_about
     from bilprov.analyzer.replay.seek import opened_at
     from bilprov.captures.reader import open_quickly
@@ -136,14 +140,9 @@ def cut(options: CutOptions) -> None:
     require_begun(capture, window.first)
     require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
     note_each((*said_about(capture, protocol), opened.note if window.first else ""))
-    note_each(left_out(capture))
     metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
-    with (
-        reading([capture], times=1 if test is None else 2) as progress,
-        new_capture(new, capture.start, metadata, protocol, force=options.force) as out,
-    ):
-        for file in capture.attachments():
-            out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
+    times = 1 if test is None else 2
+    with _copying(options, [capture], metadata, protocol, times=times) as (out, progress):
         if test is None:
             size = write_window(opened, protocol, out, window, progress)
         else:
@@ -173,7 +172,7 @@ def repair(options: RepairOptions) -> None:
     that was never finished, and stays as it is. bilprov capture check BROKEN.mcap reports what is
     lost. Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT."""
     from bilprov.analyzer.edit.cut import write_window
-    from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
+    from bilprov.analyzer.edit.new_capture import edited_metadata
     from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.analyzer.replay.seek import opened_at
@@ -183,14 +182,9 @@ def repair(options: RepairOptions) -> None:
     capture = open_capture(path)  # surveyed: an index tells nothing of damage
     protocol = protocol_of(capture, copied=True)
     require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
-    note_each((*said_about(capture, protocol), *left_out(capture)))
+    note_each(said_about(capture, protocol))
     metadata = edited_metadata(capture, protocol, f"repair {printable(path.name)}")
-    with (
-        reading([capture]) as progress,
-        new_capture(new, capture.start, metadata, protocol, force=options.force) as out,
-    ):
-        for file in capture.attachments():
-            out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
+    with _copying(options, [capture], metadata, protocol) as (out, progress):
         size = write_window(opened_at(capture, protocol, 0), protocol, out, Window(), progress)
     note(f"{new} holds {quantity(size, 'byte')} of {path}")
     if capture.left_out or not capture.damage:
@@ -230,7 +224,6 @@ def join(options: JoinOptions) -> None:
     leaves no OUT.
     """
     from bilprov.analyzer.edit.join import Joined, write_joined
-    from bilprov.analyzer.edit.new_capture import new_capture
     from bilprov.analyzer.replay.capture_session import said_about
     from bilprov.captures.reader import open_capture
 
@@ -243,12 +236,10 @@ def join(options: JoinOptions) -> None:
     protocol = protocol_of(*captures, copied=True)
     joined = Joined(protocol, captures)
     for capture in captures:
-        note_each((*said_about(capture, protocol), *left_out(capture)))
+        note_each(said_about(capture, protocol))
     note_each(joined.notes())
-    with (
-        reading(captures) as progress,
-        new_capture(new, joined.start, joined.metadata(), protocol, force=options.force) as out,
-    ):
+    inputs_in_order = [source.capture for source in joined.sources]
+    with _copying(options, inputs_in_order, joined.metadata(), protocol) as (out, progress):
         size = write_joined(joined, protocol, out, progress)
     note(f"{new} holds {quantity(size, 'byte')} of {len(captures)} captures")
 
@@ -257,8 +248,9 @@ def join(options: JoinOptions) -> None:
 class DecodeOptions:
     """The options of `capture decode`."""
 
-    path: str = argument(metavar="IN.mcap")
-    new: str = argument(metavar="OUT.mcap")
+    path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
+    new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
+    force: bool = force_option()
 
 
 @command(DecodeOptions)
@@ -268,16 +260,18 @@ def decode(options: DecodeOptions) -> None:
 
     OUT holds what IN holds, and every frame, answer, state and fault decoded from its bytes,
     including those that were not written while traffic was heavy. IN may come from an older version
-    or from another program, and may be unfinished or damaged. OUT must not exist; Ctrl-C leaves
-    none.
+    or from another program, and may be unfinished or damaged. Ctrl-C leaves no OUT.
     """
-    from bilprov.analyzer.replay.conversion import write_decoded
+    from bilprov.analyzer.edit.conversion import decoded_metadata, write_decoded
 
-    (capture,), protocol = opened_captures([options.path], copied=True)
-    note_each(left_out(capture))
-    with reading([capture], least=0) as progress:  # each frame is written: that takes long
-        write_decoded(capture, protocol, options.new, progress)
-    note(f"{options.path} is in {options.new}, with everything decoded from it")
+    path, new = options.path, options.new
+    (capture,), protocol = opened_captures([path], copied=True)
+    require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
+    metadata = decoded_metadata(capture, protocol)
+    # Each frame is written: that takes long, however few bytes there are.
+    with _copying(options, [capture], metadata, protocol, least=0) as (out, progress):
+        write_decoded(capture, protocol, out, progress)
+    note(f"{path} is in {new}, with everything decoded from it")
 
 
 @dataclass(frozen=True)
@@ -331,6 +325,33 @@ def diff(options: DiffOptions) -> int:
     if output != STANDARD_OUTPUT:
         show(*drawn(comparison, paths))
     return comparison.exit
+
+
+@contextmanager
+def _copying(
+    options: CutOptions | RepairOptions | JoinOptions | DecodeOptions,
+    captures: Sequence[Capture],
+    metadata: Mapping[str, str],
+    protocol: Protocol,
+    **shown: int,
+) -> Iterator[tuple[RecordWriter, Progress]]:
+    """Give the writer of the new capture, with the attachments of the others, and their progress.
+
+    `shown` is as in `reading`. The time 0 is that of the capture that begins first.
+    """
+    from bilprov.analyzer.edit.new_capture import new_capture
+
+    for capture in captures:
+        note_each(left_out(capture))
+    start = min(capture.start for capture in captures)
+    with (
+        reading(captures, **shown) as progress,
+        new_capture(options.new, start, metadata, protocol, force=options.force) as out,
+    ):
+        for capture in captures:
+            for file in capture.attachments():
+                out.attach(file.name, file.media_type, file.data, file.log_time - start)
+        yield out, progress
 
 
 def left_out(capture: Capture) -> Iterator[str]:

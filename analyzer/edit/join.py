@@ -136,9 +136,6 @@ def write_joined(joined: Joined, protocol: Protocol, out: RecordWriter, progress
 
     Raises CaptureError as `Capture.events` and the writer do.
     """
-    for source in joined.sources:
-        for file in source.capture.attachments():
-            out.attach(file.name, file.media_type, file.data, file.log_time - joined.start)
     decoder = StreamDecoder(protocol, **joined.settings)
     checkpoints = Checkpoints(protocol.sha256)
     streams = [_values(joined, place, protocol) for place in range(len(joined.sources))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from bilprov.analyzer.decode.session import BOTH, SKEW, Session, SessionSettings
+from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
@@ -88,11 +88,6 @@ def capture_settings(
         # Without this entry the first byte need not be a header.
         "attached": capture.metadata.get("attached") != "no",
     }
-
-
-def capture_session(capture: Capture, protocol: Protocol) -> Session:
-    """A session with the settings of the recording one."""
-    return Session(protocol, **capture_settings(capture, protocol))
 
 
 def capture_decoder(

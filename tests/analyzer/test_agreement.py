@@ -28,7 +28,6 @@ from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_parts import decoded_batches
 from bilprov.analyzer.replay.capture_session import (
     capture_decoder,
-    capture_session,
     capture_settings,
 )
 from bilprov.analyzer.replay.capture_totals import capture_totals
@@ -39,7 +38,7 @@ from bilprov.captures.schemas import MS
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.export.test_export import csv_rows, flat, parquet_rows, written, written_by
 from tests.support import ROOT
-from tests.support.decoding import decoded
+from tests.support.decoding import capture_session, decoded
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 from tests.support.wireshark import exported, packets
 

@@ -12,7 +12,6 @@ import pytest
 
 from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.monitor.passive_judge import KEPT, MOVING, Findings, PassiveJudge
-from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line, Look
 from bilprov.captures.topics import CarLook
@@ -29,6 +28,7 @@ from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import build_reply, read_reply
 from tests.support import ROOT
+from tests.support.decoding import capture_session
 from tests.support.framed_traffic import FRAMED
 from tests.support.recordings import recorded
 from tests.support.robots import MS

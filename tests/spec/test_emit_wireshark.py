@@ -12,14 +12,13 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
-from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Direction
 from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import snake_case
 from tests.support.commands import command
-from tests.support.decoding import Event, decoded
+from tests.support.decoding import Event, capture_session, decoded
 from tests.support.traffic import ACTS, Act, played
 from tests.support.wireshark import Tshark, capture_of, exported, reads
 

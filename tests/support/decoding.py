@@ -6,7 +6,10 @@ from collections.abc import Iterable, Sequence
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.capture_session import capture_settings
+from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.protocol import Protocol
 
 MS = 1_000_000  # ns
 
@@ -42,3 +45,8 @@ def devices(records: Iterable[Record]) -> list[DeviceRecord]:
 
 def kinds(records: Iterable[Record]) -> list[str]:
     return [fault.kind for record in records for fault in record.faults]
+
+
+def capture_session(capture: Capture, protocol: Protocol) -> Session:
+    """A session with the settings of the recording one."""
+    return Session(protocol, **capture_settings(capture, protocol))

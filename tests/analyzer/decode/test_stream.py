@@ -19,14 +19,14 @@ from bilprov.analyzer.decode.batch import Batch, Kinds, Records
 from bilprov.analyzer.decode.regular import RegularBatch
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.replay.capture_session import capture_decoder, capture_session
+from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
-from tests.support.decoding import MS, Event
+from tests.support.decoding import MS, Event, capture_session
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
 
 # Slow: more than make quick has time for.

@@ -22,14 +22,13 @@ from bilprov.analyzer.export.text import write_csv, write_jsonl
 from bilprov.analyzer.output.csv_text import plain
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_parts import Chosen
-from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command, process
-from tests.support.decoding import Event, conversation, decoded
+from tests.support.decoding import Event, capture_session, conversation, decoded
 from tests.support.grammars import undeclared
 from tests.support.robots import until
 from tests.support.terminals import on_terminal

@@ -15,11 +15,10 @@ from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
-from tests.support.decoding import Event, conversation, decoded
+from tests.support.decoding import Event, capture_session, conversation, decoded
 from tests.support.expressions import expressions
 from tests.support.firmware import needs
 from tests.support.traffic import ACTS, SETTINGS, Act, played

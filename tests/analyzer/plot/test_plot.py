@@ -14,7 +14,6 @@ import pytest
 from msgspec.structs import replace
 
 from bilprov.analyzer.decode.records import Record, serious_faults
-from bilprov.analyzer.replay.capture_session import capture_session
 from bilprov.analyzer.totals import timeline
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
@@ -25,7 +24,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.chromium import INSTALL, Page, chromium
 from tests.support.commands import command
-from tests.support.decoding import MS, Event, decoded, devices, hosts
+from tests.support.decoding import MS, Event, capture_session, decoded, devices, hosts
 from tests.support.reports import Seen
 
 pytestmark = pytest.mark.waits
