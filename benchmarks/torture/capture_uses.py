@@ -20,6 +20,7 @@ import msgspec
 from benchmarks.torture.capture_seeds import own_captures
 from benchmarks.torture.guard import folder, require
 from bilprov.analyzer.decode import stream
+from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.capture_file import of_capture
 from bilprov.analyzer.edit.compare import compared
 from bilprov.analyzer.edit.cut import write_selected, write_window
@@ -35,7 +36,7 @@ from bilprov.analyzer.output.capture_stats import file_stats
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.plot.page import plot_page
 from bilprov.analyzer.replay.capture_parts import Chosen, decoded_batches
-from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, capture_session
+from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, capture_settings
 from bilprov.analyzer.replay.recorder import RecordWriter
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.analyzer.totals.timeline import Timeline
@@ -146,7 +147,8 @@ def exported(path: Path) -> None:
     """Decode a capture one by one and to columns, and write it in every form."""
     protocol, capture = load_protocol(), open_capture(path)
     played = list(capture.events())
-    session, decoder = capture_session(capture, protocol), capture_decoder(capture, protocol)
+    session = Session(protocol, **capture_settings(capture, protocol))
+    decoder = capture_decoder(capture, protocol)
     records = [record for event in played for record in session.feed(event)]
     records += session.finish()
     before, stream.LEAST = stream.LEAST, 0  # else little traffic is left to a Session
