@@ -5,6 +5,7 @@ Numbers and bytes are arrays; words are coded, so that each word of a column is 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
@@ -36,7 +37,10 @@ from bilprov.spec.tables import BAD_DATA, OUTCOMES, VALID, WIDEST, field_values
 
 
 class Numbers(NamedTuple):
-    """Numbers, or one for all rows, and in which rows there are any (None: in all)."""
+    """Numbers, or one for all rows, and in which rows there are any (None: in all).
+
+    Where a row may have several, the first axis counts them and the last one the rows.
+    """
 
     value: NDArray[Any] | float
     present: Mask | None = None
@@ -340,12 +344,18 @@ def _of_registers(protocol: Protocol, made: Callable[[str], Column]) -> Makers:
 def _told(
     name: str, told: Iterable[Iterable[tuple[str, Any]]], rows: NDArray[np.int64], count: int
 ) -> Column:
-    """A register that some rows may tell; those are decoded one by one."""
-    value, present = np.zeros(count, object), np.zeros(count, np.bool_)
-    for row, fields in zip(rows.tolist(), told, strict=True):
-        known = dict(fields)
-        present[row] = name in known
-        value[row] = known.get(name, 0)
+    """A register that some rows may tell; those are decoded one by one.
+
+    A row that writes it at several devices has several values.
+    """
+    found = [[(one.partition("@")[0], value) for one, value in fields] for fields in told]
+    counts = [Counter(one for one, _ in fields) for fields in found]
+    most = max((max(each.values(), default=1) for each in counts), default=1)
+    value, present = np.zeros((most, count), object), np.zeros((most, count), np.bool_)
+    for row, fields in zip(rows.tolist(), found, strict=True):
+        values = [value for one, value in fields if one == name]
+        value[: len(values), row] = values
+        present[: len(values), row] = True
     return Numbers(value, present)
 
 

@@ -131,12 +131,13 @@ def _both(left: Mask | None, right: Mask | None) -> Mask | None:
 
 
 def _compared(left: Column, sign: str, right: Column) -> Mask:
-    """In which rows two columns have values that compare so."""
+    """In which rows two columns have values that compare so; of several, any two of one place."""
     match left, right:
         case Numbers(), Numbers():
             true = np.asarray(_COMPARING[sign](left.value, right.value), np.bool_)
             present = _both(left.present, right.present)
-            return true if present is None else true & present
+            true = true if present is None else true & present
+            return np.asarray(true.any(axis=0)) if true.ndim > 1 else true
         case Words(), Words():
             return _words_compared(left, _COMPARING[sign], right)
         case Octets(), Octets():

@@ -128,6 +128,26 @@ def test_registers_are_columns_of_filters_and_tables(batch_type: type) -> None:
         assert found.in_order(compile_filter(text, SERVO).selection(found)).tolist() == rows, text
 
 
+@pytest.mark.parametrize("batch_type", [Records, FramedBatch])
+def test_filters_find_a_register_that_is_written_at_several_servos(batch_type: type) -> None:
+    events = conversation([(frame(BOTH), b""), (frame(MOVE), frame("FFFF 01 02 00 FC"))])
+    (batch,) = StreamDecoder(SERVO).feed(events)
+    assert isinstance(batch, FramedBatch)
+    found = Records(list(batch.records())) if batch_type is Records else batch
+
+    for text, rows in (
+        ("goal_position == 512", [True, False, False]),
+        ("goal_position == 515", [True, False, False]),
+        ("goal_position > 500", [True, True, False]),
+        ("not goal_position == 512", [False, True, True]),
+        ("goal_position < goal_velocity", [False] * 3),
+        ("goal_velocity < goal_position and size == 2", [False] * 3),
+        ("goal_time < goal_position", [False, True, False]),
+        ("goal_position & 3 == 3", [True, False, False]),
+    ):
+        assert found.in_order(compile_filter(text, SERVO).selection(found)).tolist() == rows, text
+
+
 def test_a_table_has_a_column_for_each_register() -> None:
     events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
     table = CsvText(usual_columns(SERVO), Times())
