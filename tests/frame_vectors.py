@@ -1,8 +1,13 @@
-"""The form of hand-typed vectors of a framed request/answer protocol (tests/vectors_*.py)."""
+"""The form of hand-typed vectors of a framed request/answer protocol (tests/vectors_*.py).
+
+A vector is a row of a table, its columns divided by ` | `; a line that is indented goes on with the
+row before. Frames are written in hex, fields as Python's keyword arguments, `-` is nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import ast
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 
@@ -35,18 +40,34 @@ class ReplyVector(NamedTuple):
     fields: Mapping[str, Any]
 
 
-def request(
-    clause: str,
-    hexed: str,
-    name: str | None,
-    outcome: str = "valid",
-    to: int | None = None,
-    **fields: Any,
-) -> RequestVector:
-    """A request; its bytes are written in hex, `to` is the address in them."""
-    return RequestVector(clause, bytes.fromhex(hexed), to, name, outcome, fields)
+def requests(table: str) -> tuple[RequestVector, ...]:
+    """Rows of a frame, `NAME` or `OUTCOME: NAME`, `to` (the address) with the fields, a clause."""
+    made = []
+    for frame, word, values, clause in _rows(table):
+        outcome, _, name = word.rpartition(":")
+        fields = _fields(values)
+        to = fields.pop("to", None)
+        given = bytes.fromhex(frame), to, name.strip() or None, outcome or "valid"
+        made.append(RequestVector(clause, *given, fields))
+    return tuple(made)
 
 
-def reply(clause: str, asked: str, hexed: str, code: str = "", **fields: Any) -> ReplyVector:
-    """An answer and the request that it answers; both are written in hex."""
-    return ReplyVector(clause, bytes.fromhex(hexed), bytes.fromhex(asked), code, fields)
+def replies(table: str) -> tuple[ReplyVector, ...]:
+    """Rows of a request and its answer divided by `>`, the code, the fields, a clause."""
+    made = []
+    for frames, code, values, clause in _rows(table):
+        asked, answer = map(bytes.fromhex, frames.split(">"))
+        made.append(ReplyVector(clause, answer, asked, code.strip("-"), _fields(values)))
+    return tuple(made)
+
+
+def _rows(table: str) -> Iterator[list[str]]:
+    for row in table.replace("\n    ", " ").strip().splitlines():
+        if not row.startswith("#"):
+            yield row.split(" | ")
+
+
+def _fields(written: str) -> dict[str, Any]:
+    call = ast.parse(f"fields({written.strip('-')})", mode="eval").body
+    assert isinstance(call, ast.Call)
+    return {str(word.arg): ast.literal_eval(word.value) for word in call.keywords}
