@@ -50,7 +50,7 @@ from bilprov.analyzer.replay.capture_session import (
     require_begun,
     said_about,
 )
-from bilprov.analyzer.replay.playback import interruptible, played
+from bilprov.analyzer.replay.playback import interruptible, paced
 from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture, open_quickly
@@ -285,7 +285,7 @@ def _play(
     now = 0
     # Between two events, time passes as it did in the recording.
     sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
-    playing = played(events, rate, sleep=sleep, start=window.first, end=window.after)
+    playing = paced(events, rate, sleep=sleep, start=window.first, end=window.after)
     for event in playing:
         if stopper.stopped or pipeline.shown.full:
             return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 
 from bilprov.analyzer.cli.options import note, note_suspension
@@ -44,7 +43,7 @@ def send_again(
     recorded = ReplayRun()
     target.begin()
     inside = (event for event in capture.events() if window.has(event.t))
-    for event in paced(inside, rate, clock=time.monotonic, sleep=target.wait, start=window.first):
+    for event in paced(inside, rate, sleep=target.wait, start=window.first):
         if target.ended:
             break
         records = _records(pipeline.events([event]))

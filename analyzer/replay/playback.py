@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import select
 import time
 from collections.abc import Callable, Iterable, Iterator
-from itertools import chain, dropwhile
 from typing import TypeVar
 
 from bilprov.analyzer.transport.signals import Stopper
@@ -23,74 +21,29 @@ def paced(
     events: Iterable[Paced],
     rate: float,
     *,
-    clock: Callable[[], float],
     sleep: Callable[[float], object],
+    clock: Callable[[], float] = time.monotonic,
     start: int | None = None,
     end: int | None = None,
 ) -> Iterator[Paced]:
-    """Yield each event when its time has come.
+    """Yield the events needed to decode `start <= t < end` (ns), those inside at their times.
 
     `rate` 1 is recorded time, 2 twice as fast, 0 without delays. `clock` and `sleep` are in
-    seconds, like `time.monotonic` and `time.sleep`. `start` and `end` (ns since the capture's
-    start) select `start <= t < end`; playing begins at `start`, and stops at the first event at or
-    after `end`. Delays do not add up, since each due time counts from the beginning of playing.
-
-    Raises ValueError for a rate below 0 or NaN, when called and not at the first event.
-    """
-    if math.isnan(rate) or rate < 0:
-        raise ValueError(f"rate is {rate}, allowed are 0 (as fast as it goes) and above")
-
-    def at_their_times() -> Iterator[Paced]:
-        began = clock()
-        # An older event after one that is played has come late: decoding needs it all the same.
-        for event in dropwhile(lambda event: start is not None and event.t < start, events):
-            if end is not None and event.t >= end:
-                return
-            if rate > 0:
-                due = began + (event.t - (start or 0)) / 1e9 / rate
-                wait = due - clock()
-                if wait > 0:
-                    sleep(wait)
-            yield event
-
-    return at_their_times()
-
-
-def played(
-    events: Iterable[Paced],
-    rate: float,
-    *,
-    sleep: Callable[[float], object],
-    start: int | None = None,
-    end: int | None = None,
-) -> Iterator[Paced]:
-    """Yield the events needed to decode `start <= t < end` (ns), in order; those inside are paced.
+    seconds, like `time.monotonic` and `time.sleep`. Delays do not add up, since each due time
+    counts from the beginning of playing, which is at `start`.
 
     Events before the window come without delay, because the predicted state and the framing depend
     on them. So do events shortly after it, because they may complete what began inside.
     """
-    rest = iter(events)
-    after: list[Paced] = []
-
-    def inside() -> Iterator[Paced]:
-        for event in rest:
-            if end is not None and event.t >= end:
-                after.append(event)
-                return
-            yield event
-
-    window = inside()
-    for event in window:
-        if event.t >= (start or 0):
-            yield from paced(
-                chain([event], window), rate, clock=time.monotonic, sleep=sleep, start=start
-            )
-            break
-        yield event
-    yield from after
-    for event in rest:
+    began: float | None = None
+    for event in events:
         if end is not None and event.t > end + AFTERMATH:
             return
+        if rate and event.t >= (start or 0) and (end is None or event.t < end):
+            began = clock() if began is None else began
+            wait = began + (event.t - (start or 0)) / 1e9 / rate - clock()
+            if wait > 0:
+                sleep(wait)
         yield event
 
 

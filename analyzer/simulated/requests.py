@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from random import Random
 
+from bilprov.spec.codec import judge
 from bilprov.spec.data import FieldSpec
-from bilprov.spec.layout import Part
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 _ADDRESSES = 3  # devices that are spoken to
 _MOST = 8  # elements of a field that nothing counts
+_LONGEST = 240  # bytes of data
 
 
 def drawn_request(protocol: Protocol, chance: Random) -> bytes:
@@ -20,12 +21,23 @@ def drawn_request(protocol: Protocol, chance: Random) -> bytes:
     for part in layout.parts:
         if part.role == "address":
             parts[part.name] = chance.randint(part.low, min(part.high, part.low + _ADDRESSES - 1))
-    return layout.build(parts, _data(spec, chance))
+    while len(data := _data(spec, chance)) > _LONGEST:
+        pass  # what the length of a frame cannot count is drawn again
+    return layout.build(parts, data)
 
 
-def with_wrong_end(protocol: Protocol, frame: bytes, chance: Random) -> bytes:
-    """The frame with a wrong bit in its last byte, where that is its check or a constant."""
-    last: Part | None = protocol.layout.parts[-1] if protocol.layout.tail else None
+def faulty_request(protocol: Protocol, chance: Random) -> bytes:
+    """A request with a wrong bit in its last byte, where that is its check or a constant.
+
+    Where a header byte is all that stands around the data, any header and data that are not valid.
+    """
+    while protocol.plain:
+        header = chance.randrange(len(protocol.headers))
+        frame = bytes([header]) + chance.randbytes(protocol.lengths[header])
+        if not judge(protocol, frame).valid:
+            return frame
+    frame = drawn_request(protocol, chance)
+    last = protocol.layout.parts[-1] if protocol.layout.tail else None
     if last is None or last.role not in ("check", "constant"):
         return frame
     return frame[:-1] + bytes([frame[-1] ^ 1 << chance.randrange(8)])

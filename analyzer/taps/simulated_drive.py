@@ -6,12 +6,11 @@ from collections.abc import Iterator, Sequence
 from random import Random
 
 from bilprov.analyzer.simulated.device import SimulatedDevice
-from bilprov.analyzer.simulated.requests import drawn_request, with_wrong_end
+from bilprov.analyzer.simulated.requests import drawn_request, faulty_request
 from bilprov.analyzer.taps.sources import Events, Source
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.spec.codec import judge, raw_frame
 from bilprov.spec.protocol import Protocol
 
 _FAULTY = 0.1  # of the instructions
@@ -23,60 +22,28 @@ _MOVES = 4  # instructions after one that moves, before the host stops
 def drive(protocol: Protocol, byte_time: int, seed: int = 1) -> Iterator[Chunk]:
     """Yield what a host and a conforming device send, without end; `byte_time` is ns a byte.
 
-    The host sends valid instructions, stops now and then, and makes a mistake now and then.
+    The host sends valid requests and makes a mistake now and then; it stops a car that moves.
     """
     chance = Random(seed)
+    device = SimulatedDevice(protocol)
     t, moving = 0, 0
     while True:
         t += chance.randint(*_PAUSES) * MS
         if moving > _MOVES:
             frame = bytes([protocol.pad_byte])
         elif chance.random() < _FAULTY:
-            frame = _faulty_frame(protocol, chance)
+            frame = faulty_request(protocol, chance)
         else:
-            frame = _valid_frame(protocol, chance)
-        judgement = judge(protocol, frame)
-        known = judgement.instruction
-        begins = known is not None and protocol.car.moves(known.effect)
-        moving = 0 if frame[0] == protocol.pad_byte else moving + (begins or moving > 0)
-        yield Chunk(t, "host", frame)
-        t += len(frame) * byte_time + chance.randint(*_LATENCIES) * 1_000
-        yield Chunk(t, "device", bytes([judgement.response.code]))
-
-
-def exchanges(protocol: Protocol, byte_time: int, seed: int = 1) -> Iterator[Chunk]:
-    """As `drive`, for a protocol whose header is not one byte."""
-    chance = Random(seed)
-    device = SimulatedDevice(protocol)
-    t = 0
-    while True:
-        t += chance.randint(*_PAUSES) * MS
-        frame = drawn_request(protocol, chance)
-        if chance.random() < _FAULTY:
-            frame = with_wrong_end(protocol, frame, chance)
+            frame = drawn_request(protocol, chance)
         yield Chunk(t, "host", frame)
         t += len(frame) * byte_time
         device.receive(frame, t)
         answer = device.advance(t)
+        moving = moving + 1 if protocol.wheels and protocol.directed(device.state()) else 0
         if answer:
             t += chance.randint(*_LATENCIES) * 1_000
             yield Chunk(t, "device", answer)
             t += len(answer) * byte_time
-
-
-def _valid_frame(protocol: Protocol, chance: Random) -> bytes:
-    spec = chance.choice(protocol.instructions)
-    data = b"".join(part.build(chance.randint(part.low, part.high)) for part in spec.fields)
-    return raw_frame(protocol, spec.id, spec.length, data)
-
-
-def _faulty_frame(protocol: Protocol, chance: Random) -> bytes:
-    """A frame of any header with any data that is not valid."""
-    while True:
-        header = chance.randrange(len(protocol.headers))
-        frame = bytes([header]) + chance.randbytes(protocol.lengths[header])
-        if not judge(protocol, frame).valid:
-            return frame
 
 
 class SimulatedDrive(Source):
@@ -88,8 +55,7 @@ class SimulatedDrive(Source):
     def __init__(self, protocol: Protocol, settings: LineSettings) -> None:
         super().__init__({})
         self.names = {"simulated": "drive"}
-        made = drive if protocol.wheels else exchanges
-        self._chunks = made(protocol, settings.byte_time)
+        self._chunks = drive(protocol, settings.byte_time)
         self._next = next(self._chunks)
 
     @property

@@ -16,7 +16,7 @@ from benchmarks.adapter import Adapter
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS, first_difference
 from bilprov.analyzer.replay.comparison import ReplayRun, differences
-from bilprov.analyzer.replay.playback import played
+from bilprov.analyzer.replay.playback import paced
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.writer import CaptureWriter
@@ -109,7 +109,7 @@ def test_events_inside_the_window_wait_for_their_time_and_no_others() -> None:
     events = [Chunk(t * MS, "host", b"\0") for t in (0, 10, 20, 30, 9000)]
     slept: list[float] = []
 
-    given = list(played(events, 1e-3, sleep=slept.append, start=10 * MS, end=30 * MS))
+    given = list(paced(events, 1e-3, sleep=slept.append, start=10 * MS, end=30 * MS))
 
     assert [event.t // MS for event in given] == [0, 10, 20, 30]
     assert len(slept) == 1  # 10 ms is the window's beginning, 20 ms is waited for

@@ -10,7 +10,7 @@ import pytest
 
 from bilprov.analyzer.grammar_file import SHIPPED, given_protocol, load_protocol
 from bilprov.analyzer.simulated.device import SimulatedDevice
-from bilprov.analyzer.simulated.requests import drawn_request, with_wrong_end
+from bilprov.analyzer.simulated.requests import drawn_request, faulty_request
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import GrammarError, Protocol, load
@@ -242,5 +242,5 @@ def test_drawn_requests_are_answered_where_an_answer_is_due(name: str) -> None:
             reply = read_reply(line.protocol, answer, asked)
             assert reply.reason == ""
             assert agrees(line.protocol, asked, reply)
-        wrong = judge(line.protocol, with_wrong_end(line.protocol, frame, chance))
+        wrong = judge(line.protocol, faulty_request(line.protocol, chance))
         assert not wrong.valid

@@ -11,7 +11,6 @@ import pytest
 from bilprov.analyzer.taps.simulated_drive import drive
 from bilprov.captures.reader import open_capture
 from bilprov.spec.codec import judge
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 
@@ -42,14 +41,14 @@ def test_it_is_the_same_for_the_same_seed_and_another_for_another(protocol: Prot
 
 
 def test_the_host_stops_soon_after_it_has_set_the_robot_moving(protocol: Protocol) -> None:
+    state = protocol.power_on
     moving, longest = 0, 0
     for chunk in islice(drive(protocol, BYTE_TIME), 0, 2 * FRAMES, 2):
-        instruction = judge(protocol, chunk.data).instruction
-        motion = protocol.car.motion(instruction.effect) if instruction else None
-        if motion == Motion.STOPPED:
-            moving = 0
-        elif moving or motion is not None:
-            moving += 1
+        judged = judge(protocol, chunk.data)
+        effect = judged.instruction.effect if judged.instruction else protocol.on_fault
+        effect = effect if judged.valid else protocol.on_fault
+        state = effect.apply(state, dict(judged.fields))
+        moving = moving + 1 if protocol.directed(state) else 0
         longest = max(longest, moving)
 
     assert 1 < longest < 8
