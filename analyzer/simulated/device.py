@@ -95,7 +95,10 @@ class SimulatedDevice:
         self._answer(judgement, values, known)
 
     def _answer(self, judgement: Judgement, values: dict[str, Any], known: int) -> None:
-        answer = build_reply(self.protocol, judgement, values)
+        try:
+            answer = build_reply(self.protocol, judgement, values)
+        except OverflowError:  # more is asked for than the length of an answer can count
+            return
         if answer:
             self._answers.append((known + self._latency, answer))
 

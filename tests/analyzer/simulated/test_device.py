@@ -229,6 +229,12 @@ def test_a_memory_that_cannot_be_used_is_refused(old: str, new: str, why: str) -
     assert why in str(raised.value)
 
 
+def test_more_than_an_answer_can_hold_is_not_answered() -> None:
+    line = Line("dynamixel1")
+    assert line.ask(build(line.protocol, "Read", {"address": 1, "register": 0, "size": 255})) == b""
+    assert line.ask(build(line.protocol, "Read", {"address": 1, "register": 0, "size": 1}))
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_drawn_requests_are_answered_where_an_answer_is_due(name: str) -> None:
     line, chance = Line(name), Random(name)
@@ -237,6 +243,8 @@ def test_drawn_requests_are_answered_where_an_answer_is_due(name: str) -> None:
         asked = judge(line.protocol, frame)
         assert asked.valid, asked.reason
         answer = line.ask(frame)
+        if not answer and dict(asked.fields).get("size", 0) > 250:
+            continue  # no answer can hold so much
         assert bool(answer) is asked.answer_due
         if answer:
             reply = read_reply(line.protocol, answer, asked)
