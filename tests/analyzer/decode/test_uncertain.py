@@ -190,7 +190,7 @@ def test_listening_from_python_does_not_cut_below_the_adapters_latency(
     monkeypatch.setattr(api, "Machine", lambda: machine)
     frame = UNKNOWN + bytes.fromhex("6233")
     with open_pty() as pair:
-        machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "255")
+        machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "1000")
         records = api.sniff(pair.name, protocol=MODBUS)
         for wait, part in ((0.05, frame[:3]), (0.2, frame[3:])):
             threading.Timer(wait, os.write, (pair.master, part)).start()
@@ -205,7 +205,7 @@ def test_a_client_waits_for_the_rest_of_an_answer_that_an_adapter_holds_back(
     monkeypatch.setattr(of_device, "Machine", lambda: machine)
     answer = bytes.fromhex("110306022B00000064C8BA")
     with open_pty() as pair:
-        machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "255")
+        machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "2000")
 
         def answers() -> None:
             select.select([pair.master], [], [])
