@@ -20,30 +20,33 @@ from bilprov.analyzer.version import kit_version
 
 
 class Row(NamedTuple):
-    """One command: its panel in the help, its module in the `cli` of a room, what it does.
+    """One command: its module in the `cli` of a room, and what it does.
 
     A group of commands lives nowhere: its commands are the rows whose names begin with its own.
-    Then the last is all of its page; else it is the first sentence, and the function's docstring
+    Then the help is all of its page; else it is the first sentence, and the function's docstring
     the rest.
     """
 
-    panel: str
     place: str
     help: str
 
 
+PANELS = {
+    "Analyze": "sniff replay stats plot export capture",
+    "Drive": "ports send",
+    "Test": "conform recheck report simulate lab",
+    "Protocol": "decode explain encode spec",
+    "Settings": "config completion",
+}
+"""The panels in the list of commands, each with the names of its commands."""
+
 COMMANDS = {
-    "sniff": Row("Analyze", "analyzer.sniff", "Listen to a line, decode and log it."),
-    "replay": Row(
-        "Analyze", "analyzer.replay", "Look through a capture on a screen, or play it again."
-    ),
-    "stats": Row("Analyze", "analyzer.stats", "Count frames, answers and faults in captures."),
-    "plot": Row("Analyze", "analyzer.plot", "Draw a capture over time, as a page."),
-    "export": Row(
-        "Analyze", "analyzer.export", "Write the contents of a capture for other programs."
-    ),
+    "sniff": Row("analyzer.sniff", "Listen to a line, decode and log it."),
+    "replay": Row("analyzer.replay", "Look through a capture on a screen, or play it again."),
+    "stats": Row("analyzer.stats", "Count frames, answers and faults in captures."),
+    "plot": Row("analyzer.plot", "Draw a capture over time, as a page."),
+    "export": Row("analyzer.export", "Write the contents of a capture for other programs."),
     "capture": Row(
-        "Analyze",
         "",
         """Show, check, cut, join, repair and compare captures.
 
@@ -52,41 +55,24 @@ COMMANDS = {
           bilprov capture cut drive.mcap part.mcap --start 12 --end 20
         """,
     ),
-    "capture info": Row("", "analyzer.capture", "Show what a capture holds."),
-    "capture cut": Row("", "analyzer.capture", "Write a part of a capture."),
+    "capture info": Row("analyzer.capture", "Show what a capture holds."),
+    "capture cut": Row("analyzer.capture", "Write a part of a capture."),
     "capture join": Row(
-        "",
-        "analyzer.capture",
-        "Join captures by the time of day at which their bytes arrived.",
+        "analyzer.capture", "Join captures by the time of day at which their bytes arrived."
     ),
-    "capture check": Row("", "analyzer.capture", "Report damaged and lost parts of a capture."),
-    "capture repair": Row("", "analyzer.capture", "Write the intact parts of a damaged capture."),
-    "capture decode": Row(
-        "", "analyzer.capture", "Write a capture with everything decoded from it."
-    ),
-    "capture diff": Row("", "analyzer.capture", "Show where two captures differ."),
-    "ports": Row("Drive", "analyzer.ports", "List serial ports, or examine those you name."),
-    "send": Row(
-        "Drive",
-        "conformance.send",
-        "Send instructions or bytes to a device, or drive it by hand.",
-    ),
+    "capture check": Row("analyzer.capture", "Report damaged and lost parts of a capture."),
+    "capture repair": Row("analyzer.capture", "Write the intact parts of a damaged capture."),
+    "capture decode": Row("analyzer.capture", "Write a capture with everything decoded from it."),
+    "capture diff": Row("analyzer.capture", "Show where two captures differ."),
+    "ports": Row("analyzer.ports", "List serial ports, or examine those you name."),
+    "send": Row("conformance.send", "Send instructions or bytes to a device, or drive it by hand."),
     "conform": Row(
-        "Test",
-        "conformance.conform",
-        "Test a device against the document: answers, stops, state.",
+        "conformance.conform", "Test a device against the document: answers, stops, state."
     ),
-    "recheck": Row(
-        "Test", "conformance.recheck", "Judge a recorded run again, from its bytes alone."
-    ),
-    "report": Row(
-        "Test",
-        "conformance.report",
-        "Show and compare runs, from what conform --json wrote.",
-    ),
-    "simulate": Row("Test", "conformance.simulate", "Serve a simulated device, or firmware."),
+    "recheck": Row("conformance.recheck", "Judge a recorded run again, from its bytes alone."),
+    "report": Row("conformance.report", "Show and compare runs, from what conform --json wrote."),
+    "simulate": Row("conformance.simulate", "Serve a simulated device, or firmware."),
     "lab": Row(
-        "Test",
         "",
         """Score the suite, learn devices, impair lines.
 
@@ -95,16 +81,13 @@ COMMANDS = {
           bilprov lab line --drop 1e-4 /dev/ttyUSB0 pty
         """,
     ),
-    "lab score": Row("", "conformance.score", "Score the suite against faulty devices."),
-    "lab learn": Row("", "conformance.learn", "Learn a device as a Mealy machine."),
-    "lab line": Row("", "analyzer.line", "Connect two ends through an impaired line."),
-    "decode": Row(
-        "Protocol", "analyzer.decode", "Decode bytes from hex, a file, a capture or a pipe."
-    ),
-    "explain": Row("Protocol", "analyzer.text_commands", "Explain bytes, bit by bit."),
-    "encode": Row("Protocol", "analyzer.text_commands", "Build the bytes of an instruction."),
+    "lab score": Row("conformance.score", "Score the suite against faulty devices."),
+    "lab learn": Row("conformance.learn", "Learn a device as a Mealy machine."),
+    "lab line": Row("analyzer.line", "Connect two ends through an impaired line."),
+    "decode": Row("analyzer.decode", "Decode bytes from hex, a file, a capture or a pipe."),
+    "explain": Row("analyzer.text_commands", "Explain bytes, bit by bit."),
+    "encode": Row("analyzer.text_commands", "Build the bytes of an instruction."),
     "spec": Row(
-        "Protocol",
         "",
         """Show the protocol, its readings and errata; write it for other programs.
 
@@ -113,15 +96,14 @@ COMMANDS = {
           bilprov spec emit wireshark -o robot.lua
         """,
     ),
-    "spec show": Row("", "analyzer.spec", "Show the grammar in use."),
-    "spec grammars": Row("", "analyzer.spec", "List the grammars that the kit has."),
+    "spec show": Row("analyzer.spec", "Show the grammar in use."),
+    "spec grammars": Row("analyzer.spec", "List the grammars that the kit has."),
     "spec check": Row(
-        "", "analyzer.spec_check", "Report how much of recorded bytes a grammar decodes."
+        "analyzer.spec_check", "Report how much of recorded bytes a grammar decodes."
     ),
-    "spec readings": Row("", "analyzer.spec", "Show how the document is read where it is silent."),
-    "spec errata": Row("", "analyzer.spec", "Show where the document contradicts itself."),
+    "spec readings": Row("analyzer.spec", "Show how the document is read where it is silent."),
+    "spec errata": Row("analyzer.spec", "Show where the document contradicts itself."),
     "spec emit": Row(
-        "",
         "",
         """Write the grammar in use for other programs, or as it is.
 
@@ -130,12 +112,12 @@ COMMANDS = {
           bilprov spec emit grammar -o mine.py
         """,
     ),
-    "spec emit c": Row("", "analyzer.spec", "A C header, for firmware and hosts."),
-    "spec emit wireshark": Row("", "analyzer.spec", "A dissector for Wireshark and tshark."),
-    "spec emit stub": Row("", "analyzer.spec", "The instructions as typed methods, for Python."),
-    "spec emit grammar": Row("", "analyzer.spec", "The text of a grammar, to be changed."),
-    "config": Row("Settings", "analyzer.config", "Show the settings in force."),
-    "completion": Row("Settings", "analyzer.completion", "Print a shell's completion script."),
+    "spec emit c": Row("analyzer.spec", "A C header, for firmware and hosts."),
+    "spec emit wireshark": Row("analyzer.spec", "A dissector for Wireshark and tshark."),
+    "spec emit stub": Row("analyzer.spec", "The instructions as typed methods, for Python."),
+    "spec emit grammar": Row("analyzer.spec", "The text of a grammar, to be changed."),
+    "config": Row("analyzer.config", "Show the settings in force."),
+    "completion": Row("analyzer.completion", "Print a shell's completion script."),
 }
 """Every command by its name, those of a group behind the group's name; `help` is not listed."""
 
@@ -175,10 +157,9 @@ class Tree(Group):
 
     def panels(self, ctx: click.Context) -> dict[str, list[str]]:
         """The commands of each panel, in the order of the table."""
-        names: dict[str, list[str]] = {}
-        for name in self.list_commands(ctx):
-            names.setdefault(COMMANDS[self.path + name].panel or "Commands", []).append(name)
-        return names
+        if self.path:
+            return super().panels(ctx)
+        return {panel: names.split() for panel, names in PANELS.items()}
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """A group, or only the command's line in the list: its name and one sentence."""
