@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -155,7 +155,7 @@ class Tree(Group):
         names = (name[len(self.path) :] for name in COMMANDS if name.startswith(self.path))
         return [name for name in names if " " not in name]
 
-    def panels(self, ctx: click.Context) -> dict[str, list[str]]:
+    def panels(self, ctx: click.Context) -> Mapping[str, Sequence[str]]:
         """The commands of each panel, in the order of the table."""
         if self.path:
             return super().panels(ctx)
