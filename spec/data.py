@@ -136,6 +136,10 @@ class FieldSpec:
         form = self.many or self.number
         return form.build(value) if form else bytes(value)
 
+    def named(self, value: Any) -> Any:
+        """The name of a value, and the value itself where it has none."""
+        return next((name for name, known in self.names if known == value), value)
+
     def in_range(self, value: Value) -> bool:
         """Whether a value is in the range; that of several numbers is the range of each."""
         if isinstance(value, bytes):
@@ -439,8 +443,8 @@ def shown_value(part: FieldSpec, value: Value) -> str:
         return value.hex(" ")
     if isinstance(value, tuple):
         return " ".join(map(str, value))
-    name = next((name for name, known in part.names if known == value), "")
-    if name:
+    name = part.named(value)
+    if name != value:
         return f"{value} ({name})"
     set_flags = [name for name, mask in part.flags if value & mask == mask]
     return f"{value} ({' '.join(set_flags) or 'none'})" if part.flags else str(value)

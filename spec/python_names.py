@@ -49,8 +49,19 @@ def taken_type(part: FieldSpec) -> str:
 def told_type(part: FieldSpec) -> str:
     """The type of the value that a field of an answer has."""
     if part.many is None:
-        return "int"
+        return taken_type(part)
     return "bytes" if part.many.element is None else "tuple[int, ...]"
+
+
+def read_by_name(protocol: Protocol, spec: InstructionSpec) -> tuple[str, str]:
+    """The field that takes the name of a register, and the last one, which is left out then.
+
+    Both are "" for an instruction that does not read registers with names.
+    """
+    memory = spec.reads
+    if memory is None or spec.writes or memory.name not in protocol.registers:
+        return "", ""
+    return memory.at, memory.count if spec.fields[-1].name == memory.count else ""
 
 
 def snake_case(name: str, prefix: str) -> str:

@@ -29,7 +29,12 @@ from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Part
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.python_names import answer_names, parameter_names, taken_type
+from bilprov.spec.python_names import (
+    answer_names,
+    parameter_names,
+    read_by_name,
+    taken_type,
+)
 from bilprov.spec.replies import Reply, read_reply, reply_size
 
 _TRIES = 20  # time-outs that a line is waited for to fall silent
@@ -41,7 +46,9 @@ class DeviceDriver(InstructionMethods):
     Each instruction of `protocol` is a method: `ReadCoils` is `read_coils()`, and its fields are
     the parameters, in order or by keyword; where frames have an address, `address=` names another
     device. A method sends the instruction and returns what the answer holds: its one value, a named
-    tuple of several, or None; None also where no answer is due, as after what is sent to all.
+    tuple of several, or None; None also where no answer is due, as after what is sent to all. A
+    value that has a name is returned as its name. A register that is read by its name is returned
+    as its value, not as bytes.
 
     A method raises ValueError, before anything is sent, for a value out of its range; Refused for
     an answer that is an error; NoAnswer if none comes in `timeout` ms (None: the longest time that
@@ -79,8 +86,15 @@ class DeviceDriver(InstructionMethods):
 
     def _signature(self, spec: InstructionSpec) -> inspect.Signature:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        register, count = read_by_name(self.protocol, spec)
+        special = {
+            register: inspect.Parameter("_", kind, annotation="int | str"),
+            count: inspect.Parameter("_", kind, default=None, annotation="int | None"),
+        }
         parameters = [
-            inspect.Parameter(word, kind, annotation=taken_type(part))
+            special.get(
+                part.name, inspect.Parameter("_", kind, annotation=taken_type(part))
+            ).replace(name=word)
             for word, part in parameter_names(spec).items()
         ]
         part = _address_part(self.protocol)
@@ -100,6 +114,10 @@ class DeviceDriver(InstructionMethods):
             return None
         if Outcome.VALID not in reply.outcomes:
             raise self._refused(spec, frame, reply)
+        register = fields.get(read_by_name(self.protocol, spec)[0])
+        for one, value in reply.registers:
+            if one.name == register:
+                return one.named(value)
         return _told(spec.answer, dict(reply.fields))
 
     def _addressed(self, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -252,6 +270,6 @@ def _told(data: DataSpec | None, fields: Mapping[str, Any]) -> Any:
     """What an answer holds: nothing, its one value, or a named tuple of several."""
     if not fields or data is None:
         return None
-    if len(fields) == 1:
-        return next(iter(fields.values()))
-    return _answer_class(tuple(answer_names(data)))(*fields.values())
+    names = answer_names(data)
+    values = [part.named(fields[part.name]) for part in names.values()]
+    return values[0] if len(values) == 1 else _answer_class(tuple(names))(*values)

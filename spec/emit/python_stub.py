@@ -14,6 +14,7 @@ from bilprov.spec.python_names import (
     answer_names,
     method_names,
     parameter_names,
+    read_by_name,
     snake_case,
     taken_type,
     told_type,
@@ -73,6 +74,7 @@ def _device_stub(protocol: Protocol, grammar: str) -> str:
     part = protocol.layout.part("address")
     addressed = ["*", f"{part.name}: int | None = None"] if part else []
     methods, answers, text = [], "", ""
+    typing: set[str] = set()
     for name, spec in method_names(protocol).items():
         told = answer_names(spec.answer) if spec.answer else {}
         returns = "None"
@@ -81,11 +83,23 @@ def _device_stub(protocol: Protocol, grammar: str) -> str:
         elif told:
             returns = f"{_class_name(name)}Answer"
             answers += _named_tuple(returns, told)
-        taken = [f"{word}: {taken_type(one)}" for word, one in parameter_names(spec).items()]
-        methods.append(_method(name, spec, [*taken, *addressed], returns))
-        text += " ".join(taken)
+            typing.add("NamedTuple")
+        parameters = parameter_names(spec)
+        taken = {word: taken_type(one) for word, one in parameters.items()}
+        forms = [(taken, returns)]
+        register, count = read_by_name(protocol, spec)
+        if register:
+            typing |= {"Any", "overload"}
+            types = {register: "str", count: "int | None = None"}
+            by_name = {word: types.get(one.name, taken[word]) for word, one in parameters.items()}
+            forms.append((by_name, "int | Any"))  # "str" for named values, which are rare
+        for types, returned in forms:
+            given = [f"{word}: {kind}" for word, kind in types.items()]
+            method = _method(name, spec, [*given, *addressed], returned)
+            methods.append("    @overload\n" * (len(forms) > 1) + method)
+        text += " ".join(taken.values())
     imports = ["from collections.abc import Sequence"] * ("Sequence[" in text)
-    imports += ["from typing import NamedTuple"] * bool(answers)
+    imports += [f"from typing import {', '.join(sorted(typing))}"] * bool(typing)
     head = (
         _DEVICE_HEAD.replace("@GRAMMAR@", grammar)
         .replace("@CLASS@", _class_name(snake_case(protocol.name, "device_")))

@@ -269,6 +269,26 @@ def test_the_signature_names_the_fields_and_the_address() -> None:
     assert "address" not in inspect.signature(bootloader.get_sync).parameters
 
 
+def test_values_with_names_are_returned_by_their_names() -> None:
+    meter, device, _ = driver("modbus-rtu", 1)
+    assert meter.write_single_coil(3, "on") == (3, "on")
+    device.saying = [bytes.fromhex("01 05 00 03 12 34 30 bd")]  # a value without a name
+    assert meter.write_single_coil(3, "on").value == 0x1234
+
+
+def test_a_register_that_is_read_by_its_name_is_its_value() -> None:
+    protocol = load_protocol(str(ROOT / "examples" / "feetech.py"))
+    servo, _, _ = client_of(protocol)
+    servo._address = 1
+    servo.write(42, b"\x05\x02\x01\x00\x02\x00")
+    assert servo.read("goal_position") == servo.read("goal_position", 2) == 0x205
+    assert servo.read("goal_position", 6) == 0x205
+    assert servo.read("goal_position", 1) == b"\x05"  # not all of it
+    assert servo.read(42, 2) == b"\x05\x02"
+    wanted = "(register: 'int | str', size: 'int | None' = None, *, address: 'int | None' = None)"
+    assert str(inspect.signature(servo.read)) == wanted
+
+
 # -- what it raises -------------------------------------------------------------------------------
 
 
