@@ -1,86 +1,84 @@
-"""How fast the screen of `replay` is on the big capture: first page, keys, a filter, its memory.
-
-As a program it looks through a capture with Textual's pilot, and prints the figures as JSON.
-"""
+"""How fast `replay` is on a terminal with the big capture: first page, keys, a filter, memory."""
 
 from __future__ import annotations
 
-import asyncio
-import json
-import sys
+import os
+import re
+import select
 import time
 from pathlib import Path
 
-from benchmarks import captures, product
-from benchmarks.commands import run
+from benchmarks import captures, lines, product
+from benchmarks.commands import Skipped, started
 from benchmarks.report import Goal, Row
 from benchmarks.setting import Setting, Work
 
-_KEYS = ("end", "pageup", "home", "pagedown", "n", "end", "N", "t")
-_FILTER = "faulty and latency > 100us"
+_END, _HOME, _PAGE_UP, _PAGE_DOWN = b"\x1b[F", b"\x1b[H", b"\x1b[5~", b"\x1b[6~"
+_KEYS = (_END, _PAGE_UP, _HOME, _PAGE_DOWN, b"n", _END, b"N", b"t")
+_FILTER = b"/faulty and latency > 100us\r"
+_STILL = 0.3  # s after which nothing more is drawn
 
 
 def browse(setting: Setting, work: Work) -> Row:
-    """The screen over the big capture, in a process of its own."""
+    """The whole command over the big capture, in a process of its own."""
     made = captures.big(setting)
-    patience = 40 * setting.sizes.patience + 20
-    ended = run(
-        [sys.executable, "-m", "benchmarks.browse", str(made.path), str(time.time())],
-        keep=True,
-        patience=patience,
-    )
-    found: dict[str, float] = json.loads(ended.output)
-    memory = ended.memory / 1e6
+    patience, rows = 40 * setting.sizes.patience + 20, 2 * made.frames
+    ours, theirs = lines.opened_terminal()
+    with os.fdopen(ours, "rb+", 0), os.fdopen(theirs, "rb+", 0):
+        words, begun = product.browsed(made.path), time.perf_counter()
+        with started(words, stdin=theirs, stdout=theirs, stderr=theirs) as process:
+            first_page = _drawn(ours, patience, "→") - begun
+            all_read = _drawn(ours, patience, f"{rows // 1000:,},") - begun
+            _drawn(ours, patience)
+            slowest = max(_pressed(ours, key, patience) for key in _KEYS)
+            filtered = _pressed(ours, _FILTER, patience, r"[\d,]+ of [\d,]+")
+            memory = _peak_memory(process.pid) / 1e6
     return Row(
         work.name,
-        f"{work.words}, {2 * made.frames / 1e6:.3g} M rows",
+        f"{work.words}, {rows / 1e6:.3g} M rows",
         "s",
-        found["first page"],
+        first_page,
         figures={
-            "s until all is read": found["all read"],
-            "ms for the slowest key": found["key"] * 1e3,
-            "s for a filter": found["filter"],
+            "s until all is read": all_read,
+            "ms for the slowest key": slowest * 1e3,
+            "s for a filter": filtered,
             "MB": memory,
         },
         goals=(
-            Goal("first page in 1.5 s", found["first page"], 1.5, at_most=True),
-            Goal("a key in 100 ms", found["key"] * 1e3, 100, at_most=True),
-            Goal("a filter in 1 s", found["filter"], 1, at_most=True),
+            Goal("first page in 1.5 s", first_page, 1.5, at_most=True),
+            Goal("a key in 100 ms", slowest * 1e3, 100, at_most=True),
+            Goal("a filter in 1 s", filtered, 1, at_most=True),
             Goal("500 MB", memory, 500, at_most=True),
         ),
     )
 
 
-async def looked_through(path: Path, begun: float) -> dict[str, float]:
-    """The times (s) it takes; `begun` is when the program was started (s since 1970)."""
-    screen = product.browsing(path)
-    recording, found = screen.feed.recording, {}
-    async with screen.run_test(size=(120, 40)) as pilot:
-        while not recording.rows:
-            await pilot.pause(0.001)
-        screen.show_rows()
-        await pilot.pause()
-        found["first page"] = time.time() - begun
-        while not screen.feed.ended:
-            await asyncio.sleep(0.05)
-        screen.feed.join()
-        found["all read"] = time.time() - begun
-        keys = []
-        for key in _KEYS:
-            before = time.perf_counter()
-            await pilot.press(key)
-            keys.append(time.perf_counter() - before)
-        found["key"] = max(keys)
-        before = time.perf_counter()
-        screen.action_filter()
-        screen.prompt.line.value = _FILTER
-        await pilot.press("enter")
-        while screen.filter_text != _FILTER:
-            await pilot.pause(0.01)
-        found["filter"] = time.perf_counter() - before
-    return found
+def _pressed(terminal: int, keys: bytes, patience: float, words: str = "") -> float:
+    """How long (s) it takes from a key to the words, or to all that is drawn for it."""
+    begun = time.perf_counter()
+    os.write(terminal, keys)
+    return _drawn(terminal, patience, words) - begun
 
 
-if __name__ == "__main__":
-    figures = asyncio.run(looked_through(Path(sys.argv[1]), float(sys.argv[2])))
-    json.dump(figures, sys.stdout)
+def _drawn(terminal: int, patience: float, words: str = "") -> float:
+    """When (s) a pattern was drawn; without one, when the last was drawn before it was still.
+
+    Raises Skipped if it takes longer than `patience` (s).
+    """
+    last, output = time.perf_counter(), b""
+    give_up = last + patience
+    while time.perf_counter() < give_up:
+        if select.select([terminal], [], [], _STILL)[0]:
+            output += os.read(terminal, 1 << 16)
+            last = time.perf_counter()
+            if words and re.search(words.encode(), output):
+                return last
+        elif not words:
+            return last
+    raise Skipped(f"it took longer than {patience:.0f} s")
+
+
+def _peak_memory(pid: int) -> int:
+    """The most memory (bytes) that a process has had."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) * 1024

@@ -152,11 +152,17 @@ def listen(
     return Heard(used / seconds, sent)
 
 
-@contextmanager
-def screen() -> Iterator[int]:
-    """A terminal of 120 x 40 that somebody reads: the descriptor of its program's end."""
+def opened_terminal() -> tuple[int, int]:
+    """A terminal of 120 x 40: the descriptors of our end and of its program's."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+    return ours, theirs
+
+
+@contextmanager
+def screen() -> Iterator[int]:
+    """A terminal that somebody reads: the descriptor of its program's end."""
+    ours, theirs = opened_terminal()
 
     def read() -> None:
         with suppress(OSError):

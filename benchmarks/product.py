@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy
 
@@ -21,11 +21,8 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.capture_session import capture_decoder
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
-from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
-from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.topics import CAR_STATE
 from bilprov.captures.writer import CaptureWriter
@@ -33,9 +30,6 @@ from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.tables import frame_tables
-
-if TYPE_CHECKING:
-    from bilprov.analyzer.screen.browser import Browser
 
 OUTCOMES, MOTIONS = tuple(Outcome), tuple(Motion)
 
@@ -142,15 +136,9 @@ def metadata(protocol: Protocol) -> dict[str, str]:
     )
 
 
-def browsing(path: Path) -> Browser:
-    """The screen of `replay` over a capture."""
-    from bilprov.analyzer.screen.browser import Browser, Told
-    from bilprov.analyzer.screen.feeds import capture_feed
-
-    capture, protocol = open_indexed(path) or open_capture(path), bilprov.load_protocol()
-    opened = Opened(capture, capture_decoder(capture, protocol))
-    byte_time = line_settings(protocol).byte_time
-    return Browser(capture_feed(opened, protocol), Told(path.name, capture.start, byte_time))
+def browsed(path: Path) -> list[str]:
+    """The command that shows a capture on the screen."""
+    return bilprov_words("replay", str(path))
 
 
 def statistics(path: Path) -> list[str]:

@@ -140,7 +140,7 @@ class Browser(App[str | None]):
     def on_mount(self) -> None:
         """Begin."""
         self.frames.focus()
-        self.feed.start()
+        self.call_after_refresh(self.feed.start)  # the first page is not to wait for the rest
         self.set_interval(DRAW_EVERY, self.tick)
         if self.told.test is not None:
             self._filter(self.told.expression, self.told.test)

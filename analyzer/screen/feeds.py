@@ -8,13 +8,14 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import islice
 from threading import Event
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
-from bilprov.analyzer.replay.capture_parts import WHOLE
+from bilprov.analyzer.replay.capture_parts import WHOLE, event_batches
 from bilprov.analyzer.replay.recorder import Recorder
 from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.replay.spool import Spool
@@ -24,6 +25,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
+    from bilprov.captures.events import Events
 
 DRAW_EVERY = 0.1  # s
 MOST_MEMORY = 300 << 20  # bytes of packed rows; a live session keeps no more
@@ -112,19 +114,18 @@ def capture_feed(
     without one the screen filters them itself.
     """
 
+    def take(events: Events) -> None:
+        for batch in opened.decoder.decode(events):
+            rows.show(batch)
+        feed.progress = min(1.0, int(events.t[-1]) / length)
+
     def read(feed: Feed[None]) -> None:
-        kind = AllShown if count is None else Shown
-        rows = kind(ScreenOutput(feed), test, count, window)
-        length = max(1, opened.capture.contents.last - opened.capture.start)
-        feed.progress = 0.0
-        for events in opened.batches():
+        for events in parts:
             if feed.stopped.is_set():
                 return
-            if rows.full or (window.after is not None and events.t[0] >= window.after):
+            if rows.full:
                 break
-            for batch in opened.decoder.decode(events):
-                rows.show(batch)
-            feed.progress = min(1.0, int(events.t[-1]) / length)
+            take(events)
             time.sleep(0)  # whoever waits for the interpreter gets it now
         feed.progress = None
         if feed.live:
@@ -134,7 +135,14 @@ def capture_feed(
             rows.show(batch)
 
     whole = count is None and window.after is None
-    return Feed(Recording(protocol), read, stays=True, live=whole and _is_written(opened.capture))
+    live = whole and _is_written(opened.capture)
+    feed = Feed(Recording(protocol), read, stays=True, live=live)
+    rows = (AllShown if count is None else Shown)(ScreenOutput(feed), test, count, window)
+    length = max(1, opened.capture.contents.last - opened.capture.start)
+    parts = event_batches(opened.batches(), lambda size: None, window)
+    for events in islice(parts, 1):
+        take(events)  # here and now, so that the first page is there when the screen is
+    return feed
 
 
 def _is_written(capture: Capture) -> bool:

@@ -21,14 +21,15 @@ class PackedBatch:
 
     def __init__(self, batch: Batch) -> None:
         self._shared: list[Any] = []
-        file = BytesIO()
-        _Packer(file, self._shared).dump(batch)
-        self._packed = zstandard.ZstdCompressor(_LEVEL).compress(file.getbuffer())
+        packed = BytesIO()
+        with zstandard.ZstdCompressor(_LEVEL).stream_writer(packed, closefd=False) as file:
+            _Packer(file, self._shared).dump(batch)
+        self._packed = packed.getvalue()
 
     def batch(self) -> Batch:
         """The batch again."""
-        file = BytesIO(zstandard.ZstdDecompressor().decompress(self._packed))
-        batch: Batch = _Unpacker(file, self._shared).load()
+        data = zstandard.ZstdDecompressor().decompressobj().decompress(self._packed)
+        batch: Batch = _Unpacker(BytesIO(data), self._shared).load()
         return batch
 
     @property
@@ -49,7 +50,7 @@ def _shared(place: int) -> Any:
 class _Packer(pickle.Pickler):
     """Puts what is shared into a list, and its place there into the file."""
 
-    def __init__(self, file: BytesIO, shared: list[Any]) -> None:
+    def __init__(self, file: zstandard.ZstdCompressionWriter, shared: list[Any]) -> None:
         super().__init__(file, pickle.HIGHEST_PROTOCOL)
         self._shared = shared
 

@@ -114,7 +114,7 @@ class Recording:
                 if block.packed is None:
                     found: tuple[int, Batch] = row, Records(self._listed[row - block.first :])
                 else:
-                    found = block.first, self._batch(block.first, block.packed)
+                    found = block.first, block.packed.batch()  # not kept: it is seen once
             yield found
             row = found[0] + len(found[1])
 

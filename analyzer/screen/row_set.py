@@ -22,7 +22,7 @@ class RowSet:
 
     def __init__(self, lock: RLock) -> None:
         self._lock = lock
-        self._bits = np.zeros(PAGE, np.bool_)
+        self._bytes = bytearray()  # grows in place, as no array does
         self._upto = [0]  # members before each page
         self.rows = 0
         self.members = 0
@@ -30,30 +30,26 @@ class RowSet:
     def append(self, mask: NDArray[np.bool_]) -> None:
         """Add the next rows: whether each of them is a member."""
         with self._lock:
-            rows = self.rows + len(mask)
-            if rows > len(self._bits):
-                spare = np.zeros(max(rows, len(self._bits)), np.bool_)
-                self._bits = np.concatenate([self._bits, spare])
-            self._bits[self.rows : rows] = mask
-            self.rows = rows
-            while len(self._upto) * PAGE <= rows:
-                last = self._bits[(len(self._upto) - 1) * PAGE : len(self._upto) * PAGE]
-                self._upto.append(self._upto[-1] + int(np.count_nonzero(last)))
-            self.members = self.before(rows)
+            self._bytes += mask.tobytes()
+            self.rows = len(self._bytes)
+            while len(self._upto) * PAGE <= self.rows:
+                end = len(self._upto) * PAGE
+                self._upto.append(self._upto[-1] + self._bytes.count(1, end - PAGE, end))
+            self.members = self.before(self.rows)
 
     def before(self, row: int) -> int:
         """How many members are before a row."""
         with self._lock:
             row = min(row, self.rows)
             page = row // PAGE
-            return self._upto[page] + int(np.count_nonzero(self._bits[page * PAGE : row]))
+            return self._upto[page] + self._bytes.count(1, page * PAGE, row)
 
     def slice(self, first: int, stop: int) -> list[int]:
         """The rows of the members from the `first` to before the `stop`, counted from 0."""
         with self._lock:
             page = bisect_right(self._upto, first) - 1
             after = bisect_left(self._upto, stop)
-            members = np.flatnonzero(self._bits[page * PAGE : after * PAGE]) + page * PAGE
+            members = np.flatnonzero(self._bits(page * PAGE, after * PAGE)) + page * PAGE
             base = self._upto[page]
             found: list[int] = members[first - base : max(stop, first) - base].tolist()
             return found
@@ -77,10 +73,14 @@ class RowSet:
                     return at + int(found[-1])
         return None
 
+    def _bits(self, first: int, stop: int) -> NDArray[np.bool_]:
+        """Whether some rows are members, as a copy: a view would keep the bytes from growing."""
+        return np.frombuffer(self._bytes[first:stop], np.bool_)
+
     def _common(self, first: int, stop: int, among: RowSet | None) -> NDArray[np.intp]:
-        bits = self._bits[first:stop]
+        bits = self._bits(first, stop)
         if among is None:
             return np.flatnonzero(bits)
-        others = among._bits[first:stop]
+        others = among._bits(first, stop)
         some = min(len(bits), len(others))
         return np.flatnonzero(bits[:some] & others[:some])
