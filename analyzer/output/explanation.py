@@ -48,7 +48,8 @@ def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
     yield "clause", judgement.clause
     yield frame.device, frame.action
     sets = ", ".join(f"{name} becomes {value}" for name, value in frame.changes)
-    kept = f"{', '.join(frame.keeps)} stay as they were" if frame.keeps else ""
+    stay = "stays as it was" if len(frame.keeps) == 1 else "stay as they were"
+    kept = f"{', '.join(frame.keeps)} {stay}" if frame.keeps else ""
     yield "state", "; ".join(part for part in (sets, kept) if part)
     for reading in frame.readings:
         told = [
