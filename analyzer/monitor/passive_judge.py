@@ -41,6 +41,8 @@ _OVER = "the traffic ended before the answer was due"
 _DEAF = "the other direction was not listened to"
 _SILENT = "no answer is due"
 _GARBAGE = "bytes that belong to no frame"
+_LATE = "later than TIMING.answer_deadline"
+_UNANSWERED = "TIMING.answer_longest"
 
 
 class Violation(msgspec.Struct, frozen=True):
@@ -64,7 +66,8 @@ class Findings(msgspec.Struct):
     `judged` counts the instructions whose answer was judged, and `looks` the probe readings of a
     robot that a faulty instruction had stopped. `not_judged` counts by reason. `violations` counts
     by kind; the first ones are `listed`. `readings` counts, by reading, the answers that are legal
-    although the kit reads the document otherwise. `unread` is for how long (ns) nothing was read.
+    although the kit reads the document otherwise; for a grammar without readings, by what is odd
+    about them. `unread` is for how long (ns) nothing was read.
     """
 
     instructions: int = 0
@@ -231,7 +234,7 @@ class PassiveJudge:
             if fault.severity is Severity.ERROR and record.answered:
                 self._violate(fault, record.answered.clause, record.answered.reading)
             elif fault.severity is Severity.WARNING and record.answered:
-                self._findings.readings[self._reading(fault, record.byte, record.answered)] += 1
+                self._legal(fault, self._reading(fault, record.byte, record.answered))
 
     def _unpaired(self, record: DeviceRecord) -> None:
         """Judge a device byte that answers no instruction, or none that was heard."""
@@ -254,11 +257,11 @@ class PassiveJudge:
             return
         self._findings.judged += 1
         if lost:
-            self._findings.readings["R-drain-known"] += 1
+            self._legal(fault, "R-drain-known")
         elif fault.severity is Severity.ERROR:
             self._violate(fault, self._protocol.clauses.responses, "R-answer-deadline")
         else:
-            self._findings.readings[SILENCE_READING] += 1
+            self._legal(fault, SILENCE_READING)
 
     def _line(self, record: LineRecord) -> None:
         event = record.value
@@ -285,6 +288,11 @@ class PassiveJudge:
             self._findings.not_judged[reason] += len(self._pending)
             self._pending.clear()
 
+    def _legal(self, fault: Anomaly, reading: str) -> None:
+        """Count what is legal, by its reading; the readings are those of the car's document."""
+        declared = _LATE if fault.kind == "slow" else fault.kind
+        self._findings.readings[reading if self._protocol.plain else declared] += 1
+
     def _reading(self, fault: Anomaly, byte: int, answered: Judgement) -> str:
         """The reading under which an answer with a warning is legal."""
         if fault.kind != "disagreeing":
@@ -293,7 +301,8 @@ class PassiveJudge:
         return next(choice.reading for choice in choices if choice.code == byte)
 
     def _violate(self, fault: Anomaly, clause: str, reading: str) -> None:
-        reading = reading if self._protocol.plain else ""  # they are those of the car's document
+        if not self._protocol.plain:  # the readings are those of the car's document
+            reading = _UNANSWERED if fault.kind == "unanswered" else ""
         self._findings.violations[fault.kind] += 1
         if len(self._findings.listed) < KEPT:
             self._findings.listed.append(

@@ -4,7 +4,8 @@ The object is the last line of `--format jsonl` and has `kind` "judgement". Its 
 `exit` (1 if there was a violation), `instructions`, `judged` (those whose answer was judged),
 `looks`, `unread` (for how many ns nothing was read),
 `not_judged` (how many for which reason), `coverage` (each `clause`, `what`, `done` out of
-`of`), `violations` (how many of each kind), `readings` (how often another legal reading was met),
+`of`), `violations` (how many of each kind), `readings` (how often another legal reading was met, or
+what is odd but legal),
 and `listed`: the first 20 violations, each `t` (s since the start), `kind`, `clause`, `reading`,
 `reason`, `instruction` (its sequence).
 """
@@ -53,7 +54,8 @@ def sentences(findings: Findings) -> Iterator[str]:
     for reason, count in findings.not_judged.items():
         yield f"not judged: {count} ({reason})"
     for reading, count in findings.readings.items():
-        yield f"another legal reading of {reading}: {count}"
+        what = "another legal reading of" if reading.startswith("R-") else "legal, but"
+        yield f"{what} {reading}: {count}"
     for violation in findings.listed:
         yield _words(violation)
     total = sum(findings.violations.values())

@@ -12,6 +12,7 @@ import pytest
 
 from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.monitor.passive_judge import KEPT, MOVING, Findings, PassiveJudge
+from bilprov.analyzer.output.findings import sentences
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line, Look
 from bilprov.captures.topics import CarLook
@@ -542,6 +543,30 @@ def test_frames_of_another_layout_are_covered_by_what_can_be_counted_there() -> 
     assert (found.instructions, found.judged) == (3, 2)
     assert found.not_judged == {"no answer is due": 1}
     assert not found.violations
+
+
+def test_of_another_grammar_its_declarations_are_named_and_no_readings_of_the_car() -> None:
+    protocol = load(FRAMED["relay_board"])
+    frame = build(protocol, "On", {"address": 1})
+    answer = build_reply(protocol, judge(protocol, frame))
+    late = protocol.timing.answer_deadline + 50
+
+    found = judged(
+        protocol,
+        [
+            host(0, frame.hex()),
+            device(late, answer.hex()),
+            host(5_000, frame.hex()),
+        ],
+        end=20_000,
+    )
+
+    assert found.readings == {"later than TIMING.answer_deadline": 1}
+    (violation,) = found.listed
+    assert (violation.kind, violation.reading) == ("unanswered", "TIMING.answer_longest")
+    told = list(sentences(found))
+    assert "legal, but later than TIMING.answer_deadline: 1" in told
+    assert not any("R-" in one for one in told)
 
 
 def test_an_answer_that_nobody_asked_for_is_not_told_a_right_address() -> None:
