@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from bilprov.analyzer.client.link import drive, interruption
+from bilprov.analyzer.client.operations import drive, interruption
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS

@@ -13,12 +13,11 @@ from typing import Any
 from bilprov.analyzer.client.driver import (
     InstructionMethods,
     NoAnswer,
-    Refused,
     RobotError,
 )
-from bilprov.analyzer.client.exchange import exchange
 from bilprov.analyzer.client.operations import listen
 from bilprov.analyzer.client.port_driver import OnPort
+from bilprov.analyzer.client.rest import exchange
 from bilprov.analyzer.grammar_file import given_protocol
 from bilprov.analyzer.transport.errors import first_bytes
 from bilprov.analyzer.transport.machine import Machine
@@ -72,18 +71,6 @@ class DeviceDriver(InstructionMethods):
         """
         return self._exchange(build(self.protocol, name, self._addressed(values)))
 
-    def home(self) -> None:
-        """Bring the device to rest where the grammar tells when it is, and the line to silence.
-
-        Raises NoAnswer if the device does not answer what brings it to rest.
-        """
-        with self._alone():
-            self._rest.note(self._address)
-            self._calm()
-            if not self._do(self._rest.once()):
-                raise self._nobody()
-            self._in_step = True
-
     def _signature(self, spec: InstructionSpec) -> inspect.Signature:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         register, count = read_by_name(self.protocol, spec)
@@ -113,7 +100,9 @@ class DeviceDriver(InstructionMethods):
         if reply is None:
             return None
         if Outcome.VALID not in reply.outcomes:
-            raise self._refused(spec, frame, reply)
+            name = " ".join(reply.names) or spaced(reply.frame)
+            code = reply.response.code if reply.response else reply.frame[-1]
+            raise self._refused(spec, frame, code, name, name)
         register = fields.get(read_by_name(self.protocol, spec)[0])
         for one, value in reply.registers:
             if one.name == register:
@@ -163,7 +152,7 @@ class DeviceDriver(InstructionMethods):
 
     def _read(self, asked: Judgement, heard: bytes) -> Reply:
         """The answer in what was heard. Raises NoAnswer and RobotError if it is none."""
-        what = f"{asked.describe()} ({spaced(asked.frame)})"
+        what = self._described(asked.frame)
         if not heard:
             raise NoAnswer(f"{what} was not answered in {self._patience:g} ms", asked.frame)
         size = reply_size(self.protocol, heard, asked)
@@ -180,22 +169,9 @@ class DeviceDriver(InstructionMethods):
             raise RobotError(f"{what} was answered {first_bytes(heard)}: {reply.reason}")
         raise RobotError(f"{what}: {first_bytes(surplus)} came after its answer")
 
-    def _refused(self, spec: InstructionSpec, frame: bytes, reply: Reply) -> Refused:
-        known = reply.response
-        name = " ".join(reply.names) or spaced(reply.frame)
-        meaning = known.prose if known else f"{self.protocol.name} has no such response"
-        code = known.code if known else reply.frame[-1]
-        what = judge(self.protocol, frame).describe()
-        return Refused(
-            f"{what} ({spaced(frame)}) was answered {name}: {meaning}",
-            code,
-            name,
-            frame,
-            spec.name,
-        )
-
     def _calm(self) -> None:
         """Wait until nothing is heard for as long as a frame may pause. Raises RobotError."""
+        self._rest.note(self._address)
         if self._in_step and not self._do(listen(None, 0)).answers:
             return
         pause = round(self.protocol.timing.truncation_timeout * MS)

@@ -9,14 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bilprov.analyzer.client.homing import home
-from bilprov.analyzer.client.link import Link, done
-from bilprov.analyzer.client.operations import Heard, Procedure, listen, send
+from bilprov.analyzer.client.operations import Heard, Link, Procedure, done, listen, send
 from bilprov.analyzer.client.rest import rest_of
 from bilprov.analyzer.client.turns import Turns
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge, spaced
-from bilprov.spec.fields import Outcome, Timing
+from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.python_names import method_names, parameter_names
 
@@ -80,19 +78,28 @@ class InstructionMethods(ABC):
     def __init__(self, protocol: Protocol, link: Link, timeout: float | None = None) -> None:
         self.protocol = protocol
         self._link = link
-        self._patience = self._longest(protocol.timing) if timeout is None else timeout
+        timing = protocol.timing
+        longest = timing.answer_longest + timing.truncation_longest * protocol.plain
+        self._patience = longest if timeout is None else timeout
         self._methods = method_names(protocol)
         self._in_step = True
         self._turns = Turns()
         self._rest = rest_of(protocol)
 
-    def _longest(self, timing: Timing) -> float:
-        """How long (ms) an answer may take at most."""
-        return timing.answer_longest
-
-    @abstractmethod
     def home(self) -> None:
-        """Bring the device to rest, and the line to the boundary of a frame."""
+        """Bring the device to rest from any state, and the line to the boundary of a frame.
+
+        Settings that do not cause motion, such as speed and light, stay. Raises NoAnswer if the
+        device does not answer what brings it to rest.
+        """
+        with self._alone():
+            self._calm()
+            if not self._do(self._rest.patiently()):
+                raise self._nobody()
+            self._in_step = True
+
+    def _calm(self) -> None:  # noqa: B027  # stops need no silence before them
+        """Wait until nothing comes that would be taken for an answer."""
 
     def wait(self, milliseconds: float) -> None:
         """Wait for the given time. Raises RobotError if the robot sends an unsolicited byte."""
@@ -166,6 +173,19 @@ class InstructionMethods(ABC):
             b"".join(self._rest.frames()),
         )
 
+    def _refused(
+        self, spec: InstructionSpec, frame: bytes, code: int, name: str, said: str
+    ) -> Refused:
+        """The error for an answer that refuses a frame; `said` is the answer in words."""
+        known = self.protocol.codes.get(code)
+        meaning = known.prose if known else f"{self.protocol.name} has no such response"
+        what = f"{self._described(frame)} was answered {said}: {meaning}"
+        return Refused(what, code, name, frame, spec.name)
+
+    def _described(self, frame: bytes) -> str:
+        """A valid frame in words, like `Speed speed=80 (11 50)`."""
+        return f"{judge(self.protocol, frame).describe()} ({spaced(frame)})"
+
     def _names(self, heard: Heard) -> str:
         """The bytes that were heard in words, of which a sentence lists the first."""
         more = f" and {len(heard) - _SHOWN} more" if len(heard) > _SHOWN else ""
@@ -191,9 +211,6 @@ class Driver(InstructionMethods):
 
     Several threads may use one driver: each instruction and its answer are by themselves.
     """
-
-    def _longest(self, timing: Timing) -> float:
-        return timing.answer_longest + timing.truncation_longest
 
     def send(self, name: str, /, **values: int) -> Answer:
         """Send an instruction by its name, with its fields' values, and wait for its answer.
@@ -225,17 +242,6 @@ class Driver(InstructionMethods):
             self._in_step = True
         return tuple(Answer(code, self._name(code), round((t - sent) / MS, 3)) for t, code in heard)
 
-    def home(self) -> None:
-        """Home the robot from any state: the line at a frame boundary, the robot stopped.
-
-        Settings that do not cause motion, such as speed and light, stay. Raises NoAnswer if the
-        robot does not answer.
-        """
-        with self._alone():
-            if not self._do(home(self.protocol)):
-                raise self._nobody()
-            self._in_step = True
-
     def _signature(self, spec: InstructionSpec) -> inspect.Signature:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         return inspect.Signature(
@@ -249,7 +255,8 @@ class Driver(InstructionMethods):
         frame = build(self.protocol, spec.name, fields)
         answer = self._exchange(frame)
         if answer.code != self.protocol.answers[Outcome.VALID].code:
-            raise self._refused(spec, frame, answer)
+            said = f"{answer.name} ({answer.code})"
+            raise self._refused(spec, frame, answer.code, answer.name, said)
         return answer
 
     def _exchange(self, frame: bytes) -> Answer:
@@ -259,17 +266,6 @@ class Driver(InstructionMethods):
             (answer,) = self.send_bytes(frame)
         return answer
 
-    def _refused(self, spec: InstructionSpec, frame: bytes, answer: Answer) -> Refused:
-        known = self.protocol.codes.get(answer.code)
-        meaning = known.prose if known else f"{self.protocol.name} has no such response"
-        return Refused(
-            f"{self._described(frame)} was answered {answer.name} ({answer.code}): {meaning}",
-            answer.code,
-            answer.name,
-            frame,
-            spec.name,
-        )
-
     def _miscounted(self, data: bytes, answers: int, heard: Heard) -> RobotError:
         due = "1 answer is" if answers == 1 else f"{answers} answers are"
         came = self._names(heard) if heard else "nothing"
@@ -277,12 +273,10 @@ class Driver(InstructionMethods):
         return RobotError(sentence) if heard else NoAnswer(sentence, data)
 
     def _described(self, data: bytes) -> str:
-        """The bytes in words, like `Speed speed=80 (11 50)`; in hex only if no valid frame."""
-        if data and len(data) == 1 + self.protocol.lengths[data[0]]:
-            judgement = judge(self.protocol, data)
-            if judgement.valid:
-                return f"{judgement.describe()} ({spaced(data)})"
-        return spaced(data)
+        """The bytes in words; in hex only if they are no valid frame."""
+        whole = data and len(data) == 1 + self.protocol.lengths[data[0]]
+        valid = whole and judge(self.protocol, data).valid
+        return super()._described(data) if valid else spaced(data)
 
     def _name(self, code: int) -> str:
         known = self.protocol.codes.get(code)

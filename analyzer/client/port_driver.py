@@ -18,7 +18,7 @@ from types import FrameType
 from typing import Self
 
 from bilprov.analyzer.client.driver import Driver, InstructionMethods, NoAnswer, RobotError
-from bilprov.analyzer.client.link import done
+from bilprov.analyzer.client.operations import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.client.turns import Turns

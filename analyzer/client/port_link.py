@@ -6,9 +6,10 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 
-from bilprov.analyzer.client.link import HELD_ANSWERS, LinkListener
 from bilprov.analyzer.client.operations import (
+    HELD_ANSWERS,
     Ended,
+    LinkListener,
     Listen,
     Observation,
     Observe,

@@ -1,63 +1,92 @@
-"""Brings a device to rest: a car by stops, another one by the requests that its grammar has."""
+"""Brings a device to rest: a car by stops, another one by the requests that its grammar has.
+
+As many stops as the longest frame has bytes bring a robot of the car's family to rest from any
+state.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from contextlib import suppress
 
-from bilprov.analyzer.client.exchange import exchange
-from bilprov.analyzer.client.homing import home_once, stops
-from bilprov.analyzer.client.operations import Ended, Procedure, listen
+from bilprov.analyzer.client.operations import Ended, Procedure, listen, send
+from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.port import Port
 from bilprov.captures.schemas import MS
-from bilprov.spec import protocol as spec_protocol
-from bilprov.spec.codec import build, judge
+from bilprov.spec.codec import Judgement, build, judge
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import reply_size
 from bilprov.spec.state import State
 
-
-class Rest(Protocol):
-    """How a device is brought to rest."""
-
-    def note(self, address: int | None) -> None:
-        """Take note of a device that was spoken to, and may have to be brought to rest."""
-
-    def frames(self) -> tuple[bytes, ...]:
-        """What is sent for that, one frame after the other."""
-
-    def after(self, state: State) -> State:
-        """The state of a device after that."""
-
-    def once(self) -> Procedure[bool]:
-        """Bring it to rest once; returns whether it was answered.
-
-        At an address at which nobody has answered yet, nobody needs to, as long as others do.
-        """
+_SLOWER = 4  # how much later than the first answer one of the others may come
+_SETTLE = 2 * MS  # ns after the last answer in which a surplus answer comes
 
 
-class Stops:
-    """Brings a robot of the car's family to rest by stops, also in the middle of a frame."""
+def stops(protocol: Protocol) -> bytes:
+    """Stop instructions, as many as the longest frame has bytes.
 
-    def __init__(self, protocol: spec_protocol.Protocol) -> None:
-        self._protocol = protocol
-
-    def note(self, address: int | None) -> None:
-        """As in Rest; there are no addresses."""
-
-    def frames(self) -> tuple[bytes, ...]:
-        """As in Rest."""
-        return (stops(self._protocol),)
-
-    def after(self, state: State) -> State:
-        """As in Rest."""
-        return self._protocol.stop.effect.apply(state)
-
-    def once(self) -> Procedure[bool]:
-        """As in Rest."""
-        return home_once(self._protocol)
+    They fill any open frame, and at least one is left over as an instruction.
+    """
+    return bytes([protocol.pad_byte]) * protocol.longest_frame
 
 
-class Requests:
-    """Brings each device that was spoken to to rest; does nothing where no request does that."""
+def halt(protocol: Protocol, port: Port) -> None:
+    """Send the stops, as far as the line allows, and wait for nothing."""
+    with suppress(LinkError):
+        port.write(stops(protocol))
 
-    def __init__(self, protocol: spec_protocol.Protocol) -> None:
+
+def home_once(protocol: Protocol) -> Procedure[bool]:
+    """Send stops to complete any frame the robot may be in; return whether it answered.
+
+    Stops that the robot takes as missing data have no answer of their own, so the wait ends after
+    a pause without an answer. The first answer's latency lengthens that pause for a slow robot.
+    """
+    timing = protocol.timing
+    yield from listen(None, 0)
+    sent = yield from send(stops(protocol))
+    heard = 0
+    patience = round(timing.answer_longest * MS)
+    pause = round(max(timing.answer_deadline, timing.truncation_timeout) * MS)
+    while heard < protocol.longest_frame:
+        more = yield from listen(1, patience)
+        if not more.answers:
+            break
+        if not heard:
+            patience = max(pause, _SLOWER * (more.answers[0][0] - sent))
+        heard += len(more.answers)
+    yield from listen(None, _SETTLE)
+    return heard > 0
+
+
+def exchange(protocol: Protocol, asked: Judgement, patience: int, pause: int) -> Procedure[bytes]:
+    """Send a request and return what is heard until its answer is whole; b"" if none is due.
+
+    The first byte may take `patience` ns, each of the others `pause` ns.
+    """
+    yield from send(asked.frame)
+    held = bytearray()
+    while asked.answer_due:
+        size = reply_size(protocol, bytes(held), asked) if held else None
+        if size is not None and size <= len(held):
+            break
+        missing = size - len(held) if size else 1
+        heard = yield from listen(missing, pause if held else patience)
+        if not heard.answers:
+            break
+        held += bytes(heard.codes)
+    return bytes(held)
+
+
+class Rest:
+    """Brings each device that was spoken to to rest, by the requests that its grammar has for it.
+
+    It does nothing where no request does that.
+    """
+
+    tries = 1
+
+    def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
         self._part = protocol.layout.part("address")
         self._requests = protocol.rest_requests
@@ -65,12 +94,12 @@ class Requests:
         self._heard: set[int | None] = set()
 
     def note(self, address: int | None) -> None:
-        """As in Rest."""
+        """Take note of a device that was spoken to, and may have to be brought to rest."""
         if address is not None:
             self._addresses.add(address)
 
     def frames(self) -> tuple[bytes, ...]:
-        """As in Rest."""
+        """What is sent for that, one frame after the other."""
         addresses: list[dict[str, int]] = [{}]
         if self._part is not None:
             addresses = [{self._part.name: address} for address in sorted(self._addresses)]
@@ -81,13 +110,28 @@ class Requests:
         )
 
     def after(self, state: State) -> State:
-        """As in Rest."""
+        """The state of a device after that."""
         for name, fields in self._requests:
             state = self._protocol.by_name[name].effect.apply(state, fields)
         return state
 
+    def patiently(self, given_up: Callable[[], bool] = lambda: False) -> Procedure[bool]:
+        """Bring it to rest in a limited number of tries; return whether it answered.
+
+        `given_up` is called after each try without an answer; if it returns true, no more are made.
+        """
+        for _ in range(self.tries):
+            if (yield from self.once()):
+                return True
+            if given_up():
+                break
+        return False
+
     def once(self) -> Procedure[bool]:
-        """As in Rest."""
+        """Bring it to rest once; returns whether it was answered.
+
+        At an address at which nobody has answered yet, nobody needs to, as long as others do.
+        """
         timing = self._protocol.timing
         pause = round(timing.truncation_timeout * MS)
         frames = self.frames()
@@ -111,6 +155,24 @@ class Requests:
         return silent.isdisjoint(self._heard) and (not due or silent != due)
 
 
-def rest_of(protocol: spec_protocol.Protocol) -> Rest:
+class Stops(Rest):
+    """Brings a robot of the car's family to rest by stops, also in the middle of a frame."""
+
+    tries = 5  # an opened Arduino resets, and boots for some seconds
+
+    def frames(self) -> tuple[bytes, ...]:
+        """The stops."""
+        return (stops(self._protocol),)
+
+    def after(self, state: State) -> State:
+        """The state after a stop."""
+        return self._protocol.stop.effect.apply(state)
+
+    def once(self) -> Procedure[bool]:
+        """Send the stops once; returns whether they were answered."""
+        return home_once(self._protocol)
+
+
+def rest_of(protocol: Protocol) -> Rest:
     """How a device of this protocol is brought to rest."""
-    return Stops(protocol) if protocol.plain and protocol.stop_or_none else Requests(protocol)
+    return Stops(protocol) if protocol.plain and protocol.stop_or_none else Rest(protocol)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 from shlex import quote
 
-from bilprov.analyzer.client.homing import home_once
-from bilprov.analyzer.client.link import Link, done
-from bilprov.analyzer.client.operations import listen, send
+from bilprov.analyzer.client.operations import Link, done, listen, send
+from bilprov.analyzer.client.rest import home_once
 from bilprov.analyzer.doctor.finding import Finding, Grade
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.captures.schemas import MS

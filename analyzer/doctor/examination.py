@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
 
-from bilprov.analyzer.client.homing import halt
 from bilprov.analyzer.client.port_link import PortLink
+from bilprov.analyzer.client.rest import halt
 from bilprov.analyzer.doctor.asking import asked, told
 from bilprov.analyzer.doctor.finding import Finding, Grade, refused
 from bilprov.analyzer.doctor.listening import heard, listened

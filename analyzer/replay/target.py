@@ -8,11 +8,9 @@ from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
-from bilprov.analyzer.client.homing import home
-from bilprov.analyzer.client.link import LinkListener, done
-from bilprov.analyzer.client.operations import send
+from bilprov.analyzer.client.operations import LinkListener, done, send
 from bilprov.analyzer.client.port_link import PortLink
-from bilprov.analyzer.client.rest import Stops, rest_of
+from bilprov.analyzer.client.rest import rest_of
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.transport.errors import LinkError
@@ -181,10 +179,10 @@ class Target(Closing, LinkListener):
     def _home(self, *, patient: bool) -> None:
         """Home the device, and note whether it answered, without a record of that."""
         self.answered_stops, self._homing = False, True
-        patient = patient and isinstance(self._rest, Stops)
-        stopped = home(self._protocol, lambda: self._stopper.stopped)
+        rest = self._rest
+        procedure = rest.patiently(lambda: self._stopper.stopped) if patient else rest.once()
         try:
-            self.answered_stops = done(stopped if patient else self._rest.once(), self._link)
+            self.answered_stops = done(procedure, self._link)
         finally:
             self._homing = self._halted = False
 

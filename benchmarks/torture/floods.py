@@ -23,7 +23,7 @@ from typing import NamedTuple
 from benchmarks.commands import Ended, Skipped, bilprov_words, run_any
 from benchmarks.torture.exits import items, replay_to
 from benchmarks.torture.harm import Harm, Progress, Row
-from bilprov.analyzer.client.homing import stops
+from bilprov.analyzer.client.rest import stops
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.conformance.dut.simulator import Simulator

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from bilprov.analyzer.client.homing import home_once
-from bilprov.analyzer.client.link import drive
-from bilprov.analyzer.client.operations import Procedure, followed, listen, observe, send
+from bilprov.analyzer.client.operations import Procedure, drive, followed, listen, observe, send
+from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS
 from bilprov.conformance.causes.exchanges import Exchange, Exchanges, Timing
 from bilprov.conformance.causes.relations import Effect

@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import msgspec
 
-from bilprov.analyzer.client.link import HELD_ANSWERS
 from bilprov.analyzer.client.operations import (
+    HELD_ANSWERS,
     OPERATION_NAMES,
     Ended,
     Listen,

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from bilprov.analyzer.client.homing import halt
-from bilprov.analyzer.client.link import Link, LinkListener
+from bilprov.analyzer.client.operations import Link, LinkListener
 from bilprov.analyzer.client.port_link import PortLink, Power
 from bilprov.analyzer.client.probes import PROBES, Probe, look_time, open_probe
+from bilprov.analyzer.client.rest import halt
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
 from bilprov.analyzer.transport.machine import Machine

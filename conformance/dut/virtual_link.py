@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from bilprov.analyzer.client.link import HELD_ANSWERS, LinkListener
 from bilprov.analyzer.client.operations import (
+    HELD_ANSWERS,
+    LinkListener,
     Listen,
     Observation,
     Observe,

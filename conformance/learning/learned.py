@@ -6,8 +6,7 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from bilprov.analyzer.client.link import Link, drive
-from bilprov.analyzer.client.operations import Procedure, send
+from bilprov.analyzer.client.operations import Link, Procedure, drive, send
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.steps import Step

@@ -11,8 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 
-from bilprov.analyzer.client.link import Link, drive
-from bilprov.analyzer.client.operations import Procedure, listen, observe, send
+from bilprov.analyzer.client.operations import Link, Procedure, drive, listen, observe, send
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.steps import Step

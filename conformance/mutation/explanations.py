@@ -9,9 +9,8 @@ from itertools import product
 
 import msgspec
 
-from bilprov.analyzer.client.homing import home_once
-from bilprov.analyzer.client.link import drive
-from bilprov.analyzer.client.operations import Procedure, followed
+from bilprov.analyzer.client.operations import Procedure, drive, followed
+from bilprov.analyzer.client.rest import home_once
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.causes.causes import Cause
 from bilprov.conformance.causes.exchanges import Exchange, Exchanges

@@ -1,7 +1,7 @@
 """The client of the fixture `robot`: sends instructions, reads answers, looks through the probe.
 
-It uses a link (`analyzer.client.link.Link`), so a test works alike on a port in real time and on a
-simulator in virtual time.
+It uses a link (`analyzer.client.operations.Link`), so a test works alike on a port in real time and
+on a simulator in virtual time.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from __future__ import annotations
 from typing import TypeVar
 
 from bilprov.analyzer.client.driver import RobotError
-from bilprov.analyzer.client.link import Link, drive
-from bilprov.analyzer.client.operations import Ended, Procedure, listen, observe
+from bilprov.analyzer.client.operations import Ended, Link, Procedure, drive, listen, observe
 from bilprov.analyzer.client.robot import Instructions
 from bilprov.captures.schemas import MS, Look
 from bilprov.spec.protocol import Protocol

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from bilprov.analyzer.client.homing import stops
 from bilprov.analyzer.client.operations import (
     Ended,
     Observation,
@@ -19,6 +18,7 @@ from bilprov.analyzer.client.operations import (
     observe,
     send,
 )
+from bilprov.analyzer.client.rest import stops
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, case_of_the_run

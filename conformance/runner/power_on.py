@@ -6,7 +6,6 @@ The first frame is a setting and no Stop, which would hide a robot that moves at
 
 from __future__ import annotations
 
-from bilprov.analyzer.client.homing import stops
 from bilprov.analyzer.client.operations import (
     Procedure,
     Received,
@@ -15,6 +14,7 @@ from bilprov.analyzer.client.operations import (
     power_cycle,
     send,
 )
+from bilprov.analyzer.client.rest import stops
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.opening import at_rest, link_check, motion_first

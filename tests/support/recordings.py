@@ -9,8 +9,14 @@ from typing import Any
 import msgspec
 from mcap.reader import make_reader
 
-from bilprov.analyzer.client.link import Link, LinkListener
-from bilprov.analyzer.client.operations import Ended, Observation, Operation, Received
+from bilprov.analyzer.client.operations import (
+    Ended,
+    Link,
+    LinkListener,
+    Observation,
+    Operation,
+    Received,
+)
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures import topics

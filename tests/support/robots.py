@@ -16,8 +16,15 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from bilprov.analyzer.client.link import LinkListener, drive
-from bilprov.analyzer.client.operations import Observation, Observe, Operation, Received, Reply
+from bilprov.analyzer.client.operations import (
+    LinkListener,
+    Observation,
+    Observe,
+    Operation,
+    Received,
+    Reply,
+    drive,
+)
 from bilprov.analyzer.transport.server import serve
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.analyzer.transport.streams import parse_address

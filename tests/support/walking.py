@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from bilprov.analyzer.client.link import drive
-from bilprov.analyzer.client.operations import Procedure, followed
+from bilprov.analyzer.client.operations import Procedure, drive, followed
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction

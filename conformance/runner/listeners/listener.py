@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from bilprov.analyzer.client.link import Link, LinkListener
-from bilprov.analyzer.client.operations import Ended, Operation, Reply
+from bilprov.analyzer.client.operations import Ended, Link, LinkListener, Operation, Reply
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.oracle.verdicts import CaseResult

@@ -6,8 +6,8 @@ that lags shows no change at once. It is made once in a run, before the first su
 
 from __future__ import annotations
 
-from bilprov.analyzer.client.homing import stops
 from bilprov.analyzer.client.operations import Procedure, listen, observe, send
+from bilprov.analyzer.client.rest import stops
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.runner.homing import home, set_up

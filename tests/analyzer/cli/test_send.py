@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.adapter import Adapter
-from bilprov.analyzer.client.homing import stops
+from bilprov.analyzer.client.rest import stops
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings

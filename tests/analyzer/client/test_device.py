@@ -14,7 +14,7 @@ import pytest
 from bilprov import Device, LinkError
 from bilprov.analyzer.client.device import DeviceDriver
 from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
-from bilprov.analyzer.client.link import LinkListener
+from bilprov.analyzer.client.operations import LinkListener
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol

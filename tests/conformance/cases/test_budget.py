@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.noisy_device import NoisyDevice
-from bilprov.analyzer.client.link import Link, LinkListener
+from bilprov.analyzer.client.operations import Link, LinkListener
 from bilprov.analyzer.taps.impairment import Noise
 from bilprov.conformance.api import Options, estimated, run_suite, select_cases
 from bilprov.conformance.dut.link import Environment, Observability

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from bilprov.analyzer.client.homing import home_once
-from bilprov.analyzer.client.link import drive
-from bilprov.analyzer.client.operations import Procedure, followed
+from bilprov.analyzer.client.operations import Procedure, drive, followed
+from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes

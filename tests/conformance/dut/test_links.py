@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.client import port_link
-from bilprov.analyzer.client.link import drive
 from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
@@ -23,6 +22,7 @@ from bilprov.analyzer.client.operations import (
     Received,
     Reconnected,
     Send,
+    drive,
     listen,
     observe,
     send,

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.client.link import drive
-from bilprov.analyzer.client.operations import Ended, Procedure, followed
+from bilprov.analyzer.client.operations import Ended, Procedure, drive, followed
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
 from bilprov.conformance.dut.simulator import Simulator

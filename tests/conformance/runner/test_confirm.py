@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from bilprov.analyzer.client.link import drive
-from bilprov.analyzer.client.operations import Procedure, listen
+from bilprov.analyzer.client.operations import Procedure, drive, listen
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.noise import Confirmed, confirm

@@ -8,8 +8,14 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.client.link import drive
-from bilprov.analyzer.client.operations import Observation, Operation, Procedure, Received, listen
+from bilprov.analyzer.client.operations import (
+    Observation,
+    Operation,
+    Procedure,
+    Received,
+    drive,
+    listen,
+)
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction, answers
 from bilprov.conformance.dut.link import Observability

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.client.link import drive
 from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
@@ -21,6 +20,7 @@ from bilprov.analyzer.client.operations import (
     Operation,
     Received,
     Send,
+    drive,
 )
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import drive
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.cases.budget import group

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from bilprov.analyzer.client.link import drive
-from bilprov.analyzer.client.operations import Operation, Reconnected, Reply, Send
+from bilprov.analyzer.client.operations import Operation, Reconnected, Reply, Send, drive
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator

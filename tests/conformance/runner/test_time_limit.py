@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.client.link import Link, LinkListener
 from bilprov.analyzer.client.operations import (
     Ended,
+    Link,
+    LinkListener,
     Listen,
     Observation,
     Observe,

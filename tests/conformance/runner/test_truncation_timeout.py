@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from bilprov.analyzer.client.link import drive
+from bilprov.analyzer.client.operations import drive
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.pairs import pairs

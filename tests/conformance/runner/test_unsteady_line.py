@@ -10,8 +10,14 @@ from typing import Any
 import pytest
 
 from benchmarks.noisy_device import NoisyDevice
-from bilprov.analyzer.client.link import Link, LinkListener
-from bilprov.analyzer.client.operations import Observation, Observe, Operation, Reply
+from bilprov.analyzer.client.operations import (
+    Link,
+    LinkListener,
+    Observation,
+    Observe,
+    Operation,
+    Reply,
+)
 from bilprov.analyzer.taps.impairment import Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, run_suite
