@@ -69,12 +69,12 @@ OPERATORS: dict[type[ast.AST], tuple[str, str]] = {  # as written, and what take
 }
 NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
 SKIPPED_FIELDS = {"annotation", "returns", "decorator_list", "type_params"}
-MEMORY = 4 << 30  # bytes of address space: a mutant may loop for ever and hold on to everything
+MEMORY = 4 << 30  # bytes of data: a mutant may loop for ever and hold on to everything
 FOREIGN = 70  # exit code of a run that did not import the copy
 QUIETLY = ["-q", "-pno:randomly", "-pno:cacheprovider", "--tb=no", "-rfE", "--hypothesis-seed=0"]
 PYTEST = f"""\
 import json, pathlib, resource, sys
-resource.setrlimit(resource.RLIMIT_AS, ({MEMORY}, {MEMORY}))
+resource.setrlimit(resource.RLIMIT_DATA, ({MEMORY}, {MEMORY}))
 import pytest
 left_out = json.loads(sys.argv[1])
 class Selection:
