@@ -216,6 +216,7 @@ def _port_target(
         "latency_ns": (Machine().latency_timer(port.name) or 0) * MS,
         "look_ns": 0 if probe is None else look_time(probe),
         "probe": probe_name,
+        **({"echo": True} if line.echo else {}),
     }
 
     return Target(

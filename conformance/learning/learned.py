@@ -22,6 +22,7 @@ from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.timers import timers_of
 from bilprov.conformance.oracle.verdicts import Verdict, exit_code
+from bilprov.conformance.report.run_report import send_words
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import home, set_up, watch
 from bilprov.conformance.runner.run import Run, RunConfig
@@ -89,11 +90,9 @@ class Learned:
         The frames for the simulator or an emulated board go to `PORT`, where it is served.
         """
         protocol = self.protocol
-        named = [] if protocol.origin == "grammar.py" else ["--grammar", protocol.origin]
         frames = (*reset(protocol), *self.frames_of(difference.word))
-        port = self.device if self.link["kind"] == "port" else "PORT"
         items = [item_of(protocol, frame) for frame in frames]
-        return shlex.join(["bilprov", *named, "send", port, *items])
+        return shlex.join([*send_words(protocol.origin, self.device, self.link), *items])
 
     def frames_of(self, word: bytes) -> tuple[bytes, ...]:
         """The frames of a sequence of inputs."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Annotated, Any
 
 import msgspec
@@ -66,9 +66,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     are no fields (a later kit wrote them) are ignored.
 
     `kit` is the version that judged. `link` has at least `kind` (`port` or `virtual`), `line`,
-    `probe` and `fault`. `verdict` is the worst of the results, ERROR where nothing could be judged,
-    `counts` how many results have each verdict; both follow from the results. `unusable` says why
-    nothing could be judged, `ended` why the run ended early; `ended_by` is then `error` (the kit,
+    `probe` and `fault`, and `echo` where the line has one. `verdict` is the worst of the results,
+    ERROR where nothing could be judged, `counts` how many results have each verdict; both follow
+    from the results. `unusable` says why nothing could be judged, `ended` why the run ended early; `ended_by` is then `error` (the kit,
     the port or the probe failed), `user`, or `time` (it took three times what was announced).
     `timing` says where the time went (see `meter`), `profile` what was measured. `proof` is what
     the level `complete` has proven. `comparison` is that with a file of expected failures. `begun`
@@ -83,7 +83,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     kit: str
     grammar: Grammar
     device: str
-    link: dict[str, str | int | None]
+    link: dict[str, str | int | bool | None]
     options: Options
     seed: int
     verdict: Verdict = Verdict.SKIPPED
@@ -119,18 +119,12 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         left = sum(r.verdict is Verdict.FAIL and r.id not in known for r in self.results)
         msgspec.structs.force_setattr(self, "unexplained", left)
 
-    @property
-    def port(self) -> str:
-        """The port to send to; `PORT` for the simulator, which `bilprov simulate` serves there."""
-        return self.device if self.link.get("kind") == "port" else "PORT"
-
     def send_line(self, cause: Cause) -> str:
         """The command that shows a cause; with a probe it prints what that sees, too."""
-        grammar = self.grammar.file
-        start = ["bilprov"] if grammar == "grammar.py" else ["bilprov", "--grammar", grammar]
         probe = self.link.get("probe") if self.link.get("kind") == "port" else None
         look = ["--probe", str(probe)] if probe else []
-        return shlex.join([*start, "send", self.port, *look, *cause.send])
+        start = send_words(self.grammar.file, self.device, self.link)
+        return shlex.join([*start, *look, *cause.send])
 
     @property
     def fault(self) -> str:
@@ -255,6 +249,19 @@ def evidence(result: CaseResult) -> list[tuple[str, str]]:
     return rows
 
 
+def _named(grammar: str) -> list[str]:
+    return ["bilprov"] if grammar == "grammar.py" else ["bilprov", "--grammar", grammar]
+
+
+def send_words(grammar: str, device: str, link: Mapping[str, Any]) -> list[str]:
+    """The command that sends to a device, without what is sent.
+
+    The arguments are those of `reproducer`.
+    """
+    port = device if link.get("kind") == "port" else "PORT"
+    return [*_named(grammar), "send", port, *(["--echo"] if link.get("echo") else [])]
+
+
 def reproducer(
     grammar: str, device: str, link: dict[str, Any], options: Options
 ) -> Callable[[CaseResult], str]:
@@ -264,8 +271,9 @@ def reproducer(
     `bilprov simulate` serves it.
     """
     at_port = link["kind"] == "port"
-    start = ["bilprov"] if grammar == "grammar.py" else ["bilprov", "--grammar", grammar]
-    before = shlex.join([*start, "conform", device, "--seed", str(options.seed), "--only"])
+    before = shlex.join(
+        [*_named(grammar), "conform", device, "--seed", str(options.seed), "--only"]
+    )
     more = []
     if options.level != "standard":
         more += ["--level", options.level]
@@ -279,12 +287,13 @@ def reproducer(
         more += ["--probe", link["probe"]]
     if link.get("fault"):
         more += ["--fault", link["fault"]]
+    if link.get("echo"):
+        more += ["--echo"]
     after = shlex.join(more)
 
     def command(result: CaseResult) -> str:
         if result.reproduce:
-            port = device if at_port else "PORT"
-            return shlex.join([*start, "send", port, *result.reproduce.split()])
+            return shlex.join([*send_words(grammar, device, link), *result.reproduce.split()])
         return f"{before} {shlex.quote(result.id)} {after}".rstrip()
 
     return command

@@ -17,6 +17,8 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.report.json_report import read_report
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
@@ -192,3 +194,13 @@ def test_a_robot_on_a_line_with_an_echo_is_judged_and_without_the_option_it_is_n
     assert judged.returncode == 0, judged.stdout
     assert without.returncode == 2
     assert b"or an adapter that hears itself (--echo)" in without.stdout
+
+
+def test_the_commands_that_repeat_a_case_take_the_echo_away_too(tmp_path: Path) -> None:
+    protocol, file = load_protocol(), tmp_path / "report.json"
+    with served_here(EchoedCar(protocol, fault_bank(protocol)["ok-to-bad-data"])) as (port, probe):
+        words = ("conform", port, "--probe", probe, "--yes", "--only", "bad-data/LED/8")
+        told = command(*words, "--verbose", "--echo", "--json", str(file)).stdout.decode()
+    assert read_report(str(file)).link["echo"] is True
+    assert f"bilprov send {port} --echo --probe {probe} " in told
+    assert f"--probe {probe} --echo" in told
