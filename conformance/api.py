@@ -9,11 +9,7 @@ from bilprov.analyzer.client.operations import drive, interruption
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.budget import (
-    Pace,
-    before_the_cases,
-    seconds,
-)
+from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import (
     INDEPENDENT_GROUPS,
@@ -27,12 +23,7 @@ from bilprov.conformance.cases.levels import (
 )
 from bilprov.conformance.cases.opening import opening_cases, truncation_timeout
 from bilprov.conformance.cases.options import Options
-from bilprov.conformance.cases.selection import (
-    CONDITIONAL_CASES,
-    LONGEST_GLOB,
-    matching,
-    reaches,
-)
+from bilprov.conformance.cases.selection import CONDITIONAL_CASES, LONGEST_GLOB, matching, reaches
 from bilprov.conformance.causes.explained import Explainer
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.link import Device

@@ -16,12 +16,7 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import command, family_protocol, flag, group, option
-from bilprov.analyzer.cli.options import (
-    Finite,
-    milliseconds,
-    note,
-    note_each,
-)
+from bilprov.analyzer.cli.options import Finite, milliseconds, note, note_each
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.client.probes import asks_person
 from bilprov.analyzer.transport.ending import ending_requested

@@ -24,14 +24,7 @@ from bilprov.analyzer.client.probes import PROBES
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.options import fault_option, named_device, variant_option
-from bilprov.conformance.dut.target import (
-    PORT,
-    SIM,
-    Target,
-    TargetName,
-    open_target,
-    target_named,
-)
+from bilprov.conformance.dut.target import PORT, SIM, Target, TargetName, open_target, target_named
 from bilprov.spec.by_effect import Movement, all_movement, movement_words
 from bilprov.spec.protocol import Protocol
 

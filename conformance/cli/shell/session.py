@@ -8,12 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Literal
 
-from bilprov.analyzer.cli.options import (
-    confirm_effect,
-    note_each,
-    note_hindrances,
-    note_suspension,
-)
+from bilprov.analyzer.cli.options import confirm_effect, note_each, note_hindrances, note_suspension
 from bilprov.analyzer.client.probes import PROBES, Probe, open_probe
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.transport.line_settings import LineSettings
