@@ -18,10 +18,10 @@ from bilprov.conformance.cases.combinations import (
     SPLIT,
     STRENGTH,
     WAITED,
+    Row,
     space_of,
     total,
 )
-from bilprov.conformance.cases.covering_array import Row
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.preamble import state_after
 from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase

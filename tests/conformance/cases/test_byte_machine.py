@@ -7,8 +7,7 @@ from random import Random
 import pytest
 from construct import BytesInteger, Int8sb, Int16sb, Int16sl, Int16ub
 
-from bilprov.conformance.cases.byte_machine import ByteMachine, byte_machine
-from bilprov.conformance.cases.field_prefixes import FieldPrefixes
+from bilprov.conformance.cases.byte_machine import ByteMachine, FieldPrefixes, byte_machine
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.numbers import number_of

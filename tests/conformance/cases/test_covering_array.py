@@ -8,11 +8,7 @@ from random import Random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.conformance.cases.covering_array import (
-    CoveringArray,
-    Partial,
-    feasible_combinations,
-)
+from bilprov.conformance.cases.combinations import CoveringArray, Partial, feasible_combinations
 
 SIZES = st.lists(st.integers(1, 4), min_size=3, max_size=5)
 SEEDS = st.integers(0, 1 << 32)

@@ -10,9 +10,15 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import CONFORMING
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation import equivalence
-from bilprov.conformance.mutation.equivalence import Search, difference, random_search, search
+from bilprov.conformance.mutation.equivalence import (
+    Search,
+    alphabet,
+    difference,
+    hints,
+    random_search,
+    search,
+)
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.search_inputs import alphabet, hints
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 from tests.support.faults import made

@@ -11,8 +11,8 @@ import pytest
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
+from bilprov.conformance.mutation.equivalence import alphabet
 from bilprov.conformance.mutation.random_faults import drawn_fault, random_fault
-from bilprov.conformance.mutation.search_inputs import alphabet
 from bilprov.spec.protocol import Protocol, load
 from tests.support.grammars import short_grammar, still_grammar
 
