@@ -8,13 +8,13 @@ from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.oracle.state_model import NOTHING
-from bilprov.conformance.oracle.wheel_order import READING
 from bilprov.spec.by_effect import movers, setting
 from bilprov.spec.codec import build
 from bilprov.spec.motion import Moment
-from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
+READING = "R-resolution"
 # Of the greatest value: whichever of them is halved is less than the one before it.
 _SIXTEENTHS = (2, 3, 4, 6, 8, 12, 16)
 _STEERING = "the wheels never differ less at a stronger steering"
@@ -44,39 +44,38 @@ def wheel_orders(protocol: Protocol) -> tuple[OrderCase, ...]:
 
     Steering comes first: it shows whether a probe tells graded speeds at all.
     """
-    car, short = protocol.car, (spec for spec in movers(protocol) if not spec.fields)
-    drive = next((s for s in short if car.moment(s.effect) is Moment.DRIVE), None)
+    car = protocol.car
+    straight = (s for s in movers(protocol) if car.moment(s.effect) is Moment.DRIVE)
+    drive = next((spec for spec in straight if not spec.fields), None)
     speeds = [value for value, _ in _settings(protocol, car.speed, protocol.power_on)]
     if drive is None or len(speeds) < 2:
         return ()
+    cases = []
     # At the lowest that moves it the wheels need not slow down before they are looked at.
-    slow, fast = (next(filter(None, values)) for values in (speeds, reversed(speeds)))
-    cases = (
-        _case(protocol, drive, car.steering, _STEERING, fast),
-        _case(protocol, drive, car.speed, _SPEED, slow),
-    )
-    return tuple(case for case in cases if len(case.settings) > 1)
-
-
-def _case(
-    protocol: Protocol, drive: InstructionSpec, variable: str, requirement: str, speed: int
-) -> OrderCase:
-    """The case about a variable of a robot that is set to this speed first."""
-    setup = in_motion(protocol, protocol.car.motion(drive.effect), speed)
-    settings = _settings(protocol, variable, setup)
-    clause, last = protocol.clauses.instructions, settings[-1][1] if settings else b""
-    step = Step(last, FrameClass.VALID, (), NOTHING, clause, reading=READING)
-    return OrderCase.of(
-        step,
-        id=f"wheels/{variable}",
-        requirement=requirement,
-        setup=setup,
-        expected=setup,
-        stop=False,
-        variable=variable,
-        settings=settings,
-        mover=build(protocol, drive.name),
-    )
+    slow, *_, fast = *filter(None, speeds), speeds[-1]
+    for variable, requirement, speed in (
+        (car.steering, _STEERING, fast),
+        (car.speed, _SPEED, slow),
+    ):
+        setup = in_motion(protocol, car.motion(drive.effect), speed)
+        settings = _settings(protocol, variable, setup)
+        if len(settings) < 2:
+            continue
+        _, last = settings[-1]
+        clause = protocol.clauses.instructions
+        case = OrderCase.of(
+            Step(last, FrameClass.VALID, (), NOTHING, clause, reading=READING),
+            id=f"wheels/{variable}",
+            requirement=requirement,
+            setup=setup,
+            expected=setup,
+            stop=False,
+            variable=variable,
+            settings=settings,
+            mover=build(protocol, drive.name),
+        )
+        cases.append(case)
+    return tuple(cases)
 
 
 def _settings(protocol: Protocol, variable: str, beside: State) -> tuple[tuple[int, bytes], ...]:
@@ -84,10 +83,7 @@ def _settings(protocol: Protocol, variable: str, beside: State) -> tuple[tuple[i
     low, high = protocol.limits.get(variable, (0, 0))
     most = max(abs(low), high)
     sizes = (0, 1, *(most * part // 16 for part in _SIXTEENTHS))
-    values = sorted({low, high, *(size * side for size in sizes for side in (-1, 1))})
-    frames = (
-        (value, setting(protocol, variable, value, beside))
-        for value in values
-        if low <= value <= high
-    )
+    values = {low, high, *sizes, *(-size for size in sizes)}
+    within = (value for value in sorted(values) if low <= value <= high)
+    frames = ((value, setting(protocol, variable, value, beside)) for value in within)
     return tuple((value, frame) for value, frame in frames if frame)

@@ -16,7 +16,7 @@ import msgspec
 from bilprov.analyzer.client.operations import Observation, Operation, Reply
 from bilprov.captures.schemas import Look
 from bilprov.conformance.oracle.state_model import FrameEffect
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 
 NOT_OBSERVABLE = "not observable"
@@ -127,8 +127,7 @@ class Sight:
                 axes[name] = msgspec.structs.replace(
                     axes[name], verdict=Verdict.INCONCLUSIVE, reason=reason, reading=""
                 )
-        verdict = worst((result.verdict, *(axis.verdict for axis in axes.values())))
-        return msgspec.structs.replace(result, axes=axes, verdict=verdict)
+        return result.with_axes(axes)
 
     @property
     def _facets(self) -> Iterable[tuple[str, str]]:

@@ -68,30 +68,12 @@ class Axis(msgspec.Struct, frozen=True):
         if not self.reading:
             msgspec.structs.force_setattr(self, "reading", None)
 
-    def flaky(self, tries: int) -> Axis:
-        """This failed axis as inconclusive, because it did not fail again in so many tries."""
-        reason = f"flaky, not reproduced in {tries} tries: {self.reason}"
-        return msgspec.structs.replace(self, verdict=Verdict.INCONCLUSIVE, reason=reason)
-
-    def unconfirmed(self, why: str) -> Axis:
-        """This axis, inconclusive if it failed: it could not be tried again, and why."""
+    def uncertain(self, before: str = "", after: str = "") -> Axis:
+        """This axis, inconclusive if it failed, for its reason between these words."""
         if self.verdict is not Verdict.FAIL:
             return self
-        reason = f"{self.reason}; not tried again: {why}"
+        reason = f"{before}{self.reason}{after}"
         return msgspec.structs.replace(self, verdict=Verdict.INCONCLUSIVE, reason=reason)
-
-    def doubted(self, why: str) -> Axis:
-        """This axis, inconclusive if it failed: its probe is not believed, and why."""
-        if self.verdict is not Verdict.FAIL:
-            return self
-        reason = f"{self.reason}; not believed: {why}"
-        return msgspec.structs.replace(self, verdict=Verdict.INCONCLUSIVE, reason=reason)
-
-    def seldom(self, met: int, tries: int) -> Axis:
-        """This axis, still failed: it failed only so often in so many tries, but not by noise."""
-        times = "once" if met == 1 else f"{met} times"
-        reason = f"met {times} in {tries} tries, on a line that loses nothing: {self.reason}"
-        return msgspec.structs.replace(self, reason=reason)
 
 
 NO_AXIS = Axis(Verdict.SKIPPED, "", "", "not part of this case")
@@ -176,6 +158,18 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
         """The reason of the worst axis, "" where there is none."""
         worst_axis = max(self.axes.values(), key=lambda axis: axis.verdict, default=None)
         return worst_axis.reason if worst_axis else ""
+
+    def with_axes(self, axes: dict[str, Axis]) -> CaseResult:
+        """This result with other axes, the worst of which is its verdict."""
+        verdict = worst(axis.verdict for axis in axes.values())
+        return msgspec.structs.replace(self, axes=axes, verdict=verdict)
+
+    def uncertain(
+        self, before: str = "", after: str = "", only: Iterable[str] = AXES
+    ) -> CaseResult:
+        """This result, those of its axes inconclusive that failed: see `Axis.uncertain`."""
+        doubted = {n: self.axes[n].uncertain(before, after) for n in only if n in self.axes}
+        return self.with_axes(self.axes | doubted)
 
 
 class Cause(msgspec.Struct, frozen=True):

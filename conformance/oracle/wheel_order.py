@@ -13,7 +13,6 @@ from statistics import median
 
 from bilprov.conformance.oracle.verdicts import Verdict
 
-READING = "R-resolution"
 _SHARE, _STEPS = 0.05, 3  # of full scale; of the probe's numbers
 _MARGIN = 1.25  # medians at several settings may lie further apart than looks at one of them
 
@@ -24,6 +23,14 @@ Judged = tuple[Verdict, str]
 def sizes(looks: Mapping[int, Sequence[Speeds]]) -> set[int]:
     """The speeds at which a wheel was seen turning, whatever its direction; several are graded."""
     return {abs(speed) for seen in looks.values() for both in seen for speed in both} - {0}
+
+
+def spread(seen: Sequence[Speeds]) -> int:
+    """By how much looks at one setting differ at most."""
+    return max(
+        max(wheel) - min(wheel)
+        for wheel in ([left for left, _ in seen], [right for _, right in seen])
+    )
 
 
 def tolerance(full: float) -> float:
@@ -41,24 +48,26 @@ class WheelOrder:
     def __init__(
         self,
         variable: str,
-        ahead: tuple[int, int],
+        ahead: Speeds,
         looks: Mapping[int, Sequence[Speeds]],
         *,
         steers: bool,
     ) -> None:
-        self._variable, self._settings = variable, tuple(looks)
-        wheels = [tuple(zip(*seen, strict=True)) for seen in looks.values()]
-        self._spread = max(max(wheel) - min(wheel) for both in wheels for wheel in both)
-        self._wheels = [(round(median(left)), round(median(right))) for left, right in wheels]
-        self._full = max(map(abs, (speed for both in self._wheels for speed in both)))
-        self._steers = steers
-        self._noise = _MARGIN * self._spread * (1 + self._steers)
+        self._variable, self._settings, self._steers = variable, tuple(looks), steers
+        self._spread = max(map(spread, looks.values()))
+        self._wheels = [
+            [round(median(wheel)) for wheel in zip(*seen, strict=True)] for seen in looks.values()
+        ]
+        self._full = max(abs(speed) for both in self._wheels for speed in both)
+        self._noise = _MARGIN * self._spread * (1 + steers)
         self._tolerance = self._noise + tolerance(self._full)
-        ahead_left, ahead_right = ahead
-        left = [ahead_left * left for left, _ in self._wheels]
-        right = [ahead_right * right for _, right in self._wheels]
+        left, right = (
+            [turns * speed for speed in wheel]
+            for turns, wheel in zip(ahead, zip(*self._wheels, strict=True), strict=True)
+        )
         difference = [a - b for a, b in zip(left, right, strict=True)]
-        self._rising = [difference] if self._steers else [left, right]
+        self._rising = [difference] if steers else [left, right]
+        self._pairs = list(combinations(range(len(looks)), 2))
 
     @property
     def words(self) -> str:
@@ -67,8 +76,7 @@ class WheelOrder:
 
     def verdict(self) -> Judged:
         """The worst verdict on the order, and its reason; a pass has none."""
-        judgements = (self._falls, self._rise, self._plateaus, self._unlike, self._not_mirrored)
-        found = [judged for judgement in judgements for judged in judgement()]
+        found = [*self._falls(), *self._flat(), *self._plateaus(), *self._uneven()]
         return max(found, key=lambda judged: judged[0], default=(Verdict.PASS, ""))
 
     def _at(self, *places: int) -> str:
@@ -79,14 +87,14 @@ class WheelOrder:
         return f"{self._variable} turns the wheels at {seen}"
 
     def _falls(self) -> Iterator[Judged]:
+        """Wheels that are slower, or differ less, at the higher of two settings."""
         slower = "differ less at the stronger one" if self._steers else "are slower at the higher"
         for series in self._rising:
-            pairs = combinations(range(len(series)), 2)
-            first, last = max(pairs, key=lambda pair: series[pair[0]] - series[pair[1]])
+            first, last = max(self._pairs, key=lambda pair: series[pair[0]] - series[pair[1]])
             if series[first] - series[last] > self._tolerance:
                 yield Verdict.FAIL, f"{self._at(first, last)}: they {slower}"
 
-    def _rise(self) -> Iterator[Judged]:
+    def _flat(self) -> Iterator[Judged]:
         """From half speed to full the wheels are faster; from left to right they turn over."""
         half = min(self._settings, key=lambda value: abs(2 * value - self._settings[-1]))
         first = 0 if self._steers else self._settings.index(half)
@@ -102,33 +110,26 @@ class WheelOrder:
         across = self._settings[-1] - self._settings[0]
         for series in self._rising:
             # What of the range a straight line would need for a rise that counts.
-            counts = (self._tolerance + self._noise) / max(1, *map(abs, series))
-            least = across * counts
-            for first, last in combinations(range(len(series)), 2):
-                alike, reach = (
-                    series[first : last + 1],
-                    self._settings[last] - self._settings[first],
-                )
-                if max(alike) - min(alike) <= self._noise and reach > least:
-                    least = reach
-                    bounds = f"{self._settings[first]} to {self._settings[last]}"
-                    yield Verdict.NON_STRICT, f"{self._variable} {bounds} are alike"
+            least = across * (self._tolerance + self._noise) / max(1, *map(abs, series))
+            for first, last in self._pairs:
+                alike = series[first : last + 1]
+                low, high = self._settings[first], self._settings[last]
+                if max(alike) - min(alike) <= self._noise and high - low > least:
+                    least = high - low
+                    yield Verdict.NON_STRICT, f"{self._variable} {low} to {high} are alike"
 
-    def _unlike(self) -> Iterator[Judged]:
-        """Wheels that differ although the robot drives straight on."""
-        apart = [abs(abs(left) - abs(right)) for left, right in self._wheels]
-        if not self._steers and max(apart) > self._spread + self._tolerance:
-            place = apart.index(max(apart))
-            yield Verdict.INFORMATIONAL, f"not alike when straight: {self._at(place)}"
-
-    def _not_mirrored(self) -> Iterator[Judged]:
-        """Steering to one side that makes another curve than to the other side."""
+    def _uneven(self) -> Iterator[Judged]:
+        """Wheels that differ straight on, or another curve to one side than to the other."""
         if not self._steers:
+            apart = [abs(abs(left) - abs(right)) for left, right in self._wheels]
+            if max(apart) > self._spread + self._tolerance:
+                where = self._at(apart.index(max(apart)))
+                yield Verdict.INFORMATIONAL, f"not alike when straight: {where}"
             return
         curve = dict(zip(self._settings, self._rising[0], strict=True))
-        for value in curve:
+        for place, value in enumerate(self._settings):
             if value > 0 and -value in curve and 0 in curve:
                 bend = abs(curve[value] + curve[-value] - 2 * curve[0])
                 if bend > self._tolerance + 3 * self._noise:
-                    places = map(self._settings.index, (-value, value))
-                    yield Verdict.INFORMATIONAL, f"not mirrored: {self._at(*places)}"
+                    where = self._at(self._settings.index(-value), place)
+                    yield Verdict.INFORMATIONAL, f"not mirrored: {where}"

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from math import comb
 from typing import NamedTuple
 
+import msgspec
+
 from bilprov.analyzer.client.operations import Procedure
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
@@ -34,7 +36,11 @@ class Confirmed(NamedTuple):
         """The axis, flaky if it failed and that is not sure; on a lossless line it stays failed."""
         if self.sure or axis.verdict is not Verdict.FAIL:
             return axis
-        return run.config.not_reproduced(axis, self.tries, self.failed)
+        if not run.config.lossless:
+            return axis.uncertain(f"flaky, not reproduced in {self.tries} tries: ")
+        times = f"{self.failed + 1} times" if self.failed else "once"
+        met = f"met {times} in {self.tries + 1} tries, on a line that loses nothing"
+        return msgspec.structs.replace(axis, reason=f"{met}: {axis.reason}")
 
 
 def confirm(run: Run, size: int, fails: Callable[[], Procedure[bool]]) -> Procedure[Confirmed]:

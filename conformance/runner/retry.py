@@ -16,7 +16,7 @@ from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
 from bilprov.conformance.runner.noise import (
@@ -70,7 +70,9 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         try:
             too_slow = yield from was_too_slow(run, case)
         except Reconnected as gap:
-            return replace(first, result=_unconfirmed(first.result, str(gap)), stopped=gap)
+            return replace(
+                first, result=first.result.uncertain(after=f"; not tried again: {gap}"), stopped=gap
+            )
         except (Ended, GaveUp) as stopped:
             return replace(first, stopped=stopped)
         if too_slow:
@@ -100,7 +102,7 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
         # pointless, the last attempt shows why.
         last = stopped.last
         if isinstance(last.stopped, Reconnected) and not confirmed:
-            known = _unconfirmed(known, str(last.stopped))
+            known = known.uncertain(after=f"; not tried again: {last.stopped}")
         return replace(last, result=known) if isinstance(last.stopped, Ended) else last
     return Attempt(known)
 
@@ -233,15 +235,6 @@ def _placed(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
     )
 
 
-def _unconfirmed(result: CaseResult, why: str) -> CaseResult:
-    """The result of a failure that could not be tried again: inconclusive."""
-    axes = {name: axis.unconfirmed(why) for name, axis in result.axes.items()}
-    verdict = worst(axis.verdict for axis in axes.values())
-    return msgspec.structs.replace(result, axes=axes, verdict=verdict)
-
-
 def _not_reproduced(run: Run, result: CaseResult, again: Confirmed) -> CaseResult:
     """The result of a failure that was not reproduced: inconclusive unless the line is lossless."""
-    axes = {name: again.judged(run, axis) for name, axis in result.axes.items()}
-    verdict = worst(axis.verdict for axis in axes.values())
-    return msgspec.structs.replace(result, verdict=verdict, axes=axes)
+    return result.with_axes({n: again.judged(run, axis) for n, axis in result.axes.items()})

@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
-import msgspec
-
 from bilprov.analyzer.client.operations import Operation, Received, Reply
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, case_of_the_run
@@ -66,13 +64,6 @@ class RunConfig:
         """Whether this case is observed: only thorough ones where looks are costly."""
         return self.observability.available and (case.thorough or not self.observability.costly)
 
-    def not_reproduced(self, axis: Axis, tries: int, again: int = 0) -> Axis:
-        """A failed axis after so many more tries, of which `again` failed too, which is too few.
-
-        It is flaky, that is inconclusive; where the line loses nothing it stays a failure.
-        """
-        return axis.seldom(again + 1, tries + 1) if self.lossless else axis.flaky(tries)
-
     def not_observable(self, expected: str) -> Axis:
         """The axis of something that cannot be observed: inconclusive, never a pass."""
         why = "not seen moving before" if self.observable else self.observability.why
@@ -109,11 +100,7 @@ class Counters:
 
 def _doubted(result: CaseResult, why: str) -> CaseResult:
     """The result without the failures that rest on looks: these are inconclusive, and why."""
-    axes = {
-        name: axis.doubted(why) if name in SEEN_AXES else axis for name, axis in result.axes.items()
-    }
-    verdict = worst(axis.verdict for axis in axes.values())
-    return msgspec.structs.replace(result, axes=axes, verdict=verdict)
+    return result.uncertain(after=f"; not believed: {why}", only=SEEN_AXES)
 
 
 SPARE_ANSWERS = 256

@@ -129,7 +129,8 @@ class Trial:
         """
         verdict = Verdict.ERROR if ended.error else Verdict.INCONCLUSIVE
         if isinstance(ended, Reconnected):
-            self.axes = {name: axis.unconfirmed(str(ended)) for name, axis in self.axes.items()}
+            after = f"; not tried again: {ended}"
+            self.axes = {name: axis.uncertain(after=after) for name, axis in self.axes.items()}
         if not self.begun:
             actual = "not judged" if ended.error else "not run"
             self.axes = {"answer": Axis(verdict, "", actual, str(ended))}

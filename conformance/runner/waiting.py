@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from bilprov.analyzer.client.operations import Procedure, Received, listen
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import group
@@ -11,7 +9,7 @@ from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.timers import Timers
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import FLUSH_POINTS
 
@@ -199,15 +197,7 @@ class CoarseLine:
         if not self.explains(result):
             return result
         self._beyond.add(group(result.id))
-        axes = {name: self._unsure(axis) for name, axis in result.axes.items()}
-        verdict = worst(axis.verdict for axis in axes.values())
-        return msgspec.structs.replace(result, axes=axes, verdict=verdict)
-
-    def _unsure(self, axis: Axis) -> Axis:
-        if axis.verdict is not Verdict.FAIL:
-            return axis
-        reason = f"{self.sentence}: {axis.reason}"
-        return msgspec.structs.replace(axis, verdict=Verdict.INCONCLUSIVE, reason=reason)
+        return result.uncertain(f"{self.sentence}: ")
 
     @property
     def sentence(self) -> str:

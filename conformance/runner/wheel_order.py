@@ -5,16 +5,19 @@ It is skipped where the probe does not tell graded speeds.
 
 from __future__ import annotations
 
+from typing import Any
+
 from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.cases.wheel_order import OrderCase
+from bilprov.conformance.cases.wheel_order import READING, OrderCase
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.oracle.wheel_order import READING, Speeds, WheelOrder, sizes, tolerance
+from bilprov.conformance.oracle.wheel_order import Speeds, WheelOrder, sizes, spread, tolerance
 from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.codec import judge
 
+_NO_SPEEDS = "the probe reports no wheel speeds"
 _LOOKS = 3  # at each setting
 _PAUSE = 2 * MS  # between looks that differ
 _PATIENCE = 100 * MS  # for a setting to settle
@@ -34,9 +37,8 @@ def run_wheel_order(trial: Trial, case: OrderCase) -> Procedure[None]:
             trial.worsen("answer", Verdict.FAIL, wrong, reason)
             return
         looks[value] = yield from _settled(trial, looks)
-        why = why or ("" if looks[value] else "the probe reports no wheel speeds")
-    seen = sizes(looks)
-    run.profile.graded = run.profile.graded or len(seen) > 1
+        why = why or ("" if looks[value] else _NO_SPEEDS)
+    run.profile.graded = run.profile.graded or len(sizes(looks)) > 1
     if not (why or run.profile.graded):
         why = "the wheels show a single speed: the probe reports no graded speeds"
     if why:
@@ -55,8 +57,8 @@ def _unseen(trial: Trial, case: OrderCase) -> Procedure[str]:
     run = trial.run
     yield from set_up(run, case.setup)
     seen = yield from watch(run, moving=True, patience=run.timers.deadline, trial=trial)
-    if _speeds(seen.look) is None:
-        return "the probe reports no wheel speeds"
+    if None in _speeds(seen.look):
+        return _NO_SPEEDS
     motion = run.protocol.car.drive(case.setup).motion
     moves = seen.look.moving or motion in (run.profile.moves or ())
     return "" if moves else "never seen moving in this motion"
@@ -83,25 +85,20 @@ def _refusal(trial: Trial, case: OrderCase, frame: bytes) -> Procedure[str]:
 
 def _settled(trial: Trial, before: dict[int, list[Speeds]]) -> Procedure[list[Speeds]]:
     """Looks that agree, or the last when the time is up; none where the probe shows no speeds."""
-    waited, looks = 0, (yield from _looks())
-    while looks and waited < _PATIENCE:
+    waited = 0
+    while True:
+        looks = []
+        for _ in range(_LOOKS):
+            looks.append(_speeds((yield from observe()).look))
+        if any(None in speeds for speeds in looks):
+            return []
         full = max(sizes({**before, -1: looks}), default=0)
-        spread = max(max(wheel) - min(wheel) for wheel in zip(*looks, strict=True))
-        if spread <= tolerance(full):
-            break
+        if spread(looks) <= tolerance(full) or waited >= _PATIENCE:
+            return looks
         trial.hear((yield from listen(None, _PAUSE)))
         waited += _PAUSE
-        looks = yield from _looks()
-    return looks
 
 
-def _looks() -> Procedure[list[Speeds]]:
-    looks = []
-    for _ in range(_LOOKS):
-        looks.append(_speeds((yield from observe()).look))
-    return [speeds for speeds in looks if speeds] if all(looks) else []
-
-
-def _speeds(look: Look) -> Speeds | None:
-    """The wheels' speeds, None where the probe does not tell both."""
-    return None if look.left is None or look.right is None else (look.left, look.right)
+def _speeds(look: Look) -> Any:
+    """The wheels' speeds (left, right), None for one that the probe does not tell."""
+    return look.left, look.right
