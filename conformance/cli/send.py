@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import Literal
 
@@ -98,11 +98,10 @@ def send(options: SendOptions) -> int:
             "name the pty that it prints"
         )
     with ExitStack() as stack:
-        port, probe, yes = target, options.probe, options.yes
         if target == SIM:
-            typed = probe if asked_here("probe") else None
+            typed = options.probe if asked_here("probe") else None
             if typed not in (None, SIM):
-                raise click.UsageError(f"sim brings its own probe; --probe {probe} is for ports")
+                raise click.UsageError(f"sim brings its own probe; --probe {typed} is for ports")
             if typed and not protocol.wheels:
                 raise click.UsageError(
                     f"the probe of sim sees a car, and {protocol.name} has none: leave out --probe"
@@ -110,38 +109,14 @@ def send(options: SendOptions) -> int:
             port, own = stack.enter_context(_simulator(protocol))
             # Items are shown with looks only where these are asked for, as at a port.
             probe = own if protocol.wheels and (typed or not items) else None
-            yes = True  # it moves nothing
+            options = replace(options, target=port, probe=probe, yes=True)  # it moves nothing
         if items:
             from bilprov.conformance.cli.shell.items import send_items
 
-            return send_items(
-                protocol,
-                port,
-                items,
-                settings,
-                timeout,
-                probe=probe,
-                together=options.together,
-                expectations=options.expectations,
-                style=options.style,
-                yes=yes,
-                only_reading=options.only_reading,
-                max_drive=options.max_drive,
-                wait=options.wait,
-            )
+            return send_items(protocol, options, settings, timeout)
         from bilprov.conformance.cli.shell.session import drive
 
-        return drive(
-            protocol,
-            port,
-            settings,
-            timeout,
-            probe=probe,
-            style=options.style,
-            yes=yes,
-            only_reading=options.only_reading,
-            max_drive=options.max_drive,
-        )
+        return drive(protocol, options, settings, timeout)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal
+from typing import TYPE_CHECKING
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, fields_in_words
@@ -24,6 +24,9 @@ from bilprov.spec.by_effect import change_by
 from bilprov.spec.codec import free_parts
 from bilprov.spec.protocol import Protocol
 
+if TYPE_CHECKING:
+    from bilprov.conformance.cli.send import SendOptions
+
 COMMENT = "#"
 
 
@@ -31,7 +34,8 @@ class Driving(Closing):
     """One robot at an open port, driven by lines of text; it is stopped on every way out.
 
     `timeout` (ns) is the longest pause inside a frame. `probe` sees the robot, None if nothing
-    does. A robot that has driven `max_drive` s without a new instruction is stopped; 0 is no limit.
+    does. One that has driven for the `max_drive` of the options without a new instruction is
+    stopped.
 
     `target` is the robot, `check` counts what is wrong with its answers, `look` is what the probe
     saw since the last instruction, and `over` is true once the user has asked to leave. `words` are
@@ -41,18 +45,14 @@ class Driving(Closing):
     def __init__(
         self,
         protocol: Protocol,
+        options: SendOptions,
         port: Port,
         timeout: int,
         stopper: Stopper,
-        style: Literal["lines", "jsonl"],
         probe: Probe | None,
-        max_drive: float,
-        *,
-        only_reading: bool = False,
     ) -> None:
-        self._only_reading = only_reading
-        self._protocol = protocol
-        self.target = Target(protocol, port, timeout, stopper, self._heard, max_drive)
+        self._protocol, self._options = protocol, options
+        self.target = Target(protocol, port, timeout, stopper, self._heard, options.max_drive)
         self.check = AnswerCheck()
         self.look: Look | None = None
         self.over = False
@@ -66,8 +66,7 @@ class Driving(Closing):
             "quit": (self._quit, f"{stops}leaves, as Ctrl-D does"),
         }
         self._stopper = stopper
-        self._style = style
-        self._output = stream_output(style, protocol)
+        self._output = stream_output(options.style, protocol)
         self._probe = probe
         self._unasked = 0  # bytes that answer no instruction, since the line began
         self._abandoned = False  # the rest of the line
@@ -158,7 +157,7 @@ class Driving(Closing):
         what = bytes_or_pause(self._protocol, item, self.words)
         if isinstance(what, float):
             return partial(self._pause, what)
-        change = change_by(self._protocol, what) if self._only_reading else ""
+        change = change_by(self._protocol, what) if self._options.only_reading else ""
         if change:
             raise ValueError(f"{change}: --only-reading sends what changes nothing")
         return partial(self._send, what)
@@ -198,8 +197,8 @@ class Driving(Closing):
             write_out(f"nothing sees the {self._protocol.device}: begin with --probe\n")
             return
         self._look(self._probe)
-        if self._style == "jsonl" and self.look is not None:
-            write_out(look_text(self.look, self._style))
+        if self._options.style == "jsonl" and self.look is not None:
+            write_out(look_text(self.look, self._options.style))
         else:
             write_out(f"{look_words(self.look)}\n")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Literal
+from typing import TYPE_CHECKING
 
 import click
 
@@ -40,38 +40,29 @@ from bilprov.spec.by_effect import effect_words
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
 
+if TYPE_CHECKING:
+    from bilprov.conformance.cli.send import SendOptions
+
 _NO_ANSWER = "none"
 
 
 def send_items(
-    protocol: Protocol,
-    port: str,
-    items: Sequence[str],
-    settings: LineSettings,
-    timeout: int,
-    *,
-    probe: str | None,
-    together: bool,
-    expectations: Sequence[str],
-    style: Literal["lines", "jsonl"],
-    yes: bool,
-    max_drive: float,
-    wait: bool,
-    only_reading: bool,
+    protocol: Protocol, options: SendOptions, settings: LineSettings, timeout: int
 ) -> int:
-    """Send the items to the device at a port, show its answers, and return the exit code.
+    """Send the items of the options to their port, show the answers, and return the exit code.
 
-    The values are those of the options of `bilprov send`; `timeout` (ns) is the longest pause
-    inside a frame. Raises UsageError for an item that is nothing, LinkError for a port that cannot
-    be used, ProbeError for a probe that cannot.
+    `timeout` (ns) is the longest pause inside a frame. Raises UsageError for an item that is
+    nothing, LinkError for a port that cannot be used, ProbeError for a probe that cannot.
     """
+    port, wait, together = options.target, options.wait, options.together
+    style, expectations = options.style, options.expectations
     try:
-        steps = [bytes_or_pause(protocol, item) for item in items]
+        steps = [bytes_or_pause(protocol, item) for item in options.items]
         expected = [_code(protocol, word) for text in expectations for word in text.split(",")]
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     frames = _frames(protocol, steps, timeout, together=together)
-    if only_reading:
+    if options.only_reading:
         require_reading(protocol, frames)
     planned = len(frames)
     if expectations:
@@ -88,7 +79,7 @@ def send_items(
         note("stopped before the port appeared: nothing was sent")
         return 1
     words = effect_words(protocol, frames)
-    with agreed(protocol, port, opened, probe, "what is sent", words, yes=yes) as (eye, stopper):
+    with agreed(protocol, options, opened, "what is sent", words) as (eye, stopper):
 
         def heard(record: Record) -> None:
             if check.flooded:
@@ -120,7 +111,7 @@ def send_items(
                 write_out(look_text(seen, style))
 
         place, gaps = Place(port), list[str]()
-        with Target(protocol, opened, timeout, stopper, heard, max_drive) as target:
+        with Target(protocol, opened, timeout, stopper, heard, options.max_drive) as target:
             target.begin()
             actions: list[Callable[[], object]] = []
             for what in steps:

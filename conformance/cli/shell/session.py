@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Literal
+from typing import TYPE_CHECKING
 
 from bilprov.analyzer.cli.options import confirm_effect, note_each, note_hindrances, note_suspension
 from bilprov.analyzer.client.probes import PROBES, Probe, open_probe
@@ -19,31 +19,20 @@ from bilprov.conformance.cli.shell.driving import Driving
 from bilprov.spec.by_effect import effect_words
 from bilprov.spec.protocol import Protocol
 
+if TYPE_CHECKING:
+    from bilprov.conformance.cli.send import SendOptions
 
-def drive(
-    protocol: Protocol,
-    port: str,
-    settings: LineSettings,
-    timeout: int,
-    *,
-    probe: str | None,
-    style: Literal["lines", "jsonl"],
-    yes: bool,
-    max_drive: float,
-    only_reading: bool,
-) -> int:
+
+def drive(protocol: Protocol, options: SendOptions, settings: LineSettings, timeout: int) -> int:
     """Have what is typed done by the device at a port, until the end; returns the exit code.
 
-    The values are those of the options of `bilprov send`; `timeout` (ns) is the longest pause
-    inside a frame. Raises LinkError and ProbeError.
+    `timeout` (ns) is the longest pause inside a frame. Raises LinkError and ProbeError.
     """
-    words = "" if only_reading else effect_words(protocol)
-    opened = open_port(port, settings)
+    words = "" if options.only_reading else effect_words(protocol)
+    opened = open_port(options.target, settings)
     with (
-        agreed(protocol, port, opened, probe, "what is typed", words, yes=yes) as (eye, stopper),
-        Driving(
-            protocol, opened, timeout, stopper, style, eye, max_drive, only_reading=only_reading
-        ) as driving,
+        agreed(protocol, options, opened, "what is typed", words) as (eye, stopper),
+        Driving(protocol, options, opened, timeout, stopper, eye) as driving,
     ):
         driving.begin()
         interactive = _on_terminal()
@@ -66,14 +55,7 @@ def drive(
 
 @contextmanager
 def agreed(
-    protocol: Protocol,
-    name: str,
-    port: Port,
-    probe: str | None,
-    what: str,
-    words: str,
-    *,
-    yes: bool,
+    protocol: Protocol, options: SendOptions, port: Port, what: str, words: str
 ) -> Iterator[tuple[Probe | None, Stopper]]:
     """Open the probe of the robot at a port and ask once whether the robot may move.
 
@@ -82,12 +64,12 @@ def agreed(
     """
     with ExitStack() as stack:
         stack.enter_context(port)
-        eye = open_probe(probe or PROBES[-1].name, port, protocol)
+        eye = open_probe(options.probe or PROBES[-1].name, port, protocol)
         if eye is not None:
             stack.callback(eye.close)
-        note_hindrances(name)
-        what = f"the {protocol.device} at {name} will do {what}"
-        confirm_effect(protocol, what, words, yes=yes)
+        note_hindrances(options.target)
+        what = f"the {protocol.device} at {options.target} will do {what}"
+        confirm_effect(protocol, what, words, yes=options.yes)
         stopper = stack.enter_context(Stopper())
         yield eye, stopper
         note_suspension(stopper)
