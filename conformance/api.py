@@ -30,8 +30,7 @@ from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIM, Target, device_target
 from bilprov.conformance.oracle.choices import Choices, parse_allowed
-from bilprov.conformance.oracle.profile import Profile, profile_from
-from bilprov.conformance.oracle.timers import Timers, timers_of
+from bilprov.conformance.oracle.profile import Profile, Timers, profile_from, timers_of
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases

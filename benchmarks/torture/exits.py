@@ -37,7 +37,7 @@ from benchmarks.torture.robots import Probe, served
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
-from bilprov.conformance.cases.preamble import full_state
+from bilprov.conformance.cases.case import full_state
 from bilprov.spec.by_effect import frames_to, movers
 from bilprov.spec.fields import Outcome
 

@@ -15,7 +15,7 @@ from bilprov.conformance.cases.levels import SEQUENCE_PREFIXES, AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.cases.wheel_order import OrderCase
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.spec.protocol import Protocol
 
 _LOOKS = 3  # at each setting of the wheels' order

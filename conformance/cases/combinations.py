@@ -15,8 +15,8 @@ from functools import cached_property, lru_cache
 from itertools import combinations, count, islice, product
 from typing import Any, NamedTuple
 
+from bilprov.conformance.cases.case import steps_to
 from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.preamble import steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, setting

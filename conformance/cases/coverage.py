@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from itertools import combinations
 
+from bilprov.conformance.cases.case import state_after
 from bilprov.conformance.cases.combinations import (
     ARRAY,
     PIPELINED,
@@ -23,7 +24,6 @@ from bilprov.conformance.cases.combinations import (
     total,
 )
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.cases.preamble import state_after
 from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step, kind_of, one_of_each
 from bilprov.spec.by_effect import moving_motions

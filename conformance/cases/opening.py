@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bilprov.conformance.cases.case import Case, runner_case
-from bilprov.conformance.cases.preamble import state_after
+from bilprov.conformance.cases.case import Case, runner_case, state_after
 from bilprov.conformance.cases.steps import kind_of, step_of
 from bilprov.conformance.oracle.verdicts import Accepted, Verdict
 from bilprov.spec.by_effect import link_check as frames_of_link_check

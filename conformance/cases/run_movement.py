@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
+from bilprov.conformance.cases.case import full_state
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.opening import motion_first
-from bilprov.conformance.cases.preamble import full_state
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.spec.by_effect import Movement, frames_to, link_check, movement_of, movers
 from bilprov.spec.protocol import Protocol

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain, cycle
 
-from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.preamble import state_after
+from bilprov.conformance.cases.case import Case, state_after
 from bilprov.conformance.cases.steps import (
     TOO_FEW,
     TOO_MANY,

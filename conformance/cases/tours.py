@@ -10,8 +10,8 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
+from bilprov.conformance.cases.case import in_motion, state_after, steps_to
 from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.preamble import in_motion, state_after, steps_to
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.spec.protocol import Protocol

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.preamble import in_motion
+from bilprov.conformance.cases.case import Case, in_motion
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.oracle.state_model import NOTHING
 from bilprov.spec.by_effect import movers, setting

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from bilprov.conformance.causes.exchanges import Bag, Exchange
-from bilprov.conformance.causes.features import Feature
+from bilprov.conformance.causes.features import Feature, Rule, matches
 from bilprov.conformance.causes.learner import Learner, Table
 from bilprov.conformance.causes.relations import Effect, Relation, relations
-from bilprov.conformance.causes.rules import Rule, matches
 
 _EFFECTS, _RULES = 12, 4
 """Different deviations that are explained, those seen most, and rules for each of them, at most."""

@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bilprov.conformance.causes.exchanges import Exchange
-from bilprov.conformance.causes.features import Feature
-from bilprov.conformance.causes.rules import Literal, Rule
+from bilprov.conformance.causes.features import Feature, Literal, Rule
 
 Mask = npt.NDArray[np.bool_]
 Places = npt.NDArray[np.intp]

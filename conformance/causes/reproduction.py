@@ -9,8 +9,8 @@ from bilprov.analyzer.client.operations import Procedure, drive, followed, liste
 from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS
 from bilprov.conformance.causes.exchanges import Exchange, Exchanges, Timing
+from bilprov.conformance.causes.features import matches
 from bilprov.conformance.causes.relations import Effect
-from bilprov.conformance.causes.rules import matches
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink

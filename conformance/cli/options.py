@@ -1,6 +1,7 @@
 """Options that several commands share: `--fault`, `--variant`, profile, expected failures.
 
-What makes and selects cases is imported by the functions that need it: `simulate` needs none.
+A shell completes the named faults and variants. What makes and selects cases is imported by the
+functions that need it: `simulate` needs none.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import click
 from bilprov.analyzer.cli.command import flag, option
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.files import read_bounded
-from bilprov.conformance.cli import completion
+from bilprov.analyzer.grammar_file import load_protocol
 
 if TYPE_CHECKING:
     from bilprov.conformance.api import Options
@@ -23,6 +24,20 @@ if TYPE_CHECKING:
     from bilprov.conformance.report.expected import ExpectedFile
     from bilprov.conformance.report.run_report import Report
     from bilprov.spec.protocol import Protocol
+
+
+def complete_faults(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    """The named faults that begin so."""
+    from bilprov.conformance.mutation.faults import fault_bank
+
+    return [name for name in fault_bank(load_protocol(ctx.obj)) if name.startswith(incomplete)]
+
+
+def complete_variants(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    """The legal variants that begin so."""
+    from bilprov.conformance.mutation.variants import variants as known
+
+    return [name for name in known(load_protocol(ctx.obj)) if name.startswith(incomplete)]
 
 
 def named_device(protocol: Protocol, fault: str | None, variant: str | None) -> Fault | None:
@@ -76,8 +91,8 @@ expect_failures_option = partial(
     "no longer fails is itself a failure.",
 )
 seed_option = partial(option, type=int, default=1)
-fault_option = partial(option, metavar="NAME", shell_complete=completion.faults)
-variant_option = partial(option, metavar="NAME", shell_complete=completion.variants)
+fault_option = partial(option, metavar="NAME", shell_complete=complete_faults)
+variant_option = partial(option, metavar="NAME", shell_complete=complete_variants)
 verbose_option = partial(flag, "List every case that did not pass.", "-v", "--verbose")
 
 

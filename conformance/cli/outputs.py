@@ -1,8 +1,8 @@
-"""Writes reports to the files that the command line names; each is written whole or not at all."""
+"""The formats of a report, and the files of the command line, each written whole or not at all."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple
 
@@ -11,10 +11,37 @@ import click
 from bilprov.analyzer.cli import output_files
 from bilprov.analyzer.cli.command import option_each
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.conformance.report.formats import FORMATS, Writer
+from bilprov.conformance.report.html.page import as_html
+from bilprov.conformance.report.json_report import as_json
+from bilprov.conformance.report.junit import as_junit
+from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
+
+Writer = Callable[[Sequence[Report], Protocol], str]
+
+
+class Format(NamedTuple):
+    """One format: its option's help text, its writer, and whether it takes several reports."""
+
+    help: str
+    write: Writer
+    several: bool = True
+
+
+# Each format's option is its name with two dashes.
+FORMATS = {
+    "json": Format(
+        "The report as JSON; - is standard output.",
+        lambda reports, protocol: as_json(*reports).decode(),
+        several=False,
+    ),
+    "junit": Format("JUnit XML, for a CI's list of tests.", as_junit),
+    "markdown": Format("A summary for a CI's page.", as_markdown),
+    "html": Format("One page with matrix, wire logs and timing pictures.", as_html),
+}
+SEVERAL = tuple(name for name, form in FORMATS.items() if form.several)
 
 
 class Output(NamedTuple):

@@ -11,8 +11,13 @@ from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_us
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.conformance.cli.outputs import deliver, outputs_of, outputs_option, require_writable
-from bilprov.conformance.report.formats import SEVERAL
+from bilprov.conformance.cli.outputs import (
+    SEVERAL,
+    deliver,
+    outputs_of,
+    outputs_option,
+    require_writable,
+)
 from bilprov.conformance.report.json_report import ReportError, read_report
 from bilprov.spec.errors import one_line
 

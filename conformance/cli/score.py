@@ -14,8 +14,7 @@ from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS
-from bilprov.conformance.cli import completion
-from bilprov.conformance.cli.options import seed_option
+from bilprov.conformance.cli.options import complete_faults, seed_option
 from bilprov.conformance.cli.outputs import (
     Output,
     onto_standard_output,
@@ -61,7 +60,7 @@ class ScoreOptions:
     only: tuple[str, ...] = option(
         multiple=True,
         metavar="GLOB",
-        shell_complete=completion.faults,
+        shell_complete=complete_faults,
         help="Only faults of these names.",
     )
     causes: bool = flag("Score the causes instead: whether they name what was planted.")

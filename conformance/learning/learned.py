@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from bilprov.analyzer.client.operations import Link, Procedure, drive, send
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.preamble import in_motion
+from bilprov.conformance.cases.case import in_motion
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
@@ -18,9 +18,8 @@ from bilprov.conformance.learning.reference import reference_machine, seen_witho
 from bilprov.conformance.learning.system import NotLearned, System
 from bilprov.conformance.machines.mealy import Mealy, minimal
 from bilprov.conformance.oracle.choices import Choices, verdict_of
-from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.profile import Profile, timers_of
 from bilprov.conformance.oracle.state_model import Model
-from bilprov.conformance.oracle.timers import timers_of
 from bilprov.conformance.oracle.verdicts import Verdict, exit_code
 from bilprov.conformance.report.run_report import send_words
 from bilprov.conformance.runner.executor import Runner

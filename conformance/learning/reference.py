@@ -12,8 +12,8 @@ from bilprov.conformance.learning.alphabet import alphabet, reset
 from bilprov.conformance.learning.output import FACETS, Output, output_of
 from bilprov.conformance.machines.mealy import Mealy, explore, minimal
 from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import timers_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
-from bilprov.conformance.oracle.timers import timers_of
 from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from bilprov.analyzer.client.operations import Received
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.state_model import ExpectedState, FrameEffect, Model
-from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
 from bilprov.conformance.oracle.wording import answer_words, code_words, look_words, state_words
 from bilprov.spec.motion import Wheels, visible_motion

@@ -12,9 +12,17 @@ from rich.text import Text
 from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.report.changes import changed_cases, changed_causes
 from bilprov.conformance.report.conclusion import STYLES, conclusion
-from bilprov.conformance.report.grouping import Row, by_group, by_reason, names, rows, tally
+from bilprov.conformance.report.grouping import (
+    Row,
+    by_group,
+    by_reason,
+    changed_cases,
+    changed_causes,
+    names,
+    rows,
+    tally,
+)
 from bilprov.conformance.report.run_report import Report, evidence, run_facts
 
 # The verdicts whose cases are listed, the first one's only if every case is asked for.

@@ -21,16 +21,14 @@ from bilprov.conformance.cases.budget import (
 )
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from bilprov.conformance.runner.attempt import Attempt
 from bilprov.conformance.runner.discovery.discover import discover
 from bilprov.conformance.runner.first_choices import first_choices
-from bilprov.conformance.runner.homing import home, home_again, leave, see_motions
+from bilprov.conformance.runner.homing import find_speed, home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.probe_trust.probe_check import first_looks, settle_failures
-from bilprov.conformance.runner.retry import TRUSTED, judge_case
+from bilprov.conformance.runner.retry import TRUSTED, Attempt, judge_case
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.settings import other_settings
-from bilprov.conformance.runner.slow_preambles import find_speed
 from bilprov.conformance.runner.truncation_timeout import measure_timeout, needs_timeout
 from bilprov.conformance.runner.waiting import GaveUp
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from bilprov.analyzer.client.operations import Procedure, Received, listen, send
 from bilprov.captures.schemas import Look
-from bilprov.conformance.cases.case import case_of_the_run
-from bilprov.conformance.cases.preamble import full_state
+from bilprov.conformance.cases.case import case_of_the_run, full_state
 from bilprov.conformance.cases.steps import code_of, step_of
 from bilprov.conformance.oracle.judge import differences
 from bilprov.conformance.oracle.verdicts import Axis, Verdict

@@ -12,7 +12,6 @@ from bilprov.analyzer.client.operations import Procedure
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.attempt import Attempt
 from bilprov.conformance.runner.run import Run
 
 _SPOILT, _UNLIKELY = 1e-3, 1e-4  # share of bytes that noise may spoil; what is no chance
@@ -57,14 +56,6 @@ def confirm(run: Run, size: int, fails: Callable[[], Procedure[bool]]) -> Proced
     return Confirmed(False, tries, failed)
 
 
-def is_no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:
-    """Whether so many of so many tries failed that noise on `size` bytes does not explain it."""
-    # A spoilt byte shows in an answer: a missed stop beside right answers is none.
-    if first.axis == "stop":
-        return not run.config.observability.foreign or is_no_lie(run, first.looks, failed, tries)
-    return is_no_chance(run, size, failed, tries)
-
-
 def is_no_lie(run: Run, looks: int, failed: int, tries: int) -> bool:
     """Whether wrong looks, among so many in a try, do not explain that so many tries failed."""
     wrong, enough = 1 - (1 - run.looks.wrong) ** looks, min(failed, _ENOUGH)
@@ -95,10 +86,3 @@ def case_bytes(case: Case | SequenceCase) -> int:
     if isinstance(case, SequenceCase):
         return sum(len(step.frame) + 1 for step in (*case.setup, *case.steps))
     return _SINGLE + sum(map(len, case.sent))
-
-
-def burst_bytes(case: Case | SequenceCase, tried: Attempt) -> int:
-    """Bytes on the line for the burst in which an attempt failed, answers included."""
-    if isinstance(case, SequenceCase) and tried.mismatch and tried.mismatch.burst >= 0:
-        return sum(len(step.frame) + 1 for step in case.bursts[tried.mismatch.burst].steps)
-    return case_bytes(case)

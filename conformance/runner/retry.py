@@ -1,36 +1,102 @@
-"""Retry policy: a failed case counts as failed only if the failure is reproduced.
+"""Attempts a case, and again if it failed: it counts as failed only if the failure is reproduced.
 
 A mismatch on a line may be noise. Reproduced twice in three tries it is a failure; otherwise it is
 flaky, that is inconclusive and never a pass; a line that loses nothing has no noise, and there it
 is a failure all the same. A fault that shows only now and then (a counter) is tried more often.
-Reproduced failures of a sequence are minimised.
+Reproduced failures of a sequence are minimised to a short one that still fails, of which the
+reproducer is written.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import msgspec
 
 from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected
-from bilprov.conformance.cases.case import Case
-from bilprov.conformance.cases.preamble import steps_to
-from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.case import Case, steps_to
+from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.wheel_order import OrderCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from bilprov.conformance.runner.attempt import Attempt, attempt
-from bilprov.conformance.runner.minimise import LONGEST_MINIMISED, minimise, reproducer, up_to
-from bilprov.conformance.runner.noise import (
-    Confirmed,
-    burst_bytes,
-    case_bytes,
-    is_no_lie,
-    is_no_noise,
-)
+from bilprov.conformance.runner.homing import home_after, was_too_slow
+from bilprov.conformance.runner.noise import Confirmed, case_bytes, is_no_chance, is_no_lie
 from bilprov.conformance.runner.run import Run, result_of
+from bilprov.conformance.runner.sequence import run_sequence
 from bilprov.conformance.runner.sequence_answers import Mismatch
-from bilprov.conformance.runner.slow_preambles import was_too_slow
+from bilprov.conformance.runner.single_frame import run_single_frame
+from bilprov.conformance.runner.trial import Homed, Trial
 from bilprov.conformance.runner.waiting import GaveUp
+from bilprov.conformance.runner.wheel_order import run_wheel_order
 from bilprov.spec.codec import spaced
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """One attempt at a case: its result, and the mismatch where a sequence failed.
+
+    `stopped` is what ended the run, or why it is to be ended, None if nothing. `looks`
+    is how many looks were made in it. `already` is how the state that failed was wrong before the
+    frame under test, "" if it was not.
+    """
+
+    result: CaseResult
+    mismatch: Mismatch | None = None
+    stopped: Ended | GaveUp | None = None
+    looks: int = 0
+    already: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether the case failed in this attempt."""
+        return self.result.verdict is Verdict.FAIL
+
+    @property
+    def held_up(self) -> bool:
+        """Whether line or device stood still for a moment where it failed."""
+        return self.mismatch is not None and self.mismatch.held_up
+
+    @property
+    def axis(self) -> str:
+        """The axis that failed."""
+        return self.how.partition(":")[0]
+
+    @property
+    def how(self) -> str:
+        """How it failed: the worst axis and its reason, with each number as #."""
+        name, axis = max(self.result.axes.items(), key=lambda item: item[1].verdict)
+        return f"{name}: {re.sub(r'[0-9]+', '#', axis.reason)}"
+
+    @property
+    def where(self) -> tuple[int, str]:
+        """Where and how it failed: the burst's index (0 for a single frame), and `how`."""
+        return (self.mismatch.burst if self.mismatch else 0), self.how
+
+
+def attempt(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
+    """Attempt a case once: preamble, stimulus, checks, then homing, which shows late answers too.
+
+    An attempt that was stopped, by the user, the link or the device, has a result too: what passed
+    so far is then no pass.
+    """
+    trial, mismatch = Trial(run, case), None
+    looks = run.looks.made
+    try:
+        if isinstance(case, SequenceCase):
+            mismatch = yield from run_sequence(trial, case)
+        elif isinstance(case, OrderCase):
+            yield from run_wheel_order(trial, case)
+        else:
+            yield from run_single_frame(trial, case)
+    except Ended as ended:
+        homed = Homed(stopped=ended)
+    else:
+        homed = yield from home_after(run, trial)
+    result = trial.end(homed)
+    return Attempt(result, mismatch, homed.stopped, run.looks.made - looks, trial.already)
+
 
 _TRIES, _TWICE = 3, 2
 _MORE, _OFTEN = 24, 3  # for a failure that does not show each time: most tries, failures needed
@@ -153,15 +219,30 @@ def _again(run: Run, case: Case | SequenceCase, first: Attempt) -> Procedure[Con
         if (
             not seldom
             and same_place >= _TWICE
-            and is_no_noise(run, first, burst_bytes(case, first), same_place, tries)
+            and _is_no_noise(run, first, _burst_bytes(case, first), same_place, tries)
         ):
             return Confirmed(True, tries, more)
         # Noise hits a long sequence more often than a short one, and in any place.
-        if not seldom and same_kind >= needed and is_no_noise(run, first, size, same_kind, tries):
+        if not seldom and same_kind >= needed and _is_no_noise(run, first, size, same_kind, tries):
             return Confirmed(True, tries, more)
         if tries >= _TRIES and same_kind + (most - tries) < needed:
             break
     return Confirmed(False, tries, more)
+
+
+def _is_no_noise(run: Run, first: Attempt, size: int, failed: int, tries: int) -> bool:
+    """Whether so many of so many tries failed that noise on `size` bytes does not explain it."""
+    # A spoilt byte shows in an answer: a missed stop beside right answers is none.
+    if first.axis == "stop":
+        return not run.config.observability.foreign or is_no_lie(run, first.looks, failed, tries)
+    return is_no_chance(run, size, failed, tries)
+
+
+def _burst_bytes(case: Case | SequenceCase, tried: Attempt) -> int:
+    """Bytes on the line for the burst in which an attempt failed, answers included."""
+    if isinstance(case, SequenceCase) and tried.mismatch and tried.mismatch.burst >= 0:
+        return sum(len(step.frame) + 1 for step in case.bursts[tried.mismatch.burst].steps)
+    return case_bytes(case)
 
 
 def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
@@ -238,3 +319,84 @@ def _placed(case: Case | SequenceCase, tried: Attempt) -> CaseResult:
 def _not_reproduced(run: Run, result: CaseResult, again: Confirmed) -> CaseResult:
     """The result of a failure that was not reproduced: inconclusive unless the line is lossless."""
     return result.with_axes({n: again.judged(run, axis) for n, axis in result.axes.items()})
+
+
+LONGEST_MINIMISED, _SHORTER = 5, 60  # sequences minimised in a run, tries for each
+
+
+def up_to(case: SequenceCase, mismatch: Mismatch) -> SequenceCase:
+    """The sequence up to and including the burst of the mismatch."""
+    return replace(case, bursts=case.bursts[: max(0, mismatch.burst) + 1])
+
+
+def minimise(
+    case: SequenceCase,
+    first: Attempt,
+    mismatch: Mismatch,
+    retry: Callable[[SequenceCase], Procedure[Attempt]],
+) -> Procedure[SequenceCase]:
+    """The shortest sequence found that still fails on the same axis, by the attempts of `retry`.
+
+    Bursts are left out, first many at a time, then single frames of the rest. The preamble stays:
+    the state it sets differs from the one after power-on. A sequence that failed in its preamble
+    becomes the preamble's steps up to the failure.
+    """
+    last = mismatch.burst
+    if last < 0:
+        begun = case.setup[: len(case.setup) + last + 1]
+        return replace(case, setup=(), bursts=tuple(Burst((step,)) for step in begun))
+    best = replace(case, bursts=case.bursts[: last + 1])
+    size, left = max(1, len(best.bursts) // 2), _SHORTER
+    while left > 0:
+        for shorter in (*_without_bursts(best, size), *(_without_steps(best) if size == 1 else ())):
+            left -= 1
+            tried = yield from retry(shorter)
+            end = tried.mismatch.burst + 1 if tried.mismatch else len(shorter.bursts)
+            if tried.failed and end > 0 and tried.axis == first.axis:
+                best = replace(shorter, bursts=shorter.bursts[:end])
+                size = max(1, min(size, len(best.bursts) // 2))
+                break
+            if left <= 0:
+                break
+        else:
+            if size == 1:
+                break
+            size //= 2
+    return best
+
+
+def _without_bursts(sequence: SequenceCase, size: int) -> Iterator[SequenceCase]:
+    """The sequence without each run of `size` consecutive bursts, the last ones first."""
+    for end in range(len(sequence.bursts), 0, -size):
+        left = sequence.bursts[: max(0, end - size)] + sequence.bursts[end:]
+        if left:
+            yield replace(sequence, bursts=left)
+
+
+def _without_steps(sequence: SequenceCase) -> Iterator[SequenceCase]:
+    """The sequence without each one frame of its longer bursts; their pauses may go with it."""
+    for at, burst in enumerate(sequence.bursts):
+        for index in range(len(burst.steps) if len(burst.steps) > 1 else 0):
+            steps = burst.steps[:index] + burst.steps[index + 1 :]
+            pauses = burst.pauses if index == len(burst.steps) - 1 else ()
+            fewer = replace(burst, steps=steps, pauses=pauses)
+            yield replace(
+                sequence, bursts=(*sequence.bursts[:at], fewer, *sequence.bursts[at + 1 :])
+            )
+
+
+def reproducer(run: Run, case: SequenceCase) -> str:
+    """The arguments of `bilprov send` that repeat the sequence: bytes, and pauses where needed."""
+    bursts = (*(Burst((step,)) for step in case.setup), *case.bursts)
+    words: list[str] = []
+    split = any(burst.pauses for burst in bursts)
+    gap = max(1, run.waiting.timeout // 16_000_000)
+    for burst in bursts:
+        data = burst.data
+        places = [0, *(p for p in burst.pauses if p < len(data)), len(data)]
+        for start, end in pairwise(places):
+            words += [f"pause={gap}"] if start else []
+            words.append(data[start:end].hex())
+        if split and burst is not bursts[-1]:
+            words.append(f"pause={run.waiting.usual // 1_000_000}")
+    return " ".join((["--together"] if split else []) + words)

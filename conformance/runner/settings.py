@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bilprov.analyzer.client.operations import Procedure, listen, power_cycle, send
-from bilprov.conformance.cases.case import case_of_the_run
-from bilprov.conformance.cases.preamble import in_motion
+from bilprov.conformance.cases.case import case_of_the_run, in_motion
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.homing import home, watch
 from bilprov.conformance.runner.run import Run

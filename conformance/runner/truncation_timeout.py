@@ -13,16 +13,14 @@ import msgspec
 
 from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.case import Case, in_motion
 from bilprov.conformance.cases.opening import truncation_timeout
-from bilprov.conformance.cases.preamble import in_motion
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.judge import judge_answers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.oracle.wording import look_words
-from bilprov.conformance.runner.homing import home, home_after, watch
+from bilprov.conformance.runner.homing import home, home_after, set_up_slowly, watch
 from bilprov.conformance.runner.run import Run
-from bilprov.conformance.runner.slow_preambles import set_up_slowly
 from bilprov.conformance.runner.trial import Trial
 
 # Between two looks: half of the time since the header, within these limits.

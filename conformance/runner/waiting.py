@@ -7,8 +7,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import group
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import FLUSH_POINTS

@@ -34,7 +34,7 @@ from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig

@@ -10,8 +10,7 @@ from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, step_of
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.homing import home, home_after, see_motions
 from bilprov.conformance.runner.run import Run, RunConfig

@@ -34,7 +34,7 @@ from bilprov.analyzer.transport.replug import Place, opened_again, opened_when_t
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.text import quantity
-from bilprov.conformance.cli.shell.looks import asked, look_text
+from bilprov.conformance.cli.shell.driving import asked, look_text
 from bilprov.conformance.cli.shell.session import agreed
 from bilprov.spec.by_effect import effect_words
 from bilprov.spec.fields import Outcome

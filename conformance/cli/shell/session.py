@@ -1,4 +1,4 @@
-"""Opens the robot and its probe, asks whether it may move, and has done what is typed."""
+"""Opens the robot and its probe, asks whether it may move, and has done what is typed or piped."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.cli.options import confirm_effect, note_each, note_hindrances, note_suspension
+from bilprov.analyzer.cli.options import (
+    confirm_effect,
+    note,
+    note_each,
+    note_hindrances,
+    note_suspension,
+)
 from bilprov.analyzer.client.probes import PROBES, Probe, open_probe
 from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
 from bilprov.analyzer.transport.line_settings import LineSettings
@@ -17,6 +23,7 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
 from bilprov.spec.by_effect import effect_words
+from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -41,8 +48,6 @@ def drive(protocol: Protocol, options: SendOptions, settings: LineSettings, time
 
             Prompt(protocol, driving, stopper).run()
         else:
-            from bilprov.conformance.cli.shell.piped import do_lines
-
             done = do_lines(driving, stopper)
             driving.target.finish()
     told = [] if driving.target.answered_stops else [UNANSWERED_STOPS]
@@ -77,3 +82,52 @@ def agreed(
 
 def _on_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+
+
+_PIECE = 1 << 12  # bytes
+_LONGEST = 1 << 16  # bytes of a line
+_TURN = 0.5  # s
+
+
+class ScriptError(UserError):
+    """A line that cannot be done; the message names it and says why."""
+
+
+def do_lines(driving: Driving, stopper: Stopper) -> bool:
+    """Do the lines of standard input until its end, `quit`, or a signal.
+
+    Returns whether each line was done to its end. Raises ScriptError for a mistake, LinkError and
+    ProbeError.
+    """
+    done = True
+    for number, line in enumerate(_lines(driving, stopper), start=1):
+        try:
+            done &= driving.do(line.decode(errors="backslashreplace"))
+        except ValueError as error:
+            if not sys.stdin.isatty():
+                raise ScriptError(f"line {number}: {error}") from error
+            note(f"{error}; see help")  # typed by somebody who can type it again
+        if driving.over:
+            break
+    return done
+
+
+def _lines(driving: Driving, stopper: Stopper) -> Iterator[bytes]:
+    """Yield lines as they come; meanwhile the robot is attended to."""
+    descriptor = sys.stdin.fileno()
+    held = b""
+    while not stopper.stopped:
+        if not driving.attend(_TURN, [descriptor]):
+            continue
+        data = os.read(descriptor, _PIECE)
+        *lines, held = (held + data).split(b"\n")
+        if not data and held:
+            lines, held = [held], b""
+        for line in lines:
+            if stopper.stopped:
+                return
+            yield line
+        if not data:
+            return
+        if len(held) > _LONGEST:
+            raise ScriptError(f"a line is longer than {_LONGEST} bytes; end lines with a newline")

@@ -1,4 +1,7 @@
-"""Writes reports as one self-contained HTML page, which loads nothing from elsewhere."""
+"""Writes reports as one self-contained HTML page, which loads nothing from elsewhere.
+
+It begins with the causes: what to change, each with the line that shows it and what then passed.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,12 @@ from pathlib import Path
 
 from bilprov.analyzer.html.markup import Safe, joined, json_block, tag
 from bilprov.analyzer.html.page import html_page
-from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.captures.text import quantity
+from bilprov.conformance.oracle.verdicts import Cause, Verdict, WireEvent
 from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
 from bilprov.conformance.report.grouping import Row, names, rows, tally
-from bilprov.conformance.report.html.cases import case_data, case_rows
-from bilprov.conformance.report.html.causes import causes
+from bilprov.conformance.report.html.cases import WireWords, case_data, case_rows, matrix
 from bilprov.conformance.report.html.facts import coverage, facts, profile
-from bilprov.conformance.report.html.matrix import matrix
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
@@ -131,3 +133,60 @@ def _filters(reports: Sequence[Report], cases: list[Row]) -> Safe:
 
 def _verdicts(row: Row) -> set[Verdict]:
     return {result.verdict for result in row.results if result}
+
+
+_SIGNS = {"sent": "→", "received": "←", "look": "◉", "clipped": "…"}
+
+
+def causes(reports: Sequence[Report], told: Sequence[str], protocol: Protocol) -> Iterator[Safe]:
+    """Yield a section with the causes of each run that has some."""
+    for report, name in zip(reports, told, strict=True):
+        if not report.causes:
+            continue
+        words = WireWords(protocol, report)
+        title = "Causes" if len(reports) == 1 else f"Causes: {name}"
+        left = report.unexplained
+        yield tag(
+            "section",
+            tag("h2", title),
+            tag("ol", *(_cause(report, cause, words) for cause in report.causes)),
+            tag("p", f"{quantity(left, 'failed case')} of no cause found", class_="dim")
+            if left
+            else "",
+            id="causes",
+            class_="causes",
+        )
+
+
+def _cause(report: Report, cause: Cause, words: WireWords) -> Safe:
+    links = (
+        tag("a", ident, href=f"#case={ident}", class_="id", title="the case")
+        for ident in cause.cases
+    )
+    return tag(
+        "li",
+        tag("p", cause.sentence, " ", tag("span", cause.clause, class_="dim"), class_="what"),
+        tag(
+            "p",
+            tag("code", report.send_line(cause)),
+            tag("button", "Copy", type="button", class_="chip"),
+            class_="again",
+        ),
+        _wire(cause.log, words) if cause.log else "",
+        tag("details", tag("summary", quantity(len(cause.cases), "case")), tag("p", *links)),
+        class_="cause",
+    )
+
+
+def _wire(log: Sequence[WireEvent], words: WireWords) -> Safe:
+    rows = (
+        tag(
+            "tr",
+            tag("td", f"{event.t * 1e3:.1f} ms", class_="number"),
+            tag("td", _SIGNS[event.kind]),
+            tag("td", event.hex, class_="hex"),
+            tag("td", meaning),
+        )
+        for event, meaning in zip(log, words.of(log), strict=True)
+    )
+    return tag("table", tag("tbody", *rows), class_="wire")

@@ -7,13 +7,12 @@ from functools import partial
 
 from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.cases.preamble import full_state
+from bilprov.conformance.cases.case import full_state
 from bilprov.conformance.cases.steps import one_of_each
 from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
-from bilprov.conformance.runner.homing import set_up, watch
+from bilprov.conformance.runner.homing import set_up, set_up_slowly, watch
 from bilprov.conformance.runner.run import Run
-from bilprov.conformance.runner.slow_preambles import set_up_slowly
 from bilprov.spec.by_effect import fitted, movers, setting
 from bilprov.spec.motion import Moment
 from bilprov.spec.open_points import open_after

@@ -9,7 +9,7 @@ from __future__ import annotations
 from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.analyzer.client.rest import stops
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.preamble import in_motion
+from bilprov.conformance.cases.case import in_motion
 from bilprov.conformance.runner.homing import home, set_up
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import moving_to

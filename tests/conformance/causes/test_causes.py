@@ -12,9 +12,8 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes
 from bilprov.conformance.causes.exchanges import Exchanges, Timing
-from bilprov.conformance.causes.features import features
+from bilprov.conformance.causes.features import features, matches
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shows
-from bilprov.conformance.causes.rules import matches
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
 from bilprov.conformance.dut.simulator import Simulator

@@ -28,8 +28,8 @@ from bilprov.conformance.mutation.hooks import stops_at_header
 from bilprov.conformance.mutation.triggers import trigger
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state, lost
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
-from bilprov.conformance.oracle.timers import Timers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.motion import Motion, visible_motion

@@ -19,8 +19,7 @@ from bilprov.analyzer.files import write_whole
 from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cli.outputs import Output, require_writable
 from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict
-from bilprov.conformance.report.changes import changed_cases, changed_causes
-from bilprov.conformance.report.grouping import names, rows
+from bilprov.conformance.report.grouping import changed_cases, changed_causes, names, rows
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import ReportError, as_json, parse_report, read_report
 from bilprov.conformance.report.junit import as_junit

@@ -10,11 +10,10 @@ from bilprov.analyzer.client.operations import Ended, Procedure, drive, followed
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import Verdict
-from bilprov.conformance.runner.attempt import Attempt, attempt
 from bilprov.conformance.runner.homing import home
+from bilprov.conformance.runner.retry import Attempt, attempt
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.truncation_timeout import measure_timeout
 from bilprov.conformance.runner.waiting import GaveUp

@@ -24,8 +24,7 @@ from bilprov.conformance.mutation.catalogue import find_mixture
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.choices import Choices, parse_allowed, verdict_of
-from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.discovery import discover as discovery
 from bilprov.conformance.runner.discovery.discover import reading_cases

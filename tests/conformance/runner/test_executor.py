@@ -29,7 +29,7 @@ from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import watch

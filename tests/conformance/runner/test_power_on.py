@@ -12,7 +12,7 @@ from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.listeners.listener import RunListener

@@ -19,7 +19,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
-from bilprov.conformance.runner.minimise import LONGEST_MINIMISED
+from bilprov.conformance.runner.retry import LONGEST_MINIMISED
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import answers_with, drives_on
 from tests.support.robots import BYTE_TIME, MS, CountingLink, at_rest, case_of, cases_of, run_over

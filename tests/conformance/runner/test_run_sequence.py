@@ -16,8 +16,7 @@ from bilprov.conformance.dut.fault import Fault, React, answers
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_variant
-from bilprov.conformance.oracle.profile import Profile
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol

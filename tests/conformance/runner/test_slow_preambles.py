@@ -12,11 +12,11 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.runner.homing import preamble_of
 from bilprov.conformance.runner.run import Run, RunConfig
-from bilprov.conformance.runner.slow_preambles import preamble_of
 from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from tests.support.robots import ALL_SEEING, cases_of

@@ -6,7 +6,7 @@ import pytest
 
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.stray_answers import StrayAnswers
+from bilprov.conformance.runner.run import StrayAnswers
 from bilprov.spec.protocol import Protocol
 
 FAIL, INCONCLUSIVE = Verdict.FAIL, Verdict.INCONCLUSIVE

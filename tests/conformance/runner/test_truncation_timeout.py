@@ -11,7 +11,7 @@ from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.pairs import pairs
 from bilprov.conformance.mutation.variants import variants
-from bilprov.conformance.oracle.timers import Timers
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig
