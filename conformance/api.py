@@ -12,18 +12,21 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.levels import (
+    CONDITIONAL_CASES,
     INDEPENDENT_GROUPS,
     LEVELS,
+    LONGEST_GLOB,
     RANDOM_GROUP,
     SEQUENCE_PREFIXES,
     AnyCase,
     level_cases,
+    matching,
     more_random,
+    reaches,
     single_cases,
 )
-from bilprov.conformance.cases.opening import opening_cases, truncation_timeout
 from bilprov.conformance.cases.options import Options
-from bilprov.conformance.cases.selection import CONDITIONAL_CASES, LONGEST_GLOB, matching, reaches
+from bilprov.conformance.cases.single_frames import opening_cases, truncation_timeout
 from bilprov.conformance.causes.explained import Explainer
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.link import Device

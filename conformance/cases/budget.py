@@ -1,21 +1,26 @@
 """Estimates how long cases take, and selects those that add the most coverage within a budget.
 
-An estimate counts bytes on the wire, silences, time-outs and looks.
+An estimate counts bytes on the wire, silences, time-outs and looks. Also: what a run of cases makes
+the robot do, and how fast at most, which is told before it begins.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from bilprov.captures.schemas import MS
+from bilprov.conformance.cases.case import full_state
 from bilprov.conformance.cases.coverage import Fact, facts
 from bilprov.conformance.cases.levels import SEQUENCE_PREFIXES, AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.single_frames import motion_first
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.cases.wheel_order import OrderCase
 from bilprov.conformance.oracle.profile import Timers
+from bilprov.spec.by_effect import Movement, frames_to, link_check, movement_of, movers
 from bilprov.spec.protocol import Protocol
 
 _LOOKS = 3  # at each setting of the wheels' order
@@ -179,3 +184,28 @@ def before_the_cases(pace: Pace) -> float:
     """About how long (s) the opening cases and the probes of a run take."""
     watched = 0.0 if pace.few_looks else _WATCHED_BEFORE + _LOOKS_BEFORE * pace.slow_look
     return 0.7 + 8 * pace.timeout + _ANSWERS_BEFORE * pace.answer + watched
+
+
+def run_movement(protocol: Protocol, cases: Sequence[AnyCase], *, looks: bool) -> Movement:
+    """What the cases and the opening of their run make a conforming robot do.
+
+    With `looks` the opening tries every kind of motion at the greatest speed, to see it move.
+    """
+    tested = chain.from_iterable(_frames(protocol, case) for case in cases)
+    return movement_of(protocol, chain(_opening(protocol, looks=looks), tested))
+
+
+def _opening(protocol: Protocol, *, looks: bool) -> Iterator[bytes]:
+    yield from filter(None, link_check(protocol))
+    first = motion_first(protocol)
+    yield from first.sent if first else ()
+    for spec in movers(protocol) if looks else ():
+        yield from frames_to(protocol, full_state(protocol, spec))
+
+
+def _frames(protocol: Protocol, case: AnyCase) -> Iterator[bytes]:
+    if isinstance(case, SequenceCase):
+        yield from (step.frame for step in (*case.setup, *case.steps))
+        return
+    yield from frames_to(protocol, case.setup)
+    yield from case.sent

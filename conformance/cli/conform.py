@@ -33,10 +33,9 @@ from bilprov.conformance.api import (
     select_cases,
 )
 from bilprov.conformance.cases import budget
-from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase
+from bilprov.conformance.cases.budget import run_movement
+from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase, matching
 from bilprov.conformance.cases.proof import announcement
-from bilprov.conformance.cases.run_movement import run_movement
-from bilprov.conformance.cases.selection import matching
 from bilprov.conformance.cli.last_run import LastRun, Run, last_run, no_run, ordered
 from bilprov.conformance.cli.options import (
     expect_failures_option,

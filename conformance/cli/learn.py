@@ -35,7 +35,7 @@ from bilprov.spec.errors import UserError
 if TYPE_CHECKING:
     from bilprov.conformance.learning.learned import Learned
     from bilprov.conformance.learning.learner import Difference
-    from bilprov.conformance.learning.output import Output
+    from bilprov.conformance.learning.reference import Output
     from bilprov.conformance.machines.mealy import Mealy
 
 _SHOWN = 5  # differences told on the screen

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 
 from bilprov.captures.text import escape_controls, quantity
-from bilprov.conformance.learning.output import Output
+from bilprov.conformance.learning.reference import Output
 from bilprov.conformance.machines.mealy import Mealy
 from bilprov.conformance.machines.wp_method import state_cover
 from bilprov.conformance.oracle.wording import answer_words

@@ -11,11 +11,18 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import in_motion
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.target import Target
-from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
-from bilprov.conformance.learning.learner import Difference, Learner
-from bilprov.conformance.learning.output import FACETS, Output, facet_words
-from bilprov.conformance.learning.reference import reference_machine, seen_without
-from bilprov.conformance.learning.system import NotLearned, System
+from bilprov.conformance.learning.learner import Difference, Learner, NotLearned, System
+from bilprov.conformance.learning.reference import (
+    FACETS,
+    Output,
+    alphabet,
+    facet_words,
+    item_of,
+    name_of,
+    reference_machine,
+    reset,
+    seen_without,
+)
 from bilprov.conformance.machines.mealy import Mealy, minimal
 from bilprov.conformance.oracle.choices import Choices, verdict_of
 from bilprov.conformance.oracle.profile import Profile, timers_of

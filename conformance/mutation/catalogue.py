@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.mixtures import mixtures, mixtures_of
 from bilprov.conformance.mutation.random_faults import PREFIX, find_random_fault
-from bilprov.conformance.mutation.variants import MIXTURE, variants
+from bilprov.conformance.mutation.variants import MIXTURE, mixtures, mixtures_of, variants
 from bilprov.spec.protocol import Protocol
 
 

@@ -20,7 +20,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.steps import TOO_MANY, FrameClass, one_of_each
 from bilprov.conformance.dut.fault import Event, Fault
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.draw import Draw
+from bilprov.conformance.mutation.random_faults import Draw
 from bilprov.conformance.mutation.triggers import Trigger
 from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
 from bilprov.spec.protocol import InstructionSpec, Protocol

@@ -23,8 +23,8 @@ from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.effects import then
-from bilprov.conformance.mutation.pairs import hooks_of
 from bilprov.conformance.mutation.score import workers, working
+from bilprov.conformance.mutation.variants import hooks_of
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol
 

@@ -9,18 +9,39 @@ reading of the document allows any of the effects.
 
 from __future__ import annotations
 
+import random
 import re
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.mutation.draw import Draw
-from bilprov.conformance.mutation.faults import Row, hooks
-from bilprov.conformance.mutation.names import names
+from bilprov.conformance.mutation.faults import Row, hooks, names
 from bilprov.conformance.mutation.triggers import TRUNCATED, trigger
 from bilprov.spec.by_effect import variable_of
 from bilprov.spec.protocol import InstructionSpec, Protocol
+
+T = TypeVar("T")
+
+
+class Draw:
+    """Random draws, made with `random()` alone because only it is the same in every Python."""
+
+    def __init__(self, seed: int | str) -> None:
+        self._next = random.Random(seed).random
+
+    def below(self, end: int) -> int:
+        """Return a whole number from 0 to `end` - 1."""
+        return int(self._next() * end)
+
+    def pick(self, choices: Sequence[T]) -> T:
+        """Return one of the choices."""
+        return choices[self.below(len(choices))]
+
+    def between(self, low: int, high: int) -> int:
+        """Return a whole number from `low` to `high`, both included."""
+        return low + self.below(high - low + 1)
+
 
 PREFIX = "random:"
 _LEAST = 32  # a difference of wheels at a smaller speed or strength is none that a suite must see

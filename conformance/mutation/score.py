@@ -24,8 +24,8 @@ from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.equivalence import MOST, Search, difference, search
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.mixtures import mixtures
 from bilprov.conformance.mutation.random_faults import PREFIX
+from bilprov.conformance.mutation.variants import mixtures
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 

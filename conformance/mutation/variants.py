@@ -1,19 +1,25 @@
 """Legal variants: devices that follow another reading of the document than the reference.
 
 They are made from the open points (`spec.readings`) and from `variants.toml`. A variant never
-fails. A mixture (`mixtures.py`), which shows two choices of one point, does.
+fails, nor does a pair of them: one device that takes two other choices. A mixture does: a faulty
+device that follows one reading for some frames and another for the others. Only mixtures that can
+show both choices are made: one by ID, for example, needs two IDs at which the point arises.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
+from itertools import combinations, product
+from typing import Any
 
 import msgspec
 
-from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.fault import Event, Fault
+from bilprov.conformance.mutation.effects import behind, then
 from bilprov.conformance.mutation.faults import Row, filled, hooks, table
+from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, Behaviour
 
@@ -103,3 +109,142 @@ def _left(protocol: Protocol, placed: Iterable[Variant]) -> Iterator[Variant]:
                 chooses = f"{point.id.replace(' ', ':')}={choice.word}"
                 row = VariantRow(doc=f"{point.id}: {choice.word}", chooses=chooses)
                 yield Variant(protocol, f"{reading}={part and part + '-'}{choice.word}", row)
+
+
+_TIMES = 12  # how often the point arises before the device changes its choice
+
+
+@cache
+def mixtures(protocol: Protocol) -> dict[str, Fault]:
+    """Return every mixture by name."""
+    found = [
+        fault
+        for variant in variants(protocol).values()
+        if variant.mixes
+        for fault in mixtures_of(protocol, variant)
+    ]
+    return {fault.name: fault for fault in found}
+
+
+def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
+    """Yield the mixtures of one variant: by frame, by count, by ID and by motion, if both show."""
+    if not variant.mixes:
+        return
+    ids, motions = _where_it_arises(protocol, variant)
+    rows = [
+        ("by-frame", "every second time", "times !& 1"),
+        (
+            f"after-{_TIMES}",
+            f"after it has chosen otherwise {_TIMES} times",
+            f"times >= {_TIMES}",
+        ),
+    ]
+    if len(ids) > 1:
+        some, others = (", ".join(map(str, part)) for part in (ids[::2], ids[1::2]))
+        words = f"for ID {some} and not for {others}"
+        rows.append(("by-id", words, f"id {some.replace(',', '')}"))
+    if len(motions) > 1:
+        moves = motions[1::2]
+        words = f"while its motion is {' or '.join(moves)}"
+        rows.append(("by-motion", words, f"motion {' '.join(moves)}"))
+    for name, words, when in rows:
+        fault = variant.taking(
+            when, f"{MIXTURE}{variant.name}:{name}", f"{variant.doc}, but only {words}"
+        )
+        yield replace(
+            fault,
+            family="mixture",
+            exit=1,
+            caught_by=("reading/*",),
+            clauses=("header", "instructions", "responses", "safety"),
+        )
+
+
+def _where_it_arises(protocol: Protocol, variant: Variant) -> tuple[list[int], list[str]]:
+    """Return the IDs and the motions at which the device can take the choice."""
+    acting = variant.fault.trigger
+    assert acting is not None
+    top = {name: high for name, (_, high) in protocol.limits.items()}
+    ids: set[int] = set()
+    motions: dict[str, None] = {}
+    by = protocol.car.by
+    for motion, frame in product(protocol.variables[by].words, _frames(protocol)):
+        judgement = judge(protocol, frame)
+        before = protocol.state(**{by: motion}, **top)
+        kind = "truncated" if judgement.truncated else "instruction"
+        if acting.holds(Event(protocol, judgement, before, 0, 0, kind, 0), {}):
+            ids.add(judgement.id)
+            motions[motion] = None
+    return sorted(ids), list(motions)
+
+
+def _frames(protocol: Protocol) -> Iterator[bytes]:
+    """Yield, for each header, low and high data, and the header alone."""
+    for header, length in enumerate(protocol.lengths):
+        for fill in (protocol.pad_byte, 0xFF):
+            yield bytes([header]) + bytes([fill]) * length
+        yield bytes([header])
+
+
+# What tells of a fault; every other field is a hook or a setting, which a device has once. Only
+# reactions can follow one another.
+_TOLD = (
+    "name",
+    "family",
+    "doc",
+    "caught_by",
+    "exit",
+    "clauses",
+    "needs",
+    "what",
+    "trigger",
+    "history",
+)
+_ONCE = tuple(f.name for f in fields(Fault) if f.name not in (*_TOLD, "react"))
+# What loses an instruction comes first; what delays its answer, then its stop, comes last. Choices
+# of words at open points come before other answers and states ("").
+_ORDER = ("R-pipelining", "", "R-answer-deadline", "R-watchdog", "R-stop-latency")
+_USUAL = Fault("", FAMILY, "", exit=0)
+
+
+@cache
+def pairs(protocol: Protocol) -> dict[str, Fault]:
+    """Return every pair of variants that one device can be, named after both.
+
+    Left out are variants that need an option, two choices of one reading or at one point, and pairs
+    that a simulated device cannot be, since it has each hook once.
+    """
+    legal = [variant for variant in variants(protocol).values() if not variant.allow]
+    found = (_both(one, other) for one, other in combinations(legal, 2) if _fit(one, other))
+    return {fault.name: fault for fault in found}
+
+
+def _fit(one: Variant, other: Variant) -> bool:
+    points, others = ({point for point, _ in variant.words} for variant in (one, other))
+    hooks = hooks_of(one.fault).keys() & hooks_of(other.fault)
+    return one.reading != other.reading and points.isdisjoint(others) and not hooks
+
+
+def hooks_of(fault: Fault) -> dict[str, Any]:
+    """Return the hooks and settings besides the reaction that differ from the reference."""
+    return {n: getattr(fault, n) for n in _ONCE if getattr(fault, n) != getattr(_USUAL, n)}
+
+
+def _both(one: Variant, other: Variant) -> Fault:
+    """Return the device that is both: each reacts to what the one before has made of a frame."""
+    first, second = sorted((one, other), key=_place)
+    reacts = [variant.fault.react for variant in (first, second) if variant.fault.react]
+    joined = behind if first.reading == _ORDER[0] else then
+    return replace(
+        _USUAL,
+        name=f"{one.name} and {other.name}",
+        doc=f"{one.doc}; {other.doc}",
+        react=joined(*reacts) if len(reacts) > 1 else next(iter(reacts), None),
+        **hooks_of(one.fault),
+        **hooks_of(other.fault),
+    )
+
+
+def _place(variant: Variant) -> tuple[int, bool]:
+    """Return where its reaction comes among those of a device."""
+    return _ORDER.index(variant.reading if variant.reading in _ORDER else ""), not variant.words

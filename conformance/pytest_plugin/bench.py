@@ -1,7 +1,9 @@
 """Runs the suite in a thread for pytest, or gives clients to tests; never both at once.
 
 The run has a thread of its own, so that the tests do not disturb its timing, and hands out each
-result as it becomes final. However it ends, the robot is homed.
+result as it becomes final. However it ends, the robot is homed. A client uses a link
+(`analyzer.client.link.Link`), so that a test works alike on a port in real time and on a simulator
+in virtual time.
 """
 
 from __future__ import annotations
@@ -12,10 +14,16 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import replace
 from functools import cached_property, partial
 from queue import SimpleQueue
+from typing import TypeVar
 
+from bilprov.analyzer.client.driver import RobotError
+from bilprov.analyzer.client.link import Link, drive
+from bilprov.analyzer.client.operations import Ended, Procedure, listen, observe
 from bilprov.analyzer.client.probes import ProbeError, asks_person
+from bilprov.analyzer.client.robot import Instructions
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import (
     Options,
     estimated,
@@ -29,10 +37,54 @@ from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.target import Target, open_target, target_named
 from bilprov.conformance.oracle.verdicts import CaseResult
-from bilprov.conformance.pytest_plugin.robot_client import Client
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
+
+_SETTLE = 2 * MS
+T = TypeVar("T")
+
+
+class Client(Instructions):
+    """One robot on a link, driven as a `Robot` is. `sees` says whether there is a probe to look.
+
+    Nothing is sent until `home` or an instruction is called. Every method raises RobotError where
+    the robot does not answer, sends an unsolicited answer, or cannot be reached any more.
+    """
+
+    def __init__(self, protocol: Protocol, link: Link, *, sees: bool) -> None:
+        super().__init__(protocol, link)
+        self.sees = sees
+
+    def look(self) -> Look:
+        """What the probe sees now. Raises RobotError where there is no probe."""
+        if not self.sees:
+            raise RobotError("there is no probe to observe the robot; see --robot-probe")
+        return self._do(observe()).look
+
+    def home(self) -> None:
+        """Bring the line to a frame's boundary and the robot to a stop, from wherever it is.
+
+        Speed and LED stay as they were. The probe, if there is one, must see it stand still.
+        """
+        super().home()
+        self._require_still(round(self.protocol.timing.stop_longest * MS))
+
+    def _require_still(self, patience: int) -> None:
+        """Look until the robot stands still; raise RobotError after `patience` ns.
+
+        Link and probe are two lines: a look may be a little older than the answer.
+        """
+        until = self._do(listen(None, 0)).now + patience
+        while self.sees and self.look().moving:
+            if self._do(listen(None, _SETTLE)).now >= until:
+                raise RobotError("the robot still moves although it was sent a stop")
+
+    def _do(self, procedure: Procedure[T]) -> T:
+        try:
+            return drive(procedure, self._link)
+        except Ended as ended:
+            raise RobotError(str(ended)) from ended
 
 
 class SuiteThread(RunListener):

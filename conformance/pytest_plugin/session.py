@@ -1,13 +1,16 @@
-"""The hooks of a pytest session with a robot: cases are tests, judged in one run on its port."""
+"""The hooks of a pytest session with a robot: cases are tests, judged in one run on its port.
+
+The verdict of a case is the outcome of its test, the evidence its message.
+"""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Collection, Generator, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -24,12 +27,90 @@ from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.target import SIM
 from bilprov.conformance.oracle.choices import parse_allowed
-from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.pytest_plugin.bench import SuiteThread
-from bilprov.conformance.pytest_plugin.case_item import NAME, CaseItem, Conformance
+from bilprov.conformance.report.run_report import evidence, reproducer
 from bilprov.spec.by_effect import effect_words
 from bilprov.spec.errors import one_line
 from bilprov.spec.protocol import GrammarError, Protocol, require_family
+
+NAME = "conformance"
+
+
+class Conformance(pytest.Collector):
+    """The suite as a collector without a file, whose items are the cases."""
+
+    bench: SuiteThread
+    ids: Sequence[str]
+
+    @classmethod
+    def of(cls, session: pytest.Session, bench: SuiteThread, ids: Sequence[str]) -> Conformance:
+        """The suite with these cases."""
+        suite: Conformance = cls.from_parent(session, name=NAME, nodeid=NAME)
+        suite.bench, suite.ids = bench, ids
+        suite.add_marker(NAME)
+        return suite
+
+    def collect(self) -> Iterable[pytest.Item]:
+        """The cases, in the run's order."""
+        for ident in self.ids:
+            yield CaseItem.from_parent(self, name=ident)
+
+
+class CaseItem(pytest.Item):
+    """One case as an item. `known` is true for one that was not collected but has a result."""
+
+    known = False
+    parent: Conformance
+
+    def setup(self) -> None:
+        """Wait for the result; a case that the kit could not judge is an error, not a failure."""
+        bench = self.parent.bench
+        result = bench.result(self.name)
+        if result is None:
+            why = bench.why_not(self.name)
+            if bench.told_why or not why:
+                _skip(f"not judged: {why or 'this run did not need it'}")
+            bench.told_why = True  # said once: the reason is the same for all that are left
+            _fail(f"not judged: {why}")
+        self._result = result
+        self.user_properties += [("clause", result.clause), ("verdict", result.verdict.label)]
+        if result.reading:
+            self.user_properties.append(("reading", result.reading))
+        if result.verdict is Verdict.ERROR:
+            _fail(result.reason)
+
+    def runtest(self) -> None:
+        """The verdict as an outcome: only `fail` fails, only what was judged passes."""
+        result = self._result
+        if result.verdict is Verdict.FAIL:
+            _fail(self._evidence(result))
+        if result.verdict in (Verdict.INCONCLUSIVE, Verdict.SKIPPED):
+            _skip(f"{result.verdict.label}: {result.reason}")
+        if result.verdict is not Verdict.PASS:
+            self.add_report_section("call", NAME, f"{result.verdict.label}: {result.reason}")
+
+    def reportinfo(self) -> tuple[Path, int, str]:
+        """The location that pytest shows: a path made of the suite's name, which has no file."""
+        return self.config.rootpath / NAME, 0, self.name
+
+    def _evidence(self, result: CaseResult) -> str:
+        bench = self.parent.bench
+        command = reproducer(
+            bench.protocol.origin, bench.target, bench.environment.link, bench.options
+        )
+        rows = [*evidence(result), ("reproduce", command(result))]
+        lines = [f"{label:10}{words}" for label, words in rows]
+        return "\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines])
+
+
+def _fail(message: str) -> NoReturn:
+    """Fail with the message alone: a traceback into the kit would not help the user."""
+    pytest.fail(message, pytrace=False)
+
+
+def _skip(reason: str) -> NoReturn:
+    raise pytest.skip.Exception(reason, _use_item_location=True)
 
 
 class RobotSession:

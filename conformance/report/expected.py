@@ -21,7 +21,7 @@ from pathlib import Path
 
 from bilprov.analyzer.files import read_bounded, why_not_writable, write_whole
 from bilprov.captures.text import escape_controls, printable
-from bilprov.conformance.cases.selection import CONDITIONAL_CASES, LONGEST_GLOB, matching
+from bilprov.conformance.cases.levels import CONDITIONAL_CASES, LONGEST_GLOB, matching
 from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict
 from bilprov.conformance.report.run_report import Comparison, Report, compared
 from bilprov.spec.errors import UserError, one_line

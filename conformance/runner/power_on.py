@@ -17,7 +17,7 @@ from bilprov.analyzer.client.operations import (
 from bilprov.analyzer.client.rest import stops
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, case_of_the_run
-from bilprov.conformance.cases.opening import at_rest, link_check, motion_first
+from bilprov.conformance.cases.single_frames import at_rest, link_check, motion_first
 from bilprov.conformance.oracle.judge import judge_answers, judge_state, lost
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState

@@ -14,8 +14,8 @@ import msgspec
 from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import Case, in_motion
-from bilprov.conformance.cases.opening import truncation_timeout
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.single_frames import truncation_timeout
 from bilprov.conformance.oracle.judge import judge_answers
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.oracle.wording import look_words

@@ -28,7 +28,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.fault import CONFORMING, Fault
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.pytest_plugin.robot_client import Client
+from bilprov.conformance.pytest_plugin.bench import Client
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import RESERVED
 from tests.support import ROOT

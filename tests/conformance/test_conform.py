@@ -27,8 +27,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform, planned, run_suite, select_cases
-from bilprov.conformance.cases.levels import level_cases
-from bilprov.conformance.cases.selection import CONDITIONAL_CASES
+from bilprov.conformance.cases.levels import CONDITIONAL_CASES, level_cases
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target, open_target, target_named

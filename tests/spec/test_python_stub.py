@@ -168,7 +168,7 @@ def where(servo: Servo) -> int:
 """
 SEEN = """\
 from bilprov import Robot
-from bilprov.conformance.pytest_plugin.robot_client import Client
+from bilprov.conformance.pytest_plugin.bench import Client
 
 def drive(robot: Robot, client: Client) -> float:
     robot.speed(127)

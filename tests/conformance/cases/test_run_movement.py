@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bilprov.conformance.api import Options, conform, select_cases
-from bilprov.conformance.cases.run_movement import run_movement
+from bilprov.conformance.cases.budget import run_movement
 from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.by_effect import Movement

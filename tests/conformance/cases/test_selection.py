@@ -9,7 +9,7 @@ import pytest
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.conformance.api import Options, estimated_seconds, select_cases
 from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
-from bilprov.conformance.cases.selection import matching
+from bilprov.conformance.cases.levels import matching
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command

@@ -17,10 +17,10 @@ from bilprov.conformance.cases.levels import (
     LEVELS,
     SEQUENCE_PREFIXES,
     level_cases,
+    reaches,
     single_cases,
 )
 from bilprov.conformance.cases.proof import GROUP, PROOFS
-from bilprov.conformance.cases.selection import reaches
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.cases.sweeps import soak

@@ -9,11 +9,17 @@ import pytest
 
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
-from bilprov.conformance.learning.alphabet import alphabet, item_of, name_of, reset
 from bilprov.conformance.learning.drawing import dot_text
 from bilprov.conformance.learning.learner import Difference, Learner, differences
-from bilprov.conformance.learning.output import Output, output_of
-from bilprov.conformance.learning.reference import reference_machine
+from bilprov.conformance.learning.reference import (
+    Output,
+    alphabet,
+    item_of,
+    name_of,
+    output_of,
+    reference_machine,
+    reset,
+)
 from bilprov.conformance.machines.mealy import Mealy, minimal
 from bilprov.conformance.machines.wp_method import state_cover
 from bilprov.conformance.oracle.choices import Choices

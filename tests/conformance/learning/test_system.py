@@ -13,11 +13,8 @@ from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Re
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.learning.alphabet import alphabet
-from bilprov.conformance.learning.learner import Difference
-from bilprov.conformance.learning.output import Output
-from bilprov.conformance.learning.reference import reference_machine
-from bilprov.conformance.learning.system import NotLearned, System
+from bilprov.conformance.learning.learner import Difference, NotLearned, System
+from bilprov.conformance.learning.reference import Output, alphabet, reference_machine
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.profile import Profile
 from bilprov.conformance.oracle.state_model import Model

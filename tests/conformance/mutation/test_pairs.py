@@ -7,8 +7,7 @@ import pytest
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.pairs import hooks_of, pairs
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.variants import hooks_of, pairs, variants
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 

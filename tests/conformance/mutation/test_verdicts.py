@@ -21,9 +21,8 @@ from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.mixtures import mixtures
 from bilprov.conformance.mutation.score import _try
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.variants import mixtures, variants
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 

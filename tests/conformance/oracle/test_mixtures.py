@@ -6,8 +6,7 @@ import pytest
 
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault, find_mixture
-from bilprov.conformance.mutation.mixtures import mixtures
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.variants import mixtures, variants
 from bilprov.spec.codec import build, raw_frame
 from bilprov.spec.protocol import Protocol
 

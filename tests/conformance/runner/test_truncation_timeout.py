@@ -9,8 +9,7 @@ import pytest
 from bilprov.analyzer.client.operations import drive
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.pairs import pairs
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.variants import pairs, variants
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
