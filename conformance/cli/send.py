@@ -5,61 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from queue import SimpleQueue
-from typing import Literal
 
 import click
 
-from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import command, protocol_in_use
 from bilprov.analyzer.cli.options import (
-    SendingLineOptions,
     above_latency,
     asked_here,
-    max_drive_option,
-    only_reading_option,
-    timeout_option,
-    yes_option,
 )
-from bilprov.analyzer.cli.settings import PortName
-from bilprov.analyzer.client.probes import PROBES
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.conformance.cli.shell.options import SendOptions
 from bilprov.conformance.dut.target import BOARD, SIM
 from bilprov.spec.protocol import Protocol
-
-
-@dataclass(frozen=True)
-class SendOptions:
-    """The options of `send`."""
-
-    target: str = argument(metavar="PORT|sim", type=PortName())
-    items: tuple[str, ...] = argument(nargs=-1, metavar="[ITEM]...")
-    together: bool = flag("Send the ITEMs without waiting for the answers.")
-    expectations: tuple[str, ...] = option(
-        "--expect",
-        multiple=True,
-        metavar="ANSWER,...",
-        help="The answer to each ITEM, in order: names or numbers, none for no answer. "
-        "Exit code 0 if exactly these come, else 1.",
-    )
-    style: Literal["lines", "jsonl"] = option(
-        "--format", type=click.Choice(["lines", "jsonl"]), default="lines"
-    )
-    probe: str | None = option(
-        help=f"What sees the robot: {', '.join(kind.form for kind in PROBES)} (the default for a "
-        "port) or sim (the target sim's own). What it sees is shown after each ITEM; with "
-        "--together, once."
-    )
-    yes: bool = yes_option()
-    only_reading: bool = only_reading_option()
-    max_drive: float = max_drive_option()
-    wait: bool = flag(
-        "With ITEMs: wait for a port that is not there yet, and for one that is unplugged "
-        "meanwhile."
-    )
-    line: SendingLineOptions = group(SendingLineOptions)
-    truncation_timeout: float | None = timeout_option()
 
 
 @command(SendOptions)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import msgspec
 
@@ -24,13 +24,10 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Look
+from bilprov.conformance.cli.shell.options import SendOptions
 from bilprov.spec.by_effect import change_by
 from bilprov.spec.codec import free_parts
 from bilprov.spec.protocol import Protocol
-
-if TYPE_CHECKING:
-    from bilprov.conformance.cli.send import SendOptions
-
 
 STEP = 0.5
 """Seconds of waiting at most: a signal that came just before it began is noticed then."""

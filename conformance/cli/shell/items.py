@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING
 
 import click
 
@@ -35,13 +34,11 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.shell.driving import asked, look_text
+from bilprov.conformance.cli.shell.options import SendOptions
 from bilprov.conformance.cli.shell.session import agreed
 from bilprov.spec.by_effect import effect_words
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
-
-if TYPE_CHECKING:
-    from bilprov.conformance.cli.send import SendOptions
 
 _NO_ANSWER = "none"
 

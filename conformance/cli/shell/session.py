@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING
 
 from bilprov.analyzer.cli.options import (
     confirm_effect,
@@ -22,12 +21,10 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
+from bilprov.conformance.cli.shell.options import SendOptions
 from bilprov.spec.by_effect import effect_words
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
-
-if TYPE_CHECKING:
-    from bilprov.conformance.cli.send import SendOptions
 
 
 def drive(protocol: Protocol, options: SendOptions, settings: LineSettings, timeout: int) -> int:
