@@ -21,8 +21,7 @@ from dataclasses import dataclass, field
 from itertools import chain, zip_longest
 from typing import Any, NamedTuple, Protocol
 
-from bilprov.analyzer.client.link import Link, drive
-from bilprov.analyzer.client.operations import Procedure, listen, observe, send
+from bilprov.analyzer.client.operations import Link, Procedure, drive, listen, observe, send
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.steps import Step

@@ -1,9 +1,8 @@
 """Runs the suite in a thread for pytest, or gives clients to tests; never both at once.
 
 The run has a thread of its own, so that the tests do not disturb its timing, and hands out each
-result as it becomes final. However it ends, the robot is homed. A client uses a link
-(`analyzer.client.link.Link`), so that a test works alike on a port in real time and on a simulator
-in virtual time.
+result as it becomes final. However it ends, the robot is homed. A client uses a link, so that a
+test works alike on a port in real time and on a simulator in virtual time.
 """
 
 from __future__ import annotations
@@ -17,8 +16,7 @@ from queue import SimpleQueue
 from typing import TypeVar
 
 from bilprov.analyzer.client.driver import RobotError
-from bilprov.analyzer.client.link import Link, drive
-from bilprov.analyzer.client.operations import Ended, Procedure, listen, observe
+from bilprov.analyzer.client.operations import Ended, Link, Procedure, drive, listen, observe
 from bilprov.analyzer.client.probes import ProbeError, asks_person
 from bilprov.analyzer.client.robot import Instructions
 from bilprov.analyzer.transport.line_settings import LineSettings
