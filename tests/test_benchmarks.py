@@ -144,7 +144,7 @@ def test_each_way_to_fail_is_noticed(
 
 # -- torture --------------------------------------------------------------------------------------
 
-FEW = {"damage": 48, "changes": 70, "hostile": 1, "kills": 3, "exits": 4, "signals": 2}
+FEW = {"damage": 160, "changes": 140, "hostile": 1, "kills": 3, "exits": 4, "signals": 2}
 
 
 def rows_of(name: str, runs: int) -> list[Row]:

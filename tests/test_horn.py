@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections import Counter
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from bilprov.analyzer.transport.pty import open_pty
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.cases.single_frames import all_cases
@@ -21,7 +18,6 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import process
 from tests.support.robots import failing, judged_exit, simulate
-from tests.support.wires import running
 
 
 @pytest.fixture
@@ -139,19 +135,3 @@ def test_the_copy_goes_over_tcp(grammar: str, device: bool, suite: bool, code: i
     assert judged_exit(result.returncode, report) == code, result.stderr
     assert report["counts"]["error"] == 0
     assert state["moving"] is False
-
-
-def test_the_copy_sniffs_and_filters(grammar: str) -> None:
-    with (
-        open_pty() as host,
-        running(
-            *("--grammar", grammar, "sniff", host.name, "--format", "jsonl", "--count", "1"),
-            *("--filter", "name == Horn"),
-        ) as sniffing,
-    ):
-        said = bytes.fromhex("20 91 02")
-        code, out, err = sniffing.result_of(lambda: os.write(host.master, said))
-
-    assert code == 0, err
-    (line,) = [json.loads(text) for text in out.splitlines()]
-    assert (line["name"], line["fields"], line["judgement"]) == ("Horn", {"sound": 2}, "OK")

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
-import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -20,7 +16,6 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
-from tests.support import ROOT
 
 START = 1_790_000_000_000_000_000
 PATIENCE = 60.0  # s; what takes longer hangs
@@ -188,86 +183,3 @@ def test_a_file_that_cannot_be_made_starts_no_thread(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="exists and captures are never overwritten"):
         writer(tmp_path / "a.mcap")
     assert threading.active_count() == before
-
-
-FULL = """
-import json, random, resource, signal, sys, time
-from bilprov.captures.background import BackgroundWriter
-from bilprov.captures.schemas import Chunk
-from bilprov.captures.writer import CaptureWriter
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-sys.dont_write_bytecode = True  # a compiled file would be cut short too
-resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-writer = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
-capture = BackgroundWriter(writer)
-bytes_of = random.Random(1).randbytes
-for t in range(0, 10**12, 50_000_000):
-    capture.chunk(Chunk(t, "host", bytes_of(1000)))
-    time.sleep(0.0005)
-    if capture.failure:
-        break
-said = [capture.failure]
-capture.chunk(Chunk(t, "host", b"dropped"))
-capture.close()
-print(json.dumps([[*said, capture.failure], t]))
-"""
-
-
-@pytest.mark.waits
-def test_a_full_disk_is_one_sentence_and_keeps_what_was_flushed(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    child = subprocess.run(
-        [sys.executable, "-c", FULL, str(path)],
-        cwd=ROOT,
-        capture_output=True,
-        check=True,
-        timeout=PATIENCE,
-    )
-    said, last = json.loads(child.stdout)
-    kept = chunks(path)
-    assert said[0].startswith("disk full: what was captured until ")
-    assert said == [said[0]] * 2
-    assert [chunk.t for chunk in kept] == list(range(0, kept[-1].t + 1, 50_000_000))
-    assert 0 < kept[-1].t < last
-    assert (open_capture(path).damage, open_capture(path).unfinished) == ((), True)
-
-
-INTERRUPTED = """
-import sys, time
-from bilprov.captures.background import BackgroundWriter
-from bilprov.captures.schemas import Chunk
-from bilprov.captures.writer import CaptureWriter
-writer = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
-with BackgroundWriter(writer) as capture:
-    for t in range(10**9):
-        capture.chunk(Chunk(t, "host", b"x"))
-        print(t, flush=True)
-        time.sleep(0.001)
-"""
-
-
-@pytest.mark.waits
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_ctrl_c_finishes_the_file_and_kill_9_leaves_a_whole_part(
-    tmp_path: Path, number: signal.Signals
-) -> None:
-    path = tmp_path / "a.mcap"
-    command = [sys.executable, "-c", INTERRUPTED, str(path)]
-    with (
-        subprocess.Popen(
-            command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        ) as child,
-    ):
-        assert child.stdout is not None
-        for _ in range(300):
-            child.stdout.readline()
-        child.send_signal(number)
-        lines = child.stdout.read().splitlines()
-        child.wait(PATIENCE)
-    last = int(lines[-1]) if lines else 299
-    kept = [chunk.t for chunk in chunks(path)]
-    assert kept == list(range(len(kept)))
-    assert open_capture(path).unfinished == (number == signal.SIGKILL)
-    if number == signal.SIGINT:
-        assert len(kept) >= last + 1
-    assert kept

@@ -18,7 +18,7 @@ from mcap.writer import Writer
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture, open_indexed
+from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.topics import CarLook
 from bilprov.captures.writer import CaptureWriter
@@ -354,37 +354,6 @@ def damage(content: bytearray, choose: random.Random) -> bytearray:
     else:
         struct.pack_into("<Q", content, min(at, len(content) - 8), choose.choice([0, 1 << 62, 9]))
     return content
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
-def test_damage_is_told_by_the_error_of_captures_or_as_a_survey_tells_it(
-    path: Path, tmp_path: Path, seed: int
-) -> None:
-    choose = random.Random(seed)
-    whole = path.read_bytes()
-    before = set(map(repr, opened(path).sights()))
-    accepted = 0
-    for _ in range(150):
-        content = damage(bytearray(whole), choose)
-        path.write_bytes(bytes(content))
-        if choose.random() < 0.5 and len(content) == len(whole):
-            changed_summary(path, lambda content, start: None)
-        capture = open_indexed(path)
-        if capture is None:
-            continue
-        accepted += 1
-        found: StoredCheckpoint | None = None
-        try:
-            found = capture.checkpoint_before(choose.randrange(60 * STEP), GRAMMAR)
-            rest = list(capture.sights(found))
-            surveyed = list(open_capture(path).sights())
-        except CaptureError:
-            continue
-        true = [event for event in rest if not (isinstance(event, Line) and event.event == "gap")]
-        assert set(map(repr, true)) <= before
-        assert rest == surveyed[len(surveyed) - len(rest) :]
-    assert accepted > 10
 
 
 def test_the_official_reader_reads_checkpoints(path: Path) -> None:

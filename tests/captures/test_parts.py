@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import os
 import struct
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from random import Random
 
 import pytest
 
@@ -22,7 +19,6 @@ from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.captures.storage.survey import surveyed
 from bilprov.captures.writer import CaptureWriter
-from tests.support import ROOT
 from tests.support.commands import PATIENCE
 
 START = 1_790_000_000_000_000_000
@@ -324,91 +320,3 @@ def test_a_part_whose_name_is_taken_ends_the_recording_and_is_not_touched(tmp_pa
         Chunk(3 * SECOND, "host", b"3"),
     ]
     assert not open_capture(tmp_path / "a").unfinished
-
-
-FULL_AT_THE_SEAM = """
-import resource, signal, sys
-from pathlib import Path
-from bilprov.captures.background import BackgroundWriter
-from bilprov.captures.schemas import Chunk
-from bilprov.captures.writer import CaptureWriter
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-sys.dont_write_bytecode = True  # a compiled file would be cut short too
-class Filled(dict):
-    # The second part is begun when the disk is full.
-    def items(self):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, 1_000))
-        return super().items()
-folder = Path(sys.argv[1])
-writer = CaptureWriter(folder / "a.00001", start_wall=10**18, metadata={}, version="0")
-capture = BackgroundWriter(writer)
-capture.chunk(Chunk(10**9, "host", b"x"))
-capture.go_on_in(folder / "a.00002", Filled(), 10**9)
-capture.chunk(Chunk(10**9, "host", b"dropped"))
-capture.close()
-print(capture.failure)
-"""
-
-
-@pytest.mark.waits
-def test_a_disk_that_is_full_at_the_seam_leaves_the_finished_part_and_no_other(
-    tmp_path: Path,
-) -> None:
-    child = subprocess.run(
-        [sys.executable, "-c", FULL_AT_THE_SEAM, str(tmp_path)],
-        cwd=ROOT,
-        capture_output=True,
-        check=True,
-        timeout=PATIENCE,
-        text=True,
-    )
-    first, second = part_path(tmp_path / "a", 1), part_path(tmp_path / "a", 2)
-    assert child.stdout == (
-        f"disk full: {second} cannot be begun; what was captured until 1.0 s is kept in {first}\n"
-    )
-    assert list(tmp_path.iterdir()) == [first]
-    assert list(open_capture(tmp_path / "a")) == [Chunk(SECOND, "host", b"x")]
-    assert not open_capture(tmp_path / "a").unfinished
-
-
-CHOPPED = """
-import sys, time
-from pathlib import Path
-from bilprov.captures.background import BackgroundWriter
-from bilprov.captures.schemas import Chunk
-from bilprov.captures.writer import CaptureWriter
-base, number = Path(sys.argv[1]), 1
-writer = CaptureWriter(f"{base}.00001", start_wall=10**18, metadata={}, version="0")
-with BackgroundWriter(writer) as capture:
-    for t in range(10**9):
-        capture.chunk(Chunk(t, "host", b"x"))
-        if capture.size:  # the part before is begun
-            number += 1
-            capture.go_on_in(Path(f"{base}.{number:05d}"), {}, t)
-        time.sleep(0.0005)
-"""
-
-
-@pytest.mark.waits
-@pytest.mark.sample(3)
-@pytest.mark.parametrize("seed", range(6))
-def test_kill_9_at_a_seam_leaves_whole_parts_without_a_gap(tmp_path: Path, seed: int) -> None:
-    path = tmp_path / "a"
-    last = part_path(path, 3 + seed)
-    give_up = time.monotonic() + PATIENCE
-    with subprocess.Popen([sys.executable, "-c", CHOPPED, str(path)], cwd=ROOT) as child:
-        while not last.exists():
-            assert child.poll() is None
-            assert time.monotonic() < give_up
-            time.sleep(0.0002)
-        time.sleep(Random(seed).choice([0, 0, 0.0001, 0.001, 0.07]))
-        child.kill()
-        child.wait(PATIENCE)
-    files = list(part_paths(path).values())
-    capture = open_capture(path)
-    kept = [event.t for event in capture if isinstance(event, Chunk)]
-    assert kept == list(range(len(kept)))
-    assert len(list(capture)) == len(kept)  # no gap
-    assert (capture.damage, capture.unfinished) == ((), True)
-    assert len(files) >= 3 + seed
-    assert [open_capture(file).unfinished for file in files[:-1]] == [False] * (len(files) - 1)

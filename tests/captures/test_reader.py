@@ -82,49 +82,6 @@ def test_a_file_cut_anywhere_gives_a_prefix(small: Path, pytestconfig: pytest.Co
     assert set(lengths) == set(range(0, 25, FLUSH_EVERY))
 
 
-@pytest.mark.slow
-def test_a_flipped_bit_never_gives_wrong_messages(
-    small: Path, tmp_path: Path, pytestconfig: pytest.Config
-) -> None:
-    whole = small.read_bytes()
-    messages = all_of(small)
-    choose = random.Random(7)
-    refused = 0
-    kept = []
-    for at in range(0, len(whole), 11 if pytestconfig.getoption("--whole") else 31):
-        damaged = bytearray(whole)
-        damaged[at] ^= 1 << choose.randrange(8)
-        try:
-            capture = open_capture(with_bytes(tmp_path / "flip.mcap", bytes(damaged)))
-        except CaptureError:
-            refused += 1
-            continue
-        read = list(capture.messages())
-        assert all(message in messages for message in read), at
-        assert [m.sequence for m in read] == sorted(m.sequence for m in read)
-        assert len(read) == 24 or capture.damage, at
-        kept.append(len(read))
-        list(capture.events())
-    assert refused <= 3  # the magic
-    assert min(kept) >= 24 - 2 * FLUSH_EVERY
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("way", ["zeroed", "inserted", "removed"])
-def test_what_is_whole_after_a_damaged_stretch_is_read(
-    small: Path, tmp_path: Path, way: str
-) -> None:
-    whole = small.read_bytes()
-    messages = all_of(small)
-    for at in range(8, len(whole) - 8, 97):
-        rest = whole[at + 64 :] if way in {"zeroed", "removed"} else whole[at:]
-        middle = {"zeroed": bytes(64), "inserted": b"\x06" * 33, "removed": b""}[way]
-        path = with_bytes(tmp_path / "d.mcap", whole[:at] + middle + rest)
-        read = all_of(path)
-        assert all(message in messages for message in read), at
-        assert len(read) >= 24 - 3 * FLUSH_EVERY, at
-
-
 def chunk_offsets(data: bytes) -> list[int]:
     offsets = []
     at = 8
@@ -324,18 +281,6 @@ def test_foreign_writers_are_read_by_time(tmp_path: Path, options: dict[str, Any
         for n in range(100)
     ]
     assert len(list(capture.messages())) == 107
-
-
-def test_a_foreign_file_cut_anywhere_never_surprises(tmp_path: Path) -> None:
-    for options in ({"use_chunking": False}, {"compression": CompressionType.LZ4}):
-        whole = foreign(tmp_path / "f.mcap", two_taps, **options).read_bytes()
-        for cut in range(0, len(whole), 23):
-            try:
-                capture = open_capture(with_bytes(tmp_path / "cut.mcap", whole[:cut]))
-            except CaptureError:
-                continue
-            assert capture.unfinished
-            assert len(list(capture.events())) <= 101
 
 
 def test_the_metadata_start_counts_in_a_foreign_file(tmp_path: Path) -> None:

@@ -21,16 +21,13 @@ import pytest
 
 from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.pty import open_pty
-from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform, planned, run_suite, select_cases
 from bilprov.conformance.cases.levels import CONDITIONAL_CASES, level_cases
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.target import device_target, open_target, target_named
+from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.listeners.listener import RunListener
@@ -310,17 +307,6 @@ def test_a_run_is_recorded_with_its_cases_and_looks_and_decodes_again(tmp_path: 
     assert all(r.value.agrees for r in answered)
 
 
-def test_a_recorded_run_replays_as_jsonl(tmp_path: Path) -> None:
-    file = tmp_path / "run.mcap"
-    command("conform", "sim", "--only", "truncated/LED/0", "--record", str(file))
-
-    result = command("replay", str(file), "--rate", "0", "--format", "jsonl")
-
-    assert result.returncode == 0, result.stderr
-    lines = [json.loads(line) for line in result.stdout.splitlines()]
-    assert {"instruction", "response", "truncated"} <= {line["kind"] for line in lines}
-
-
 # -- ends -----------------------------------------------------------------------------------------
 
 
@@ -427,27 +413,6 @@ def test_a_run_in_the_background_is_ended_by_a_signal_that_is_sent_to_it() -> No
     assert code == 3
     assert "interrupted" in out
     assert state["moving"] is False
-
-
-def test_a_device_that_is_killed_with_its_probe_keeps_what_was_judged(tmp_path: Path) -> None:
-    file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
-    with simulate() as robot:
-        words = ("--probe", robot.probe, "--json", str(file), "--record", str(capture))
-        run = Conforming(robot.port, *words)
-        run.wait_until_it_moves(robot)
-        robot.process.kill()
-        code, out, _ = run.end()
-
-    assert code == 2, out
-    report = report_of(file.read_bytes())
-    assert report.exit == 2
-    assert report.ended
-    assert report.ended in out
-    assert report.counts["error"] == 1
-    assert report.counts["fail"] == 0
-    assert report.counts["inconclusive"] > 30
-    assert len({case.id for case in report.cases}) == len(report.cases)
-    assert any(open_capture(capture).events())
 
 
 def test_a_dead_line_is_told_in_one_sentence_and_in_the_report(tmp_path: Path) -> None:
@@ -568,23 +533,3 @@ def test_the_last_resort_is_for_runs_that_have_begun(protocol: Protocol) -> None
     assert halts == ["halt"]
     assert run_suite(target, Options(only=("valid/Stop",))).exit == 0
     assert halts == ["halt"]
-
-
-def test_a_fault_of_the_kit_itself_does_not_leave_the_robot_driving() -> None:
-    class Broken(RunListener):
-        """Fails when it is told that the robot moves."""
-
-        def looked(self, look: Look) -> None:
-            if look.moving:
-                raise ZeroDivisionError
-
-    protocol = load_protocol()
-    options = Options(only=("unused-id/9/*",))
-    with simulate() as served, Stopper() as stopper:
-        name = target_named(served.port)
-        with (
-            open_target(protocol, name, stopper, probe=served.probe) as target,
-            pytest.raises(ZeroDivisionError),
-        ):
-            run_suite(target, options, [Broken()])
-        assert served.state()["moving"] is False

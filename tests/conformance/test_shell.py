@@ -112,17 +112,6 @@ def test_unless_it_may_move_nothing_is_sent(protocol: Protocol) -> None:
 
 
 @pytest.mark.waits
-def test_a_robot_that_drives_too_long_without_an_instruction_is_stopped(protocol: Protocol) -> None:
-    with car(protocol) as (device, port, _):
-        result = shell(port, "Speed 80; Forward; pause=60000; Speed 1\nstate", "--max-drive", "0.2")
-
-    assert result.returncode == 1
-    assert b"stopped: it has driven for 0.2 s without a new instruction" in result.stderr
-    assert b"predicted: stopped speed 80 led 0, not moving" in result.stdout
-    assert device.state.speed == 80  # the rest of the line was not done
-
-
-@pytest.mark.waits
 def test_a_device_that_floods_the_line_is_stopped_and_fills_neither_screen_nor_memory(
     protocol: Protocol,
 ) -> None:

@@ -335,19 +335,6 @@ def test_the_capture_is_finished_though_nobody_reads_the_text(path: Path) -> Non
     assert out.endswith(b"}\n")
 
 
-def test_a_kill_loses_nothing_that_is_older_than_a_moment(path: Path) -> None:
-    with sniffing(path) as one:
-        write(one.host, b"\x20\x00")
-        until(lambda: path.stat().st_size and kept(path))
-        one.command.end(signal.SIGKILL)
-
-    shown = replayed(path)
-    assert shown.returncode == 0
-    assert [line["hex"] for line in json_lines(shown.stdout)] == ["20", "00"]
-    assert len(shown.stderr.splitlines()) == 1
-    assert b"never finished" in shown.stderr
-
-
 WRONG_CLOCK = """
 import sys, time
 time.time_ns = lambda: -3_600 * 10**9

@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import gzip
 import os
-import pty
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +37,6 @@ pytestmark = pytest.mark.slow  # more than make quick has time for
 SAMPLES = ROOT / "captures" / "samples"
 START = 1_790_000_000_000_000_000
 DECODED = ("/host/instructions", "/device/responses", "/state", "/faults")
-PATIENCE = 60.0  # s
 
 
 def converted(path: Path, *before: str) -> tuple[Path, Done]:
@@ -213,74 +207,6 @@ def test_a_start_that_no_clock_shows_is_not_believed(tmp_path: Path) -> None:
         writer.finish()
     assert command("capture", "decode", str(path), str(new)).returncode == 0
     assert [open_capture(file).start for file in (path, new)] == [5, 5]
-
-
-@pytest.mark.waits
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_conversion_leaves_no_file(
-    protocol: Protocol, tmp_path: Path, number: signal.Signals
-) -> None:
-    live, _ = heavy(protocol, tmp_path / "live.mcap", 400_000, decoded=False)
-    new = tmp_path / "new.mcap"
-    words = [sys.executable, "-m", "bilprov", "capture", "decode", str(live), str(new)]
-    with subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE) as child:
-        end = time.monotonic() + PATIENCE
-        while not any(part.stat().st_size > 50_000 for part in tmp_path.glob("*new*")):
-            assert time.monotonic() < end
-            assert child.poll() is None
-            time.sleep(0.01)
-        child.send_signal(number)
-        _, said = child.communicate(timeout=PATIENCE)
-    assert (child.returncode, said.decode()) == (130, "stopped before the end\n")
-    assert not list(tmp_path.glob("*new*"))
-
-
-FULL = """
-import resource, signal, sys
-from bilprov.__main__ import main
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-sys.dont_write_bytecode = True  # a compiled file would be cut short too
-resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
-main(["capture", "decode", *sys.argv[1:]])
-"""
-
-
-@pytest.mark.waits
-def test_a_full_disk_is_one_sentence_and_leaves_no_file(protocol: Protocol, tmp_path: Path) -> None:
-    live, _ = heavy(protocol, tmp_path / "live.mcap", 8_000)
-    new = tmp_path / "new.mcap"
-    done = subprocess.run(
-        [sys.executable, "-c", FULL, str(live), str(new)],
-        cwd=ROOT,
-        capture_output=True,
-        check=False,
-        timeout=PATIENCE,
-    )
-    assert done.returncode == 2
-    assert b"new.mcap cannot be written (File too large): make room" in done.stderr
-    assert done.stderr.count(b"\n") == 1
-    assert not list(tmp_path.glob("*new*"))
-
-
-@pytest.mark.waits
-def test_on_a_terminal_progress_is_drawn(protocol: Protocol, tmp_path: Path) -> None:
-    live, _ = heavy(protocol, tmp_path / "live.mcap", 30_000, decoded=False)
-    ours, theirs = pty.openpty()
-    words = ["capture", "decode", str(live), str(tmp_path / "new.mcap")]
-    with subprocess.Popen(
-        [sys.executable, "-m", "bilprov", *words], cwd=ROOT, stderr=theirs
-    ) as child:
-        os.close(theirs)
-        shown = b""
-        try:
-            while part := os.read(ours, 4_096):
-                shown += part
-        except OSError:  # the other end is closed
-            pass
-    os.close(ours)
-    assert child.returncode == 0
-    assert b"%" in shown
-    assert b"everything decoded from it" in shown
 
 
 def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(

@@ -24,7 +24,6 @@ from bilprov.captures.reader import Message, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import until
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
 
@@ -209,26 +208,6 @@ def test_a_state_too_long_for_a_message_is_no_checkpoint_and_no_fault(
     recorder.close()
     counts = open_capture(recorder.path).contents.counts
     assert (counts["/checkpoint"], counts["/faults"]) == (written, 0)
-
-
-@pytest.mark.waits
-def test_a_file_that_breaks_is_told_and_nothing_more_is_made_for_it(
-    recorder: Recorder, tmp_path: Path
-) -> None:
-    recorder.path.unlink()
-    recorder.events([Chunk(0, "host", b"x")])
-    until(lambda: recorder.failure)
-
-    def asked() -> str:
-        raise AssertionError("there is no file for it")
-
-    recorder.events([Chunk(1, "host", b"yz")])
-    recorder.decoded(1, 2, asked)  # type: ignore[arg-type]
-    recorder.checkpoint(2 * SECOND, asked)
-    recorder.tick(2 * SECOND)
-    recorder.close()
-    assert "was deleted while recording" in recorder.failure
-    assert recorder.bytes == 1
 
 
 def test_below_the_limit_it_writes_what_is_written_of_a_run(

@@ -297,11 +297,3 @@ def test_a_part_ends_soon_after_its_size(protocol: Protocol, tmp_path: Path) -> 
     assert len(files) >= 3
     assert all(60_000 <= file.stat().st_size < 90_000 for file in files[:-1])
     assert b"".join(data for _, data in raw(path)) == said
-
-
-def test_names_that_are_taken_are_refused_before_anything_is_recorded(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    part_path(path, 9).write_bytes(b"precious")
-    with pytest.raises(Exception, match=r"a\.00009\.mcap exists and captures are never"):
-        Recorder(path, START, {"grammar_sha256": ""}, Rotation(age=SECOND))
-    assert list(tmp_path.iterdir()) == [part_path(path, 9)]

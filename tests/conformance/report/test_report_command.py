@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import resource
 import stat
 import threading
 from pathlib import Path
@@ -25,13 +24,11 @@ from bilprov.conformance.report.json_report import ReportError, as_json, parse_r
 from bilprov.conformance.report.junit import as_junit
 from bilprov.conformance.report.run_report import Comparison, Report, reproducer
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command, process
+from tests.support.commands import command
 from tests.support.reports import a_case, a_run, every_verdict, hostile
 from tests.support.robots import PATIENCE, sentence
 
 pytestmark = pytest.mark.waits
-
-FEW = ("--only", "valid/LED/*")
 
 
 def saved(report: Report, folder: Path, name: str = "run.json") -> Path:
@@ -351,46 +348,6 @@ def test_a_file_keeps_its_mode(tmp_path: Path) -> None:
     write_whole(file, b"after")
     assert file.read_text() == "after"
     assert stat.S_IMODE(file.stat().st_mode) == 0o640
-
-
-def test_a_full_disk_keeps_what_was_there_and_the_other_reports(tmp_path: Path) -> None:
-    # The one that does not fit is written first.
-    values, tests = tmp_path / "run.json", tmp_path / "tests.xml"
-    values.write_text("before")
-
-    def nearly_full() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-
-    result = process(
-        *("conform", "sim", *FEW, "--json", str(values), "--junit", str(tests)),
-        preexec_fn=nearly_full,
-        env={"PYTHONDONTWRITEBYTECODE": "1"},  # a compiled file would be cut short too
-    )
-
-    assert result.returncode == 2
-    assert "File too large" in sentence(result)
-    assert "sim conforms" in result.stdout.decode()
-    assert values.read_text() == "before"
-    assert tests.read_text().startswith("<?xml")
-    assert {entry.name for entry in tmp_path.iterdir()} == {"run.json", "tests.xml"}
-
-
-def test_a_link_stays_a_link_and_a_pipe_a_pipe(tmp_path: Path) -> None:
-    target, link, pipe = tmp_path / "target", tmp_path / "link", tmp_path / "pipe"
-    link.symlink_to(target)
-    os.mkfifo(pipe)
-    came: list[bytes] = []
-    reader = threading.Thread(target=lambda: came.append(pipe.read_bytes()))
-    reader.start()
-
-    write_whole(link, b"through")
-    write_whole(pipe, b"along")
-    reader.join(PATIENCE)
-
-    assert link.is_symlink()
-    assert target.read_bytes() == b"through"
-    assert came == [b"along"]
-    assert pipe.is_fifo()
 
 
 def test_a_link_under_the_temporary_name_is_not_followed(
