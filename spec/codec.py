@@ -263,7 +263,7 @@ def registers_in(
     many = part.many
     begin = part.offset + (many.prefix.size if many and many.prefix else 0)
     end = len(data) if many and many.how != "fixed" else part.offset + part.size
-    first = asked[memory.at] * memory.factor if memory.at else 0
+    first = memory.cell(asked[memory.at]) if memory.at else 0
     spans = [("", begin, end)]
     if memory.blocks:
         size = asked[memory.count] * width

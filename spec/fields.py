@@ -189,9 +189,9 @@ class Memory:
     """Cells of a device's memory `name`, so that what was written is read back.
 
     A request with the fields `at` and `value` writes them; one with `at`, whose answer has `value`,
-    reads them. `at` is the first cell, times `factor`; with `latest` it is that of the latest
-    request that had it. `value` holds the cells: a number is one, bytes and several numbers are one
-    each. `count` is the field of the request that tells how many are read. With `bits` a cell is
+    reads them. `at` is the first cell, times `factor` (of bytes the number that they are, high byte
+    first); with `latest` it is that of the latest request that had it. `value` holds the cells: a
+    number is one, bytes and several numbers are one each. `count` is the field of the request that tells how many are read. With `bits` a cell is
     one bit, eight to a byte and the first in bit 0. Each value of the field `of` has cells of its
     own. `by` names the instructions that use them, where others have these fields too; `only` is
     "reads" or "writes" where they do not do both.
@@ -235,6 +235,11 @@ class Memory:
             )
         if self.only not in ("", "reads", "writes"):
             raise WrongValue(f"a Memory is only {shown(self.only)}, allowed are reads and writes")
+
+    def cell(self, at: int | bytes) -> int:
+        """The first cell for a value of the field `at`."""
+        number = int.from_bytes(at, "big") if isinstance(at, bytes) else at
+        return number * self.factor
 
 
 NO_DATA = Struct()

@@ -55,7 +55,7 @@ class Cells:
 
     def _place(self, memory: Memory, fields: Mapping[str, Any]) -> tuple[int, dict[int, int]]:
         """The number of the first cell that is meant, and the cells that it is one of."""
-        first = fields.get(memory.at, self._latest.get(memory.at, 0)) * memory.factor
+        first = memory.cell(fields.get(memory.at, self._latest.get(memory.at, 0)))
         of = fields[memory.of] if memory.of else None
         known = dict(self._power_on.get(memory.name, {}))
         return first, self._cells.setdefault((memory.name, of), known)

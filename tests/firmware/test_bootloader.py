@@ -45,21 +45,24 @@ def optiboot(tmp_path: Path) -> Path:
     return file
 
 
-def avrdude(port: str, *words: str) -> str:
+def avrdude(port: str, *words: str, programmer: str = "arduino") -> str:
     """What avrdude tells while it programs an ATmega328P so."""
-    whole = ["avrdude", "-c", "arduino", "-p", "m328p", "-P", port, "-b", "115200", *words]
+    whole = ["avrdude", "-c", programmer, "-p", "m328p", "-P", port, "-b", "115200", *words]
     done = subprocess.run(whole, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr
     return done.stderr
 
 
 @needs("avrdude", package="avrdude")
-def test_avrdude_writes_a_program_to_the_simulated_bootloader(tmp_path: Path) -> None:
+@pytest.mark.parametrize("programmer", ["arduino", "stk500v1"])  # which asks by serial programming
+def test_avrdude_writes_a_program_to_the_simulated_bootloader(
+    programmer: str, tmp_path: Path
+) -> None:
     program = tmp_path / "program.bin"
     program.write_bytes(Random(2).randbytes(300))
 
     with simulate(pty=True, grammar="stk500v1") as simulated:
-        told = avrdude(simulated.port, "-U", f"flash:w:{program}:r")
+        told = avrdude(simulated.port, "-U", f"flash:w:{program}:r", programmer=programmer)
 
     assert f"device signature = 0x{SIGNATURE}" in told
     assert "300 bytes of flash verified" in told

@@ -138,6 +138,9 @@ def test_a_write_to_several_servos_gives_each_its_own_bytes() -> None:
 def test_a_bootloader_tells_its_signature_and_the_parameters_that_were_set() -> None:
     line = Line("stk500v1")
     assert line.do("ReadSign") == {"signature": b"\x1e\x95\x0f"}
+    asked = ("30000000", "30000100", "30000200", "50000000")  # the last one: low fuses
+    told = [line.do("Universal", command=one)["output"] for one in asked]
+    assert told == [0x1E, 0x95, 0x0F, 0]
     assert line.do("GetParameter", parameter=0x82) == {"value": 16}
     line.do("SetParameter", parameter=0x82, value=17)
     assert line.do("GetParameter", parameter=0x82) == {"value": 17}
