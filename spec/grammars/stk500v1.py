@@ -153,15 +153,11 @@ INSTRUCTIONS = {
 # Pages of words of flash, or of bytes of EEPROM, at the address that was loaded. A simulated
 # device is an ATmega328P whose firmware has the version 1.16. Of serial programming it knows the
 # command 30, which reads the signature.
+READ_SIGNATURE = {0x30000000: 0x1E, 0x30000100: 0x95, 0x30000200: 0x0F}
 MEMORY = (
     Memory("parameters", at="parameter", value="value", power_on={0x81: 1, 0x82: 16}),
     Memory("signature", value="signature", power_on={0: 0x1E, 1: 0x95, 2: 0x0F}),
-    Memory(
-        "serial",
-        at="command",
-        value="output",
-        power_on={0x30000000: 0x1E, 0x30000100: 0x95, 0x30000200: 0x0F},
-    ),
+    Memory("serial", at="command", value="output", power_on=READ_SIGNATURE),
     Memory("p", at="address", value="content", count="size", factor=2, of="memory", latest=True),
 )
 RESPONSE = Answers(
@@ -195,6 +191,4 @@ TIMING = Timing(
 )
 LINE = LineDefaults(baud=115200, parity="N", stopbits=1)
 DEFINED = "Command Definitions"
-CLAUSES = Clauses(
-    header=DEFINED, instructions=DEFINED, responses="Response Definitions", safety=DEFINED
-)
+CLAUSES = Clauses(DEFINED, DEFINED, "Response Definitions", DEFINED)
