@@ -18,13 +18,7 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import Volume, kept_parts, merged, start_of, stated_start, volumes_of
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, Recorded
-from bilprov.captures.storage.records import (
-    FOOTER,
-    JSON_ERRORS,
-    MAGIC,
-    AttachmentRecord,
-    Damaged,
-)
+from bilprov.captures.storage.records import FOOTER, JSON_ERRORS, MAGIC, AttachmentRecord, Damaged
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import since, stated_number
 

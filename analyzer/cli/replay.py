@@ -33,12 +33,7 @@ from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.output.outputs import (
-    Format,
-    Shown,
-    Window,
-    opened_output,
-)
+from bilprov.analyzer.output.outputs import Format, Shown, Window, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded

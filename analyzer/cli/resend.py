@@ -6,13 +6,7 @@ from collections.abc import Iterable
 
 from bilprov.analyzer.cli.options import note, note_suspension
 from bilprov.analyzer.decode.batch import Batch, Records
-from bilprov.analyzer.decode.records import (
-    Anomaly,
-    FaultRecord,
-    HostRecord,
-    Record,
-    Severity,
-)
+from bilprov.analyzer.decode.records import Anomaly, FaultRecord, HostRecord, Record, Severity
 from bilprov.analyzer.output.outputs import Output, Window
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.comparison import ReplayRun, differences

@@ -45,11 +45,7 @@ from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.grammar_file import not_carried
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
-from bilprov.analyzer.output.outputs import (
-    NoOutput,
-    Shown,
-    opened_output,
-)
+from bilprov.analyzer.output.outputs import NoOutput, Shown, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.output.text_queue import TextQueue
 from bilprov.analyzer.pipeline import Pipeline

@@ -9,11 +9,7 @@ from typing import Any
 import click
 
 from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
-from bilprov.analyzer.cli.options import (
-    request_option,
-    sender_option,
-    text_format_option,
-)
+from bilprov.analyzer.cli.options import request_option, sender_option, text_format_option
 from bilprov.analyzer.output.console import show_as
 
 

@@ -10,11 +10,7 @@ from functools import lru_cache
 from os import PathLike
 from typing import Any
 
-from bilprov.analyzer.client.driver import (
-    InstructionMethods,
-    NoAnswer,
-    RobotError,
-)
+from bilprov.analyzer.client.driver import InstructionMethods, NoAnswer, RobotError
 from bilprov.analyzer.client.operations import listen
 from bilprov.analyzer.client.port_driver import OnPort
 from bilprov.analyzer.client.rest import exchange
@@ -28,12 +24,7 @@ from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Part
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.python_names import (
-    answer_names,
-    parameter_names,
-    read_by_name,
-    taken_type,
-)
+from bilprov.spec.python_names import answer_names, parameter_names, read_by_name, taken_type
 from bilprov.spec.replies import Reply, read_reply, reply_size
 
 _TRIES = 20  # time-outs that a line is waited for to fall silent

@@ -17,12 +17,7 @@ import numpy as np
 
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, Stored, blocks_of, message_starts
-from bilprov.captures.storage.records import (
-    MAGIC,
-    MESSAGE_BYTES,
-    AttachmentRecord,
-    Damaged,
-)
+from bilprov.captures.storage.records import MAGIC, MESSAGE_BYTES, AttachmentRecord, Damaged
 from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile
 
 _WITH_MESSAGES = {records.CHUNK, records.MESSAGE}

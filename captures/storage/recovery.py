@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import message_starts
-from bilprov.captures.storage.records import (
-    CHUNK_BYTES,
-    ChannelRecord,
-    CutOff,
-    Damaged,
-)
+from bilprov.captures.storage.records import CHUNK_BYTES, ChannelRecord, CutOff, Damaged
 
 SKIPPED: Final = -1
 """Opcode of a record that was skipped because it is larger than allowed."""
