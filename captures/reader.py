@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from dataclasses import replace as with_changes
 from functools import partial
@@ -284,14 +284,13 @@ class Capture:
     def _read(
         self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
     ) -> Iterator[Part]:
-        from bilprov.captures.storage.messages import parts_after, stored_parts
+        from bilprov.captures.storage.messages import stored_parts
 
-        if not self.indexes:
-            yield from stored_parts(file, contents, order)
-            return
-        _check_size(file.fileno(), contents.size)
-        yield from parts_after(file, contents, order, place)
-        _check_size(file.fileno(), contents.size)
+        if self.indexes:
+            _check_size(file.fileno(), contents.size)
+        yield from stored_parts(file, contents, order, not self.indexes, place)
+        if self.indexes:
+            _check_size(file.fileno(), contents.size)
 
 
 Read: TypeAlias = "Callable[[BufferedReader, Contents], Iterator[Item]]"
@@ -345,11 +344,17 @@ def open_capture(path: str | Path) -> Capture:
     """
     path = Path(path)
     parts = kept_parts(path)
-    if parts:
-        return _opened_parts(path, parts)
-    contents = _surveyed(path)
-    _check_topics(path, contents)
-    return _capture_of(path, contents, (Volume(path, contents),))
+    held: list[tuple[int, Path, Contents]] = []
+    for number, part in (parts or {1: path}).items():
+        # What killed the program may have come before the newest part had a whole front.
+        may_be_cut = len(parts) > 1 and number == max(parts)
+        if may_be_cut and _is_empty(part):
+            continue
+        contents = _surveyed(part)
+        if not (may_be_cut and _is_hardly_begun(contents)):
+            _check_topics(part, contents)
+            held.append((number, part, contents))
+    return _capture_of(path, volumes_of(path, held), cut_short=len(held) < len(parts))
 
 
 def appended(capture: Capture) -> Capture | None:
@@ -397,11 +402,9 @@ def open_indexed(path: str | Path) -> Capture | None:
         for (number, file), index in zip(parts.items(), fitting, strict=True)
     ]
     try:
-        volumes = volumes_of(path, held)
+        return _capture_of(path, volumes_of(path, held), fitting)
     except CaptureError:
         return None
-    contents = volumes[0].contents if volumes[0].path == path else merged(volumes)
-    return _capture_of(path, contents, volumes, fitting)
 
 
 def open_quickly(path: str | Path) -> Capture:
@@ -427,8 +430,13 @@ def _index_of(path: Path) -> Index | None:
 
 
 def _capture_of(
-    path: Path, contents: Contents, volumes: tuple[Volume, ...], indexes: tuple[Index, ...] = ()
+    path: Path,
+    volumes: tuple[Volume, ...],
+    indexes: tuple[Index, ...] = (),
+    *,
+    cut_short: bool = False,
 ) -> Capture:
+    contents = volumes[0].contents if volumes[0].path == path else merged(volumes)
     start = start_of(contents)
     first, last = (start + since(start, time) for time in (contents.first, contents.last))
     contents = with_changes(contents, first=first, last=last)
@@ -441,32 +449,12 @@ def _capture_of(
             if key != topics.GRAMMAR_TEXT
         },
         library=contents.library,
-        unfinished=contents.unfinished,
+        unfinished=contents.unfinished or cut_short,
         damage=contents.damage,
         contents=contents,
         volumes=volumes,
         indexes=indexes,
     )
-
-
-def _opened_parts(path: Path, parts: Mapping[int, Path]) -> Capture:
-    held: list[tuple[int, Path, Contents]] = []
-    newest = max(parts)
-    cut_short = False
-    for number, part in parts.items():
-        # What killed the program may have come before the newest part had a whole front.
-        may_be_cut = number > min(parts) and number == newest
-        contents = None if may_be_cut and _is_empty(part) else _surveyed(part)
-        if contents is None or (may_be_cut and _is_hardly_begun(contents)):
-            cut_short = True
-            continue
-        _check_topics(part, contents)
-        held.append((number, part, contents))
-    volumes = volumes_of(path, held)
-    contents = merged(volumes)
-    if cut_short:
-        contents = with_changes(contents, unfinished=True)
-    return _capture_of(path, contents, volumes)
 
 
 def _is_empty(path: Path) -> bool:

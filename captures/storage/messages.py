@@ -17,8 +17,8 @@ import numpy as np
 
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, Stored, blocks_of, message_starts
-from bilprov.captures.storage.records import MAGIC, MESSAGE_BYTES, AttachmentRecord, Damaged
-from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile
+from bilprov.captures.storage.records import MESSAGE_BYTES, AttachmentRecord, Damaged
+from bilprov.captures.storage.recovery import SKIPPED, Lost, RecordFile
 
 _WITH_MESSAGES = {records.CHUNK, records.MESSAGE}
 WINDOW_MESSAGES = 4096  # held back to put a foreign file into time order
@@ -118,12 +118,18 @@ Part: TypeAlias = Messages | Stored
 """Messages before and between which nothing is missing, or a single one."""
 
 
-def stored_parts(file: BufferedReader, contents: Contents, order: Order) -> Iterator[Part]:
+def stored_parts(
+    file: BufferedReader, contents: Contents, order: Order, surveyed: bool, place: Place | None
+) -> Iterator[Part]:
     """Yield the messages of an open file: of our own files in file order, of others by time.
 
-    Raises Damaged if the file has changed since the survey.
+    Those of an own file that was not `surveyed` begin after a `place`, None for the start; a
+    damaged part of it is left out, as a survey would do. Raises Damaged if the file has changed
+    since the survey.
     """
-    parts = _in_file_order(_pieces(file, contents), contents.counted, order)
+    if place is not None:
+        order.expected = place.sequence + 1
+    parts = _in_file_order(_pieces(file, contents, place, surveyed), contents.counted, order)
     if contents.own or contents.in_order:
         yield from parts
         return
@@ -156,18 +162,6 @@ class Place(NamedTuple):
     chunk: int
     end: int
     sequence: int
-
-
-def parts_after(
-    file: BufferedReader, contents: Contents, order: Order, place: Place | None
-) -> Iterator[Part]:
-    """Yield the messages of an own file that was not surveyed, in file order, after that `place`.
-
-    None stands for the start. A damaged part of the file is left out, as a survey would do.
-    """
-    if place is not None:
-        order.expected = place.sequence + 1
-    return _in_file_order(_pieces_after(file, contents, place), counted=True, order=order)
 
 
 def messages_before(
@@ -266,33 +260,29 @@ class _Reading:
             self._expected = first if expected is None or first == 0 else expected
 
 
-def _pieces_after(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[Piece]:
+def _pieces(
+    file: BufferedReader, contents: Contents, place: Place | None, surveyed: bool
+) -> Iterator[Piece]:
     source = RecordFile(file, contents.size)
-    source.own = True
-    start, passed = (len(MAGIC), 0) if place is None else (place.chunk, place.end)
-    for found in source.walk(start, contents.size):
-        if isinstance(found, Found):
-            if found.opcode == records.CHUNK:
-                yield Piece(found.content, found.starts[found.starts >= passed], "")
-            elif found.opcode == records.DATA_END:
-                return
-        passed = 0
-
-
-def _pieces(file: BufferedReader, contents: Contents) -> Iterator[Piece]:
-    # The survey has checked each record of these regions; here they only must still be complete.
-    source = RecordFile(file, contents.size)
-    where = ""
-    for start, end in contents.regions:
-        for found in source.walk(start, end, only=_WITH_MESSAGES):
+    # A survey has checked each record of the regions, which only must still be complete.
+    source.own = not surveyed
+    only = _WITH_MESSAGES if surveyed else None
+    where, passed = "", 0 if place is None else place.end
+    for first, end in contents.regions:
+        for found in source.walk(first if place is None else place.chunk, end, only):
             if isinstance(found, Lost):
-                raise found.damage
-            if found.opcode in _WITH_MESSAGES:
-                if len(found.starts):
-                    yield Piece(found.content, found.starts, where)
+                if surveyed:
+                    raise found.damage
+            elif found.opcode in _WITH_MESSAGES:
+                starts = found.starts[found.starts >= passed]
+                if len(starts):
+                    yield Piece(found.content, starts, where)
                     where = ""
             elif found.opcode == SKIPPED:
                 where = "a chunk or message that is too large is left out here"
+            elif found.opcode == records.DATA_END and not surveyed:
+                return
+            passed = 0
         where = "the file is damaged here"
 
 
