@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.filters.fields import Kind, fields_of
 from bilprov.analyzer.output.csv_text import usual_columns
 from bilprov.analyzer.output.row_columns import (
     AS_USUAL,
@@ -21,7 +22,6 @@ from bilprov.analyzer.output.row_columns import (
     Column,
     RowStyle,
     Value,
-    bytes_fields,
     converted,
 )
 from bilprov.analyzer.replay.capture_parts import Chosen
@@ -33,11 +33,15 @@ from bilprov.spec.protocol import Protocol
 ROWS = 1 << 16
 """Rows of a row group at most, which is what a reader holds in memory."""
 
-_INT_BYTES = 8
-_WORDS = {"direction", "kind", "name", "judgement", "response"}
-_SECONDS = {"t", "latency"}
-_TRUTHS = {"state.moving", "agrees", "uncertain"}
-_TEXTS = {"hex", "data", "fields", "state", "reason"}
+_MOST = 1 << 63
+_FOREIGN = {
+    "name",
+    "judgement",
+    "response",
+    "fields",
+    "state",
+    "reason",
+}  # text that may need escapes
 
 
 class NoPyarrow(UserError):
@@ -53,8 +57,7 @@ def write_parquet(chosen: Chosen, stream: BinaryIO, rows: RowStyle = AS_USUAL) -
     pa, parquet = _pyarrow()
     capture = chosen.capture
     columns = rows.columns or _usual_columns(chosen.protocol)
-    types = _types(pa, chosen.protocol)
-    schema = pa.schema([pa.field(one.name, types.get(one.name, pa.int64())) for one in columns])
+    schema = pa.schema([(one.name, _type(pa, one.name, chosen.protocol)) for one in columns])
     with parquet.ParquetWriter(stream, schema, compression="zstd") as writer:
         waiting: list[Any] = []
         for batch in chosen.batches():
@@ -103,7 +106,7 @@ def _values(
     values = list(map(column.value, lines))
     if name == "bytes":
         return converted(values, bytes.fromhex)
-    return converted(values, _harmless) if name in _WORDS | _TEXTS else values
+    return converted(values, _harmless) if name in _FOREIGN else values
 
 
 def _pyarrow() -> tuple[Any, Any]:
@@ -122,50 +125,37 @@ def _usual_columns(protocol: Protocol) -> tuple[Column, ...]:
     columns = [COLUMNS["time"]]
     for column in usual_columns(protocol):
         columns.append(column)
-        if column.name in _SECONDS:
+        if column.name in ("t", "latency"):
             columns.append(COLUMNS[f"{column.name}_ns"])
         elif column.name == "hex":
             columns.append(COLUMNS["bytes"])
     return tuple(columns)
 
 
-def _wide(protocol: Protocol) -> set[str]:
-    """The columns of fields and states whose numbers may not fit into 64 bits with a sign."""
-    answered = [spec.answer.fields for spec in protocol.instructions if spec.answer]
-    registers = tuple(protocol.named_registers.values())
-    fields = {
-        name
-        for parts in (*(spec.fields for spec in protocol.instructions), *answered, registers)
-        for part in parts
-        if part.size >= _INT_BYTES and part.number
-        for name in (part.name, f"fields.{part.name}")
-    }
-    most = 1 << 8 * _INT_BYTES - 1
-    return fields | {
-        f"state.{name}"
-        for name, (low, high) in protocol.bounds.items()
-        if not -most <= low <= high < most
-    }
-
-
-def _words(protocol: Protocol) -> set[str]:
-    """The columns of words, of which there are few."""
-    return _WORDS | {f"state.{name}" for name, spec in protocol.variables.items() if spec.words}
-
-
-def _types(pa: Any, protocol: Protocol) -> dict[str, Any]:
-    """The types of the columns that are no whole numbers of 64 bits."""
-    return {
+def _type(pa: Any, name: str, protocol: Protocol) -> Any:
+    """The type of a column, by the kind of value that a filter knows it as."""
+    whole, text, words = pa.int64(), pa.string(), pa.dictionary(pa.int32(), pa.string())
+    own = {
         "time": pa.timestamp("ns", "UTC"),
         "bytes": pa.binary(),
-        "faults": pa.list_(pa.string()),
-        **dict.fromkeys(_SECONDS, pa.float64()),
-        **dict.fromkeys(_TRUTHS, pa.bool_()),
-        **dict.fromkeys(_words(protocol), pa.dictionary(pa.int32(), pa.string())),
-        **dict.fromkeys(_TEXTS, pa.string()),
-        **dict.fromkeys(_wide(protocol), pa.decimal128(38)),
-        **{name: pa.string() for one in bytes_fields(protocol) for name in (one, f"fields.{one}")},
+        "uncertain": pa.bool_(),
+        **dict.fromkeys(("fields", "state"), text),
+        **dict.fromkeys(("judgement", "response"), words),
+        **dict.fromkeys(("t_ns", "latency_ns"), whole),
     }
+    if name in own:
+        return own[name]
+    field = fields_of(protocol)[name]
+    if not all(-_MOST <= end < _MOST for end in (field.low or 0, field.high or 0)):
+        return pa.decimal128(38)
+    return {
+        Kind.SECONDS: pa.float64(),
+        Kind.TRUTH: pa.bool_(),
+        Kind.WORD: words,
+        Kind.WORDS: pa.list_(text),
+        Kind.TEXT: text,
+        Kind.BYTES: text,
+    }.get(field.kind, whole)
 
 
 def _harmless(text: Value) -> str | None:
