@@ -11,6 +11,7 @@ from tests.support import ROOT
 from tests.test_layers import ROOMS
 
 
+@pytest.mark.slow
 def test_document_and_picture_are_what_the_code_says() -> None:
     stale = [file.name for file, text in drawn(ROOT / "docs").items() if file.read_text() != text]
 

@@ -49,6 +49,7 @@ def test_drawn_traffic_is_told_apart(name: str) -> None:
     assert by_byte(told(protocol, chunks)) == by_byte(chunks)
 
 
+@pytest.mark.slow
 def test_a_tap_may_join_at_any_byte() -> None:
     chunks = list(events("sr_flowmeter_target_15liter_per_min"))
     wire = b"".join(chunk.data for chunk in chunks)

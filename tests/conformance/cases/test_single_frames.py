@@ -123,6 +123,7 @@ def test_an_id_says_what_is_sent(
     assert case.accepted[0].verdict is Verdict.PASS
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("every_cut", [True, False])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ids_are_unique(protocol: Protocol, seed: int, every_cut: bool) -> None:
@@ -211,6 +212,7 @@ def test_recovery_tries_each_fault_in_each_motion_and_restores_that_motion(
     assert all(c.after_then and c.after_then.motion == c.setup.motion for c in recovery)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("every_cut", [True, False])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_thorough_cases_are_one_of_each_class_in_each_motion(

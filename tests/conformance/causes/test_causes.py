@@ -145,6 +145,7 @@ def test_a_cause_takes_in_nothing_that_contradicts_it(protocol: Protocol, name: 
         assert not [e for e in against if matches(cause.rule, e)]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["no-stop-on-bad-data", "speed-bit-0-lost", "double-answer"])
 def test_its_line_shows_it_on_a_fresh_device_and_not_on_a_right_one(
     protocol: Protocol, name: str
