@@ -191,10 +191,10 @@ class Memory:
     A request with the fields `at` and `value` writes them; one with `at`, whose answer has `value`,
     reads them. `at` is the first cell, times `factor` (of bytes the number that they are, high byte
     first); with `latest` it is that of the latest request that had it. `value` holds the cells: a
-    number is one, bytes and several numbers are one each. `count` is the field of the request that tells how many are read. With `bits` a cell is
-    one bit, eight to a byte and the first in bit 0. Each value of the field `of` has cells of its
-    own. `by` names the instructions that use them, where others have these fields too; `only` is
-    "reads" or "writes" where they do not do both.
+    number is one, bytes and several numbers are one each. `count` is the field of the request that
+    tells how many are read. With `bits` a cell is one bit, eight to a byte and the first in bit 0.
+    Each value of the field `of` has cells of its own. `by` names the instructions that use them,
+    where others have these fields too; `only` is "reads" or "writes" where they do not do both.
 
     Without `at` the first cell is 0. A cell is 0 until it is written, or what `power_on` has for
     its place. Bits that are set in the field `keep` stay as they are in a cell. What is written

@@ -48,17 +48,20 @@ _Due = Callable[[int, list[Record]], None]
 class Decoder:
     """Decodes the traffic of a host and a device. The first host byte must be a header.
 
-    `timeout` and `skew` (ns) are as in Session; `paired` is true if both directions are heard.
+    `timeout` and `skew` (ns) are as in Session, `answer_pause` (ns) is the longest pause within an
+    answer; `paired` is true if both directions are heard.
     After a loss the next host byte counts as a header again.
     """
 
-    def __init__(self, protocol: Protocol, *, timeout: int, paired: bool, skew: int) -> None:
+    def __init__(
+        self, protocol: Protocol, *, timeout: int, paired: bool, skew: int, answer_pause: int
+    ) -> None:
         self._protocol = protocol
         self._both_heard = paired
         self._away: frozenset[Direction] = frozenset()  # the sides whose port is unplugged
         self._paired = paired
         self._framer = Framer(protocol, timeout)
-        self._replies = ReplyFramer(protocol, max(timeout, skew))
+        self._replies = ReplyFramer(protocol, answer_pause)
         self._skew = skew
         self._pairing = Pairing(protocol, skew)
         self._steps = Steps(protocol)

@@ -43,7 +43,9 @@ class Session:
     are the directions that are listened to: with only one, nothing is paired. `skew` (ns) is how
     much earlier than its instruction an answer may be timestamped; 0 where one clock stamps both.
     `attached` is true if listening began at time 0 in running traffic: then the first host byte
-    need not be a header, unless the host was silent for the time-out before it.
+    need not be a header, unless the host was silent for the time-out before it. `adapter_pause`
+    (ns) is how long an adapter may hold back a part of an answer, where that is longer than
+    `timeout`.
 
     While frame boundaries are unknown (after attaching, and after a loss), events are buffered
     until the boundaries are found, the host pauses for the time-out, or the buffer holds as many
@@ -65,6 +67,7 @@ class Session:
         heard: frozenset[Direction] = BOTH,
         skew: int = SKEW,
         attached: bool = False,
+        adapter_pause: int = 0,
     ) -> None:
         if timeout is None:
             timeout = round(protocol.timing.truncation_timeout * MS)
@@ -72,7 +75,13 @@ class Session:
         self._timeout = timeout
         self._skew = skew
         self._heard = tuple(sorted(heard))
-        self._decoder = Decoder(protocol, timeout=timeout, paired=heard >= BOTH, skew=skew)
+        self._decoder = Decoder(
+            protocol,
+            timeout=timeout,
+            paired=heard >= BOTH,
+            skew=skew,
+            answer_pause=max(timeout, skew, adapter_pause),
+        )
         # Since when (ns) frame boundaries are unknown and the host is silent; otherwise None.
         self._unsynced_since: int | None = 0 if attached else None
         self._spoken = False  # whether the device has sent a byte since then

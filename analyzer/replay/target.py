@@ -14,6 +14,7 @@ from bilprov.analyzer.client.rest import rest_of
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
@@ -53,7 +54,8 @@ class Target(Closing, LinkListener):
         self._port = port
         self._link = PortLink(port, tap=self)
         self._stopper = stopper
-        self._session = Session(protocol, timeout=timeout, skew=0)
+        pause = Machine().least_pause(port.name)
+        self._session = Session(protocol, timeout=timeout, skew=0, adapter_pause=pause)
         self._start = 0  # on the link's clock
         # Stops are under way that the session does not know of.
         self._homing = self._halted = False

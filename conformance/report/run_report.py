@@ -68,16 +68,16 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     `kit` is the version that judged. `link` has at least `kind` (`port` or `virtual`), `line`,
     `probe` and `fault`, and `echo` where the line has one. `verdict` is the worst of the results,
     ERROR where nothing could be judged, `counts` how many results have each verdict; both follow
-    from the results. `unusable` says why nothing could be judged, `ended` why the run ended early; `ended_by` is then `error` (the kit,
-    the port or the probe failed), `user`, or `time` (it took three times what was announced).
-    `timing` says where the time went (see `meter`), `profile` what was measured. `proof` is what
-    the level `complete` has proven. `comparison` is that with a file of expected failures. `begun`
-    is when the run began (ISO 8601, UTC), `took_s` how long it took (real time), `host` the
-    machine's name, `versions` those of Python, its platform and libraries. `unseen` says what the
-    probe did not show, and from which look on, `notices` what else the user should know of device,
-    line and probe. `causes` explain
-    the failed cases, the worst first; `unexplained` is how many of them no cause explains. `file`
-    is where the report was read from; it is not in the JSON, nor set for a run of this process.
+    from the results. `unusable` says why nothing could be judged, `ended` why the run ended early;
+    `ended_by` is then `error` (the kit, the port or the probe failed), `user`, or `time` (it took
+    three times what was announced). `timing` says where the time went (see `meter`), `profile` what
+    was measured. `proof` is what the level `complete` has proven. `comparison` is that with a file
+    of expected failures. `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took
+    (real time), `host` the machine's name, `versions` those of Python, its platform and libraries.
+    `unseen` says what the probe did not show, and from which look on, `notices` what else the user
+    should know of device, line and probe. `causes` explain the failed cases, the worst first;
+    `unexplained` is how many of them no cause explains. `file` is where the report was read from;
+    it is not in the JSON, nor set for a run of this process.
     """
 
     kit: str

@@ -9,7 +9,8 @@ import os
 import select
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -28,6 +29,7 @@ from bilprov.analyzer.output.csv_text import CsvText, usual_columns
 from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.row_columns import Times
 from bilprov.analyzer.output.text_lines import LineRenderer
+from bilprov.analyzer.replay import target as of_target
 from bilprov.analyzer.screen.details import details
 from bilprov.analyzer.transport import machine as of_machine
 from bilprov.analyzer.transport.pty import open_pty
@@ -36,6 +38,7 @@ from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.decoding import MS, Event, decoded, devices, hosts
+from tests.support.framed_traffic import framed_capture
 from tests.support.machines import FakeMachine
 
 MODBUS, STK500 = load_protocol("modbus-rtu"), load_protocol("stk500v1")
@@ -199,23 +202,46 @@ def test_listening_from_python_does_not_cut_below_the_adapters_latency(
     assert found.data == frame
 
 
-def test_a_client_waits_for_the_rest_of_an_answer_that_an_adapter_holds_back(
-    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(of_device, "Machine", lambda: machine)
-    answer = bytes.fromhex("110306022B00000064C8BA")
+ANSWER = bytes.fromhex("110306022B00000064C8BA")
+
+
+@contextmanager
+def answering_late(machine: FakeMachine, pause: float) -> Iterator[str]:
+    """A port whose adapter holds back the rest of an answer for so many seconds."""
     with open_pty() as pair:
         machine.write(f"/sys/class/tty/{Path(pair.name).name}/device/latency_timer", "2000")
 
         def answers() -> None:
             select.select([pair.master], [], [])
-            os.write(pair.master, answer[:4])
-            time.sleep(0.1)  # twice the longest pause of the grammar
-            os.write(pair.master, answer[4:])
+            os.write(pair.master, ANSWER[:4])
+            time.sleep(pause)
+            os.write(pair.master, ANSWER[4:])
 
         threading.Thread(target=answers).start()
-        with of_device.Device(pair.name, grammar=MODBUS, address=17) as meter:
-            assert meter.read_holding_registers(0x6B, 3) == (555, 0, 100)
+        yield pair.name
+
+
+def test_a_client_waits_for_the_rest_of_an_answer_that_an_adapter_holds_back(
+    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_device, "Machine", lambda: machine)
+    with (
+        answering_late(machine, 0.1) as port,  # twice the longest pause of the grammar
+        of_device.Device(port, grammar=MODBUS, address=17) as meter,
+    ):
+        assert meter.read_holding_registers(0x6B, 3) == (555, 0, 100)
+
+
+def test_an_answer_to_a_faster_replay_is_not_cut_by_a_pause_that_an_adapter_makes(
+    tmp_path: Path, machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_target, "Machine", lambda: machine)
+    asked = [Chunk(MS, "host", READ), Chunk(2 * MS, "device", ANSWER)]
+    capture = framed_capture(tmp_path / "line.mcap", MODBUS, asked)
+    with answering_late(machine, 0.02) as port:
+        done = command("replay", str(capture), "--to", port, "--yes", "--rate", "20")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert b"1 instruction sent, 0 differences" in done.stderr
 
 
 def test_records_tell_whether_they_are_certain(protocol: Protocol) -> None:
