@@ -307,9 +307,8 @@ def diff(options: DiffOptions) -> int:
     nothing else differs; 2 if not all of it could be shown.
     """
     from bilprov.analyzer.cli.streams import promise_verdict
-    from bilprov.analyzer.edit.compare import compared
+    from bilprov.analyzer.edit.compare import compared, exchanges
     from bilprov.analyzer.edit.comparison_report import as_json, drawn
-    from bilprov.analyzer.edit.exchanges import exchanges
     from bilprov.analyzer.output.console import show
 
     promise_verdict()

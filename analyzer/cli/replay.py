@@ -185,7 +185,7 @@ def replay(options: ReplayOptions) -> int:
         else:
             _show(opened, shown, window, stopper)
     if target is not None and not target.answered_stops:
-        from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
+        from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
 
         note(UNANSWERED_STOPS)
         return sent or 1

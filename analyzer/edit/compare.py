@@ -1,18 +1,208 @@
-"""Compares two captures, frame by frame of the host: what differs in frames, answers, latencies."""
+"""Compares two captures, frame by frame of the host: what differs in frames, answers, latencies.
+
+Each frame of the host has what the device answered. Two streams of them are aligned by their
+frames, in memory that does not depend on their length: where frames differ, difflib looks for
+insertions and deletions after which 16 frames in a row are the same again, among the next 64 frames
+and then among 512. Where there are none, the next 16 frames in a row that both streams have are
+taken, up to 20,000 frames ahead: so much may be missing at one place. Where there are none either,
+all frames are listed alone.
+"""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from difflib import SequenceMatcher
 from functools import partial
+from itertools import islice
 from typing import Final, Literal
 
-from bilprov.analyzer.edit.alignment import aligned
-from bilprov.analyzer.edit.exchanges import Exchange
+from bilprov.analyzer.decode.records import (
+    DeviceRecord,
+    FaultRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+)
+from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.replay.capture_parts import Progress, decoded_batches
+from bilprov.analyzer.replay.capture_session import heard
 from bilprov.analyzer.totals.latencies import Latencies, Spread
+from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS
 from bilprov.spec.protocol import Protocol
+
+
+@dataclass(slots=True, eq=False)
+class Exchange:
+    """A frame of the host and its answer. The first one of a capture has no frame.
+
+    `missing` tells that no answer came; without it and without an answer it is not known if one
+    would have come. `unasked` are device bytes behind it that answer no instruction.
+    """
+
+    frame: HostRecord | None
+    answer: DeviceRecord | None = None
+    missing: bool = False
+    unasked: bytearray = field(default_factory=bytearray)
+    settled: bool = True
+
+    @property
+    def key(self) -> tuple[str, bytes]:
+        """What has to be the same in two captures for them to be compared."""
+        return (self.frame.kind, self.frame.data) if self.frame else ("", b"")
+
+    @property
+    def told(self) -> bool:
+        """Whether it is known what was answered."""
+        return self.missing or self.answer is not None
+
+
+def exchanges(capture: Capture, protocol: Protocol, progress: Progress) -> Iterator[Exchange]:
+    """Yield the exchanges of a capture in order.
+
+    Raises CaptureError as `Capture.events` does.
+    """
+    pairs = _Pairs(paired=heard(capture) >= BOTH)
+    for batch in decoded_batches(capture, protocol, progress):
+        for record in batch.records():
+            pairs.record(record)
+        yield from pairs.settled()
+    pairs.give_up()
+    yield from pairs.rest
+
+
+class _Pairs:
+    """Puts the records of a recording together; `rest` are exchanges that are not handed out."""
+
+    def __init__(self, *, paired: bool) -> None:
+        self.rest: deque[Exchange] = deque([Exchange(None)])
+        self._paired = paired
+        self._waiting: dict[int, Exchange] = {}
+
+    def record(self, record: Record) -> None:
+        """Add the next record."""
+        if isinstance(record, HostRecord):
+            waits = self._paired and record.sequence is not None
+            self.rest.append(Exchange(record, settled=not waits))
+            if waits and record.sequence is not None:
+                self._waiting[record.sequence] = self.rest[-1]
+        elif isinstance(record, DeviceRecord):
+            if record.instruction is None:
+                self.rest[-1].unasked += record.data
+            elif (exchange := self._waiting.pop(record.instruction, None)) is not None:
+                exchange.answer, exchange.settled = record, True
+        elif isinstance(record, FaultRecord):
+            number = record.fault.instruction
+            if number is not None and (exchange := self._waiting.pop(number, None)) is not None:
+                exchange.missing, exchange.settled = True, True
+        elif isinstance(record, LineRecord) and record.lost:
+            self.give_up()
+
+    def give_up(self) -> None:
+        """No more will be known of those that wait."""
+        for exchange in self._waiting.values():
+            exchange.settled = True
+        self._waiting.clear()
+
+    def settled(self) -> Iterator[Exchange]:
+        """Yield those of which all is known; the last one may still get unasked bytes."""
+        while len(self.rest) > 1 and self.rest[0].settled:
+            yield self.rest.popleft()
+
+
+RUN: Final = 16  # frames that are the same, after which two streams count as aligned
+WINDOWS: Final = (64, 512)  # exchanges of each stream that are looked at for few edits
+FAR: Final = 20_000  # the same for many
+_READ_AT_ONCE: Final = 512  # exchanges that are read
+
+Keys = Sequence[tuple[str, bytes]]
+Step = tuple[bool, bool]
+"""Whether an exchange is taken from the left, and whether one is from the right."""
+
+Pair = tuple[Exchange | None, Exchange | None]
+
+
+def aligned(first: Iterator[Exchange], second: Iterator[Exchange]) -> Iterator[Pair]:
+    """Yield all exchanges of both in order: pairs with the same frame, or one alone."""
+    left, right = _Ahead(first), _Ahead(second)
+    while True:
+        one, other = left.next(), right.next()
+        if one is None or other is None:
+            break
+        if one.key == other.key:
+            yield left.taken(), right.taken()
+            continue
+        edits = (_edits(left.keys(few), right.keys(few), few) for few in WINDOWS)
+        steps = next(filter(None, edits), None) or _jump(left.keys(FAR), right.keys(FAR))
+        for to_left, to_right in steps:
+            yield left.taken() if to_left else None, right.taken() if to_right else None
+    while left.next() is not None:
+        yield left.taken(), None
+    while right.next() is not None:
+        yield None, right.taken()
+
+
+class _Ahead:
+    """A stream of which some of what comes next can be looked at."""
+
+    def __init__(self, stream: Iterator[Exchange]) -> None:
+        self._stream = stream
+        self._held: list[Exchange] = []
+        self._at = 0
+
+    def next(self) -> Exchange | None:
+        """What `taken` gives next, None at the end."""
+        if self._at == len(self._held):
+            self._held, self._at = list(islice(self._stream, _READ_AT_ONCE)), 0
+        return self._held[self._at] if self._held else None
+
+    def taken(self) -> Exchange:
+        """The next exchange, which is gone from the stream then."""
+        self._at += 1
+        return self._held[self._at - 1]
+
+    def keys(self, count: int) -> Keys:
+        """The keys of so many next exchanges, of fewer at the end."""
+        del self._held[: self._at]
+        self._at = 0
+        self._held += islice(self._stream, max(0, count - len(self._held)))
+        return [one.key for one in self._held[:count]]
+
+
+def _edits(left: Keys, right: Keys, window: int) -> list[Step] | None:
+    """The steps up to where the streams are aligned again; None where they are not in the window.
+
+    A stream with fewer keys than the window ends with them.
+    """
+    steps: list[Step] = []
+    matcher = SequenceMatcher(None, left, right, autojunk=False)
+    for _, begin, end, first, last in matcher.get_opcodes():
+        if left[begin:end] == right[first:last]:
+            steps += [(True, True)] * (end - begin)
+            if end - begin >= RUN:
+                return steps
+        else:
+            steps += [(True, False)] * (end - begin) + [(False, True)] * (last - first)
+    return steps if max(len(left), len(right)) < window else None
+
+
+def _jump(left: Keys, right: Keys) -> list[Step]:
+    """The steps to the next run that both streams have; half of all steps where there is none."""
+    places: dict[tuple[tuple[str, bytes], ...], int] = {}
+    for x in range(len(left) - RUN + 1):
+        places.setdefault(tuple(left[x : x + RUN]), x)
+    best: tuple[int, int] | None = None
+    for y in range(len(right) - RUN + 1):
+        if best and y >= sum(best):
+            break
+        found = places.get(tuple(right[y : y + RUN]))
+        if found is not None and (best is None or found + y < sum(best)):
+            best = found, y
+    to_left, to_right = best or ((len(left) + 1) // 2, (len(right) + 1) // 2)
+    return [(True, False)] * to_left + [(False, True)] * to_right
+
 
 TOLERANCE: Final = 20 * MS
 """Ns by which two latencies may differ: USB adapters hold bytes back for up to 16 ms."""

@@ -34,8 +34,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.decode.records import HostRecord
-    from bilprov.analyzer.edit.compare import Comparison, Difference
-    from bilprov.analyzer.edit.exchanges import Exchange
+    from bilprov.analyzer.edit.compare import Comparison, Difference, Exchange
     from bilprov.analyzer.totals.latencies import Spread
 
 SECOND = 1e9  # ns

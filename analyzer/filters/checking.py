@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 from bilprov.analyzer.filters import tree, values
 from bilprov.analyzer.filters.fields import Field, Kind, find, folded
 from bilprov.analyzer.filters.moments import Instant
-from bilprov.analyzer.filters.parts import FilterError, Part
+from bilprov.analyzer.filters.syntax import FilterError, Part
 from bilprov.analyzer.filters.values import kind_of, owners, refuse, refuse_part, shown
 from bilprov.spec.protocol import Protocol
 

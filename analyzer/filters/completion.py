@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bilprov.analyzer.filters.fields import Field, Kind, bytes_names, fields_of, find, folded
-from bilprov.analyzer.filters.parts import Part
-from bilprov.analyzer.filters.syntax import CLOSING, Place, place_at_end
+from bilprov.analyzer.filters.syntax import CLOSING, Part, Place, place_at_end
 from bilprov.spec.protocol import Protocol
 
 

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from bilprov.analyzer.filters import moments
 from bilprov.analyzer.filters.fields import Field, Kind, Value, fields_of, find, folded
-from bilprov.analyzer.filters.parts import FilterError, Part, octets_of
+from bilprov.analyzer.filters.syntax import FilterError, Part, octets_of
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 

@@ -23,7 +23,7 @@ from textual.worker import Worker, get_current_worker
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.filters.completion import completions
 from bilprov.analyzer.filters.filter import Filter, compile_filter
-from bilprov.analyzer.filters.parts import FilterError
+from bilprov.analyzer.filters.syntax import FilterError
 from bilprov.analyzer.grammar_file import grammar_words
 from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle, columns_of
 from bilprov.analyzer.replay.spool import new_name

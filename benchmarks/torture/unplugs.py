@@ -28,7 +28,7 @@ from benchmarks.torture.exits import items, replay_to
 from benchmarks.torture.harm import Harm, Progress, Row
 from benchmarks.torture.robots import served
 from benchmarks.torture.unplugged_taps import TAPPED, Unplugged
-from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
+from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import CaseMark, Line
 from bilprov.conformance.recheck import recheck

@@ -18,7 +18,7 @@ from bilprov.analyzer.client.probes import Probe, ProbeError
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
 from bilprov.analyzer.output.outputs import stream_output, write_out
-from bilprov.analyzer.replay.answers import FLOOD, FLOOD_WORDS, AnswerCheck
+from bilprov.analyzer.replay.comparison import FLOOD, FLOOD_WORDS, AnswerCheck
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.signals import Stopper

@@ -17,13 +17,13 @@ from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.outputs import stream_output, write_out
-from bilprov.analyzer.replay.answers import (
+from bilprov.analyzer.replay.comparison import (
     FLOOD_WORDS,
     UNANSWERED_STOPS,
     AnswerCheck,
+    ReplayRun,
     first_difference,
 )
-from bilprov.analyzer.replay.comparison import ReplayRun
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings

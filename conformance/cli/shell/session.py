@@ -15,7 +15,7 @@ from bilprov.analyzer.cli.options import (
     note_suspension,
 )
 from bilprov.analyzer.client.probes import PROBES, Probe, open_probe
-from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
+from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port

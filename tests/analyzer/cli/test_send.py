@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.adapter import Adapter
 from bilprov.analyzer.client.rest import stops
-from bilprov.analyzer.replay.answers import UNANSWERED_STOPS
+from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.replug import Place

@@ -19,7 +19,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.filters.moments import offset
-from bilprov.analyzer.filters.parts import FilterError
+from bilprov.analyzer.filters.syntax import FilterError
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event, conversation, decoded, hosts

@@ -16,7 +16,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.filters.moments import offset
-from bilprov.analyzer.filters.parts import FilterError
+from bilprov.analyzer.filters.syntax import FilterError
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol

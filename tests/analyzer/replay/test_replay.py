@@ -14,8 +14,12 @@ import pytest
 
 from benchmarks.adapter import Adapter
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.answers import UNANSWERED_STOPS, first_difference
-from bilprov.analyzer.replay.comparison import ReplayRun, differences
+from bilprov.analyzer.replay.comparison import (
+    UNANSWERED_STOPS,
+    ReplayRun,
+    differences,
+    first_difference,
+)
 from bilprov.analyzer.replay.playback import paced
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk, Line
