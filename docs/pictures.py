@@ -21,7 +21,7 @@ from rich.console import Console, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from bilprov.analyzer.cli.plot import plot
+from bilprov.analyzer.cli.stats import plot
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.asking import Answered, Reply, rates_of, told

@@ -262,7 +262,7 @@ def decode(options: DecodeOptions) -> None:
     including those that were not written while traffic was heavy. IN may come from an older version
     or from another program, and may be unfinished or damaged. Ctrl-C leaves no OUT.
     """
-    from bilprov.analyzer.edit.conversion import decoded_metadata, write_decoded
+    from bilprov.analyzer.edit.new_capture import decoded_metadata, write_decoded
 
     path, new = options.path, options.new
     (capture,), protocol = opened_captures([path], copied=True)

@@ -15,8 +15,12 @@ from msgspec.structs import replace
 from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
 from bilprov.analyzer.cli.options import compiled, filter_option, request_option, sender_option
 from bilprov.analyzer.cli.reading import opened_captures
-from bilprov.analyzer.cli.recorded_lines import are_json_lines, recorded_chunks
-from bilprov.analyzer.cli.typed_input import file_or_bytes, requests_typed
+from bilprov.analyzer.cli.typed_input import (
+    are_json_lines,
+    file_or_bytes,
+    recorded_chunks,
+    requests_typed,
+)
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.output.outputs import Shown, stream_output

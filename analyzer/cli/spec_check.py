@@ -10,8 +10,7 @@ import click
 
 from bilprov.analyzer.cli.command import argument, command
 from bilprov.analyzer.cli.options import note_each, sender_option, text_format_option
-from bilprov.analyzer.cli.recorded_lines import recorded_chunks
-from bilprov.analyzer.cli.typed_input import file_or_bytes
+from bilprov.analyzer.cli.typed_input import file_or_bytes, recorded_chunks
 from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol, not_carried

@@ -1,15 +1,24 @@
-"""Parses instructions (`LED rgb=5`) and hex bytes typed by a user."""
+"""Parses what a user types: instructions (`LED rgb=5`), hex bytes, files of recorded bytes.
+
+Recorded bytes are JSON lines like `{"t": 0.5, "dir": "host", "hex": "5556"}`, or hex text.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
+import msgspec
 
+from bilprov.analyzer.files import read_bounded
+from bilprov.analyzer.foreign import from_json
 from bilprov.captures.parts import kept_parts
+from bilprov.captures.schemas import Chunk, Direction
+from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement, build, free_parts
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.layout import Part
@@ -214,3 +223,70 @@ def bytes_from_hex(text: str) -> bytes:
     if not data:
         raise ValueError("there is no byte here; write bytes in hex, like 81 05")
     return bytes(data)
+
+
+_MOST = 1 << 26  # bytes of a file
+_LINE = 1 << 16  # bytes of its first line that are looked at
+
+
+class RecordedBytes(msgspec.Struct):
+    """A line of recorded bytes: its time in s, who sent them, and the bytes in hex.
+
+    The JSON lines of the kit have the key `direction`, null where a line has no bytes.
+    """
+
+    t: float
+    hex: str
+    dir: Direction | None = None
+    direction: Direction | None = None
+
+    @property
+    def sender(self) -> Direction:
+        """Who sent the bytes. Raises ValueError where the line does not tell it."""
+        found = self.dir or self.direction
+        if found is None:
+            raise ValueError("dir is missing, allowed are host and device")
+        return found
+
+
+def are_json_lines(path: Path) -> bool:
+    """Whether a file begins with a line that is a JSON object."""
+    with path.open("rb") as file:
+        line = file.readline(_LINE)
+    try:
+        return line.lstrip().startswith(b"{") and isinstance(json.loads(line), dict)
+    except ValueError:
+        return False
+
+
+def recorded_chunks(path: Path, sender: Direction) -> list[Chunk]:
+    """The bytes in a file of JSON lines, or of hex text from a sender. Raises ClickException."""
+    try:
+        text = read_bounded(path, _MOST).decode()
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is not text"
+        raise click.ClickException(
+            f"{printable(str(path))} cannot be read: {why}; name a capture (.mcap), JSON lines or "
+            "hex text"
+        ) from error
+    if not text.lstrip().startswith("{"):
+        try:
+            return [Chunk(0, sender, bytes_from_hex(text))]
+        except ValueError as error:
+            what = f"{printable(str(path))} is neither a capture nor JSON lines"
+            raise click.ClickException(f"{what}: {error}") from None
+    lines = enumerate(text.splitlines(), 1)
+    chunks = [_chunk(path, number, line) for number, line in lines if line.strip()]
+    return [chunk for chunk in chunks if chunk.data]
+
+
+def _chunk(path: Path, number: int, line: str) -> Chunk:
+    try:
+        row = from_json(line.encode(), RecordedBytes)
+        data = bytes.fromhex(row.hex)
+        return Chunk(round(row.t * 1e9), row.sender if data else "host", data)
+    except (ValueError, OverflowError) as error:
+        raise click.ClickException(
+            f"line {number} of {printable(str(path))} cannot be read: {error}; write "
+            '{"t": 0.5, "dir": "host", "hex": "5556"}'
+        ) from error

@@ -17,11 +17,10 @@ from os import PathLike
 from types import FrameType
 from typing import Self
 
-from bilprov.analyzer.client.driver import Driver, InstructionMethods, NoAnswer, RobotError
+from bilprov.analyzer.client.driver import Driver, InstructionMethods, NoAnswer, RobotError, Turns
 from bilprov.analyzer.client.operations import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.rest import Rest
-from bilprov.analyzer.client.turns import Turns
 from bilprov.analyzer.grammar_file import given_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings

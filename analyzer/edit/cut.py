@@ -27,8 +27,7 @@ from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.edit.new_capture import write_resumption
-from bilprov.analyzer.edit.recorded_values import (
+from bilprov.analyzer.edit.new_capture import (
     Timed,
     batched,
     copy_batch,
@@ -36,6 +35,7 @@ from bilprov.analyzer.edit.recorded_values import (
     first_state,
     size_of,
     timed,
+    write_resumption,
 )
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded

@@ -22,8 +22,16 @@ from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.edit.new_capture import decoding_metadata, said_of
-from bilprov.analyzer.edit.recorded_values import Timed, batched, copy_batch, parted, size_of, timed
+from bilprov.analyzer.edit.new_capture import (
+    Timed,
+    batched,
+    copy_batch,
+    decoding_metadata,
+    parted,
+    said_of,
+    size_of,
+    timed,
+)
 from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_settings
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter, grammar_metadata

@@ -1,4 +1,8 @@
-"""Makes the capture that an edit writes: complete under its name, or not there at all."""
+"""Makes the capture that an edit writes, complete under its name or not there at all.
+
+What an old capture holds is taken in batches, with the times at which a decoder takes it, and
+copied; or written with all that can be decoded from its bytes.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +10,119 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
-from bilprov.analyzer.decode.checkpoint import DecoderState, encoded
+from bilprov.analyzer.decode.checkpoint import DecoderState, encoded, encoded_or_none
 from bilprov.analyzer.decode.records import shapes_of
-from bilprov.analyzer.decode.session import SessionSettings
+from bilprov.analyzer.decode.session import Session, SessionSettings
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.files import replaced_whole
+from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_settings
-from bilprov.analyzer.replay.recorder import CHECKPOINT_STATE, RecordWriter, grammar_metadata
+from bilprov.analyzer.replay.recorder import (
+    CHECKPOINT_STATE,
+    Checkpoints,
+    RecordWriter,
+    grammar_metadata,
+)
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import MS, Checkpoint, Line
+from bilprov.captures.schemas import MS, Checkpoint, Chunk, Line, Recorded, Resumption, look_class
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
+
+_BATCH_VALUES = 1 << 12
+_BATCH_BYTES = 1 << 15
+
+
+class Timed(NamedTuple):
+    """A recorded value, and when it came as a decoder takes it (ns): never before another one."""
+
+    now: int
+    value: Recorded
+
+
+def timed(values: Iterator[Recorded], now: int) -> Iterator[Timed]:
+    """Yield recorded values, the first of which come at `now` (ns) or later, with their times."""
+    for value in values:
+        now = max(now, value.t)
+        yield Timed(now, value)
+
+
+def batched(values: Iterator[Timed]) -> Iterator[list[Timed]]:
+    """Yield values in lists of at most 4,096, with about 32 KiB of raw bytes.
+
+    No more is taken than is handed out: who stops in between can go on with the rest of `values`.
+    """
+    batch: list[Timed] = []
+    size = 0
+    for one in values:
+        batch.append(one)
+        size += len(one.value.data) if isinstance(one.value, Chunk) else 0
+        if len(batch) >= _BATCH_VALUES or size >= _BATCH_BYTES:
+            yield batch
+            batch, size = [], 0
+    if batch:
+        yield batch
+
+
+def parted(batches: Iterator[list[Timed]]) -> Iterator[list[Timed]]:
+    """Yield the batches in such parts that each Resumption is the first of one."""
+    for batch in batches:
+        begin = 0
+        for place, one in enumerate(batch):
+            if place > begin and isinstance(one.value, Resumption):
+                yield batch[begin:place]
+                begin = place
+        yield batch[begin:]
+
+
+def events_in(batch: list[Timed]) -> list[Chunk | Line]:
+    """The chunks and line events of a batch."""
+    return [one.value for one in batch if isinstance(one.value, Chunk | Line)]
+
+
+def size_of(batch: list[Timed]) -> int:
+    """How many raw bytes a batch holds."""
+    return sum(len(one.value.data) for one in batch if isinstance(one.value, Chunk))
+
+
+def write_values(out: RecordWriter, batch: list[Timed]) -> None:
+    """Write a batch as it is, but for checkpoints from which decoding need not go on."""
+    for one in batch:
+        if isinstance(one.value, Chunk | Line):
+            out.event(one.value)
+        elif not isinstance(one.value, Checkpoint):
+            out.write(one.value, one.value.t)
+
+
+def copy_batch(
+    out: RecordWriter,
+    decoder: StreamDecoder,
+    checkpoints: Checkpoints,
+    batch: list[Timed],
+    size: int,
+) -> int:
+    """Write and decode a batch, and write a checkpoint if one is due.
+
+    `size` raw bytes were copied before; returns how many are now.
+    """
+    write_values(out, batch)
+    decoder.feed(events_in(batch))
+    size += size_of(batch)
+    made = checkpoints.made(batch[-1].now, size, lambda: encoded_or_none(decoder.saved()))
+    if made:
+        out.write(made, made.t)
+    return size
+
+
+def first_state(decoder: StreamDecoder) -> DecoderState:
+    """The state of a decoder that was fed nothing since it was opened."""
+    state = decoder.saved()
+    assert state is not None  # boundaries are looked for only from a byte on
+    return state
 
 
 @contextmanager
@@ -126,3 +229,36 @@ def said_of(name: Path) -> str:
 def _milliseconds(t: int) -> str:
     short = f"{t / MS:g}"
     return short if float(short) * MS == t else repr(t / MS)
+
+
+def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
+    """The metadata of a capture for a copy whose records are those of this grammar."""
+    about = dict(capture.contents.metadata)
+    about.pop(topics.START_KEY, None)
+    return about | grammar_metadata(protocol)
+
+
+def write_decoded(
+    capture: Capture, protocol: Protocol, out: RecordWriter, progress: Progress
+) -> None:
+    """Write what was recorded, and every record that is decoded from it.
+
+    Where messages are lost, the `gap` stands in the new file. Checkpoints are made anew. `progress`
+    is told of the raw bytes of each message. Raises CaptureError as `Capture.events` and the writer
+    do.
+    """
+    session = Session(protocol, **capture_settings(capture, protocol))
+    checkpoints, size = Checkpoints(protocol.sha256), 0
+    for value in capture.recorded(looks=look_class(protocol.state_type)):
+        progress(len(value.data) if isinstance(value, Chunk) else 0)
+        if isinstance(value, Chunk | Line):
+            out.event(value)
+            for record in session.feed(value):
+                out.record(record)
+            size += len(value.data) if isinstance(value, Chunk) else 0
+            if made := checkpoints.made(value.t, size, lambda: encoded_or_none(session.saved())):
+                out.write(made, value.t)
+        elif not isinstance(value, Checkpoint):
+            out.write(value, value.t)
+    for record in session.finish():
+        out.record(record)

@@ -44,7 +44,7 @@ COMMANDS = {
     "sniff": Row("analyzer.sniff", "Listen to a line, decode and log it."),
     "replay": Row("analyzer.replay", "Look through a capture on a screen, or play it again."),
     "stats": Row("analyzer.stats", "Count frames, answers and faults in captures."),
-    "plot": Row("analyzer.plot", "Draw a capture over time, as a page."),
+    "plot": Row("analyzer.stats", "Draw a capture over time, as a page."),
     "export": Row("analyzer.export", "Write the contents of a capture for other programs."),
     "capture": Row(
         "",

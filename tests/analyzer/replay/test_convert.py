@@ -16,8 +16,7 @@ from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.edit.conversion import decoded_metadata, write_decoded
-from bilprov.analyzer.edit.new_capture import new_capture
+from bilprov.analyzer.edit.new_capture import decoded_metadata, new_capture, write_decoded
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, session_metadata
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures import topics
