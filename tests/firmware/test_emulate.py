@@ -5,11 +5,7 @@ from __future__ import annotations
 import json
 import select
 import signal
-import socket
-import subprocess
-import tempfile
 from collections.abc import Callable, Iterator
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from random import Random
@@ -24,10 +20,9 @@ from bilprov.conformance.dut.boards.paced import HELD, PacedBoard
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command, process
-from tests.support.firmware import AVR, built
-from tests.support.robots import PATIENCE, Served, emulate, sentence, unwell
-from tests.vectors import FRAMES
+from tests.support.commands import process
+from tests.support.firmware import AVR, built, compiled
+from tests.support.robots import PATIENCE, Served, emulate, unwell
 
 pytestmark = pytest.mark.waits
 
@@ -81,14 +76,9 @@ int main(void)
 """
 
 
-@cache
 def echo(switch: str = "NONE") -> Path:
     """Firmware that sends each byte back, at 115,200 baud; or not always, as the switch says."""
-    folder = Path(tempfile.mkdtemp(prefix="bilprov-echo-"))
-    (folder / "echo.c").write_text(FIRMWARE)
-    words = ["avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-Os", f"-D{switch}"]
-    subprocess.run([*words, "-o", "echo.elf", "echo.c"], cwd=folder, check=True)
-    return folder / "echo.elf"
+    return compiled(FIRMWARE, f"-D{switch}")
 
 
 # -- in virtual time ------------------------------------------------------------------------------
@@ -297,17 +287,6 @@ def robot() -> Iterator[Served]:
         yield served
 
 
-@AVR
-def test_pyserial_gets_the_answers_of_the_document_from_its_pty(robot: Served) -> None:
-    with opened(robot.port) as port:
-        for vector in FRAMES:
-            port.write(vector.frame)
-            assert port.read(1) == bytes([vector.code]), vector.frame.hex()
-        port.write(b"\x00")
-        assert port.read(1) == b"\x00"
-        assert port.in_waiting == 0
-
-
 LOOK = ("moving", "motion", "led", "left", "right")
 
 
@@ -377,29 +356,3 @@ def test_the_wire_has_the_baud_of_the_grammar(
         assert result.exception is None
 
     assert times[1] - times[0] >= 900_000
-
-
-@AVR
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["{elf}", "--fault", "always-0"], "--fault and --variant do not apply"),
-        (["{elf}", "{elf}"], "got unexpected extra argument"),
-        (["{elf}", "--listen", "nowhere"], "the address is 'nowhere', allowed is HOST:PORT"),
-        (["{elf}", "--pty", "--probe-listen", "{taken}"], "is in use by another program"),
-        (["no\x1b[31mne.elf"], "cannot be read (No such file or directory)"),
-        (["{empty}"], "crashes before it begins: check that the file is complete"),
-    ],
-)
-def test_wrong_use_is_one_sentence(arguments: list[str], words: str, tmp_path: Path) -> None:
-    empty = tmp_path / "empty.elf"  # its headers, and no instruction but "do nothing"
-    empty.write_bytes(built().read_bytes()[:148].ljust(1 << 16, b"\0"))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        taken = f"127.0.0.1:{listener.getsockname()[1]}"
-        given = [word.format(elf=built(), taken=taken, empty=empty) for word in arguments]
-        result = command("simulate", "--firmware", *given)
-
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert len(result.stderr.splitlines()) == 1
-    assert words in sentence(result)
-    assert b"\x1b" not in result.stderr

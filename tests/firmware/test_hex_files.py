@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
 
 import pytest
 
@@ -15,9 +13,8 @@ from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from tests.support.commands import command
-from tests.support.firmware import AVR
-from tests.support.robots import PATIENCE, Served, emulate, sentence
+from tests.support.firmware import AVR, END, compiled, record
+from tests.support.robots import PATIENCE, Served, emulate
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
@@ -57,25 +54,12 @@ int main(void)
 """
 
 
-@cache
 def counting(at: int = 0) -> Path:
     """A HEX file of that firmware, linked for a section that begins at an address."""
-    folder = Path(mkdtemp(prefix="bilprov-counts-"))
-    (folder / "counts.c").write_text(COUNTS)
-    words = ["avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-Os"]
-    section = f"-Wl,--section-start=.text={at:#x}"
-    subprocess.run([*words, section, "-o", "counts.elf", "counts.c"], cwd=folder, check=True)
-    copying = ["avr-objcopy", "-O", "ihex", "counts.elf", "counts.hex"]
-    subprocess.run(copying, cwd=folder, check=True)
-    return folder / "counts.hex"
-
-
-def record(offset: int, kind: int, data: bytes) -> str:
-    raw = bytes([len(data), offset >> 8, offset & 0xFF, kind]) + data
-    return f":{(raw + bytes([-sum(raw) & 0xFF])).hex().upper()}\n"
-
-
-END = record(0, 1, b"")
+    elf = compiled(COUNTS, f"-Wl,--section-start=.text={at:#x}")
+    file = elf.with_suffix(".hex")
+    subprocess.run(["avr-objcopy", "-O", "ihex", elf, file], check=True)
+    return file
 
 
 @pytest.mark.parametrize(
@@ -107,53 +91,6 @@ def test_lines_may_end_as_on_windows_and_the_start_may_be_given(tmp_path: Path) 
 
     assert read_firmware(file, SIZE).start == 0x7C00
     assert read_firmware(file, SIZE, start=0x7C02).start == 0x7C02
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (record(0, 0, b"abcd"), "is cut off: its last record is missing"),
-        (END, "puts nothing into the flash"),
-        (record(0x7FFE, 0, b"abcd") + END, "needs 32770 bytes of flash, and the board has 32768"),
-        (record(0, 0, b"abcd")[:-3] + "\n" + END, "damaged in line 1"),
-        (record(0, 0, b"abcd").replace("61", "62") + END, "damaged in line 1"),
-        (record(0, 4, b"a") + END, "damaged in line 1"),
-        (record(0, 0, b"abcd") + "no record\n" + END, "damaged in line 2"),
-        (record(0, 3, bytes([0, 0, 0x7C, 0])) + record(0, 0, b"ab") + END, "instruction at 0x7c00"),
-    ],
-)
-def test_a_damaged_file_is_one_sentence(tmp_path: Path, text: str, words: str) -> None:
-    file = tmp_path / "a.hex"
-    file.write_text(text)
-
-    result = command("simulate", "--firmware", str(file))
-
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert words in sentence(result)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--start", "0x7c00"], "give --firmware too"),
-        (["--firmware", "{hex}", "--start", "boot"], "write it like 0x7c00 or 31744"),
-        (["--firmware", "{hex}", "--start", "0x7f00"], "no instruction at 0x7f00"),
-        (["--firmware", "{hex}", "--start", "-2"], "no instruction at -0x2"),
-        (["--firmware", "{hex}", "--start", "1"], "no instruction at 0x1"),
-        (
-            ["--grammar", "stk500v1", "--firmware", "{hex}", "--probe-listen", "127.0.0.1:0"],
-            "leave out --probe-listen",
-        ),
-    ],
-)
-def test_wrong_use_is_one_sentence(tmp_path: Path, arguments: list[str], words: str) -> None:
-    file = tmp_path / "a.hex"
-    file.write_text(record(0, 0, b"abcd") + END)
-
-    result = command("simulate", *(word.format(hex=file) for word in arguments))
-
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert words in sentence(result)
 
 
 # -- in virtual time ------------------------------------------------------------------------------

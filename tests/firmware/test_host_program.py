@@ -14,7 +14,6 @@ from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from tests.support.firmware import built, make, needs
 from tests.support.robots import PATIENCE
-from tests.vectors import FRAMES
 
 pytestmark = pytest.mark.waits
 
@@ -45,12 +44,6 @@ def ran(program: Path, data: bytes, *words: str) -> tuple[int, bytes, bytes]:
             [program, *words], stdin=line, capture_output=True, timeout=PATIENCE, check=False
         )
     return done.returncode, done.stdout, done.stderr
-
-
-@HOST
-def test_the_program_answers_the_frames_of_the_document(program: Path) -> None:
-    for vector in FRAMES:
-        assert ran(program, vector.frame) == (0, bytes([vector.code]), b""), vector
 
 
 @HOST

@@ -72,3 +72,22 @@ def built(switches: str = "", target: str = "uno") -> Path:
     shutil.copy2(_header(), out)
     make(out, target, f"BUGS={switches}")
     return out / f"{target}.elf"
+
+
+def record(offset: int, kind: int, data: bytes) -> str:
+    """A line of Intel HEX."""
+    raw = bytes([len(data), offset >> 8, offset & 0xFF, kind]) + data
+    return f":{(raw + bytes([-sum(raw) & 0xFF])).hex().upper()}\n"
+
+
+END = record(0, 1, b"")
+
+
+@cache
+def compiled(source: str, *words: str) -> Path:
+    """The ELF file of a program for the board's chip; `words` are more options of the compiler."""
+    folder = Path(tempfile.mkdtemp(prefix="bilprov-compiled-"))
+    (folder / "a.c").write_text(source)
+    fixed = ["avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-Os", "-o", "a.elf", "a.c"]
+    subprocess.run([*fixed, *words], cwd=folder, check=True)
+    return folder / "a.elf"
