@@ -26,10 +26,11 @@ from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_n
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.topics import CAR_STATE
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.arrays.requests import request_tables
+from bilprov.spec.arrays.states import Known
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.tables import frame_tables
 
 OUTCOMES, MOTIONS = tuple(Outcome), tuple(Motion)
 
@@ -48,19 +49,22 @@ class Columns(NamedTuple):
 
 def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
     """The function from whole host frames to columns."""
-    found = frame_tables(protocol)
+    tables = request_tables(protocol)
 
     def decode(data: bytes) -> list[Columns]:
         buffer, at, columns = numpy.frombuffer(data, numpy.uint8), 0, []
-        state = list(protocol.power_on.codes)
+        state = protocol.power_on
         while at < len(data):
             part = buffer[at : at + _PART]
-            offsets, used = found.offsets(part)
-            frames = found.frames(part, offsets)
-            states = {name: found.state(name, part, frames, state) for name in CAR_STATE.variables}
-            columns.append(Columns(frames.verdict, states))
-            state = [int(column[-1]) for column in states.values()]
-            at += used or len(data)
+            found = tables.cut(part, 0)
+            known = Known(state, None)
+            states = {
+                name: tables.states.column(name, part, found.requests, known)
+                for name in CAR_STATE.variables
+            }
+            columns.append(Columns(found.requests.verdict, states))
+            state = state.of_codes([int(column[-1]) for column in states.values()])
+            at += found.end or len(data)
         return columns
 
     return decode

@@ -187,7 +187,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         clause=clause,
         reading=reading,
         truncated=arrived < length,
-        key=frame[0],
+        key=protocol.key_of(identity),
         registers=_registers(protocol, instruction, frame[1:], fields),
     )
 

@@ -298,18 +298,16 @@ class Protocol:
     def keys(self) -> tuple[int, ...]:
         """The ID of each `Judgement.key`; -1 where it stands for no ID.
 
-        A key is a header byte; elsewhere the ID itself, as long as those of all instructions are
-        below 255, or the place of the instruction. 255 stands for all others then.
+        A key is the ID itself, as long as those of all instructions are below 255, or the place of
+        the instruction. 255 stands for all others then.
         """
-        if self.plain:
-            return tuple(identity for identity, _ in self.headers)
         if all(spec.id < 255 for spec in self.instructions):
             return (*range(255), -1)
         used = [spec.id for spec in self.instructions[:255]]
         return (*used, *[-1] * (256 - len(used)))
 
     def key_of(self, identity: int | None) -> int:
-        """The key of an ID, where it is not the header byte; 255 for one without a key."""
+        """The key of an ID; 255 for one without a key."""
         return self._key_of.get(identity, 255)
 
     @cached_property

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import msgspec
+from msgspec.structs import replace
 
 from bilprov.spec.codec import (
     Judgement,
@@ -122,9 +123,22 @@ def read_reply(
     if way is None:
         usual = next(_ways(protocol, asked, frame))
         return Reply(frame, None, (), reason=_unlike(usual.layout, frame, values))
+    reason = "" if right else _damage(protocol, way.layout, frame, asked)
+    checked = way.layout.check is not None and not way.layout.check.asked
+    open_end = alone and not checked and _size(protocol, way, frame, asked, values) is None
+    return replace(read_as(protocol, way, frame, asked, reason), open_end=open_end)
+
+
+def read_as(
+    protocol: Protocol, way: Way, frame: bytes, asked: Judgement | None, reason: str = ""
+) -> Reply:
+    """Read an answer that is laid out in this way; the data of one that is damaged are left out.
+
+    `asked` is its request, None if there is none, and `reason` tells how it is damaged.
+    """
+    values = asked_values(protocol, asked) if asked else {}
     layout = way.layout
     names, response = meaning(protocol, layout.code_of(frame))
-    reason = "" if right else _damage(protocol, layout, frame, asked)
     fields: tuple[tuple[str, Any], ...] = ()
     registers: Registers = ()
     specs: tuple[FieldSpec, ...] = ()
@@ -140,18 +154,15 @@ def read_reply(
                 registers = registers_in(protocol, told, way.data, data, values)
         elif has_some:
             reason = f"it has {len(data)} data bytes, {needed} are due"
-    address = layout.address_of(frame)
-    checked = layout.check is not None and not layout.check.asked
     return Reply(
         frame,
         response,
         names,
         fields,
-        address,
+        layout.address_of(frame),
         reason,
         layout.head,
         layout.tail,
-        open_end=alone and not checked and _size(protocol, way, frame, asked, values) is None,
         registers=registers,
         specs=specs,
     )

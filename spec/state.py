@@ -27,6 +27,9 @@ _MOST = 30  # variables, and words or bits of one
 NOT_KNOWN = -(1 << 62)
 """The number of a value that is not known."""
 
+OTHERS = -1
+"""Stands for the address of every device that was not addressed yet."""
+
 _Made: TypeAlias = tuple[str, tuple[str, ...], bool, bool]
 """A variable, its words, whether it has a sign, whether it may be not known."""
 

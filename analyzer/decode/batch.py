@@ -25,8 +25,8 @@ from bilprov.analyzer.decode.records import (
     serious_faults,
 )
 from bilprov.captures.schemas import FrameKind
-from bilprov.spec.state import NOT_KNOWN, State
-from bilprov.spec.tables import OUTCOMES, VALID, moving
+from bilprov.spec.arrays.layouts import OUTCOMES, VALID
+from bilprov.spec.state import NOT_KNOWN, AnyOf, State
 
 Mask: TypeAlias = NDArray[np.bool_]
 Integers: TypeAlias = NDArray[np.integer]
@@ -108,9 +108,15 @@ class StateColumns:
     @property
     def moving(self) -> Mask:
         """Whether the device is not at rest; nowhere if the grammar does not say when it is."""
-        if self.kind.at_rest is None:
+        at_rest = self.kind.at_rest
+        if at_rest is None:
             return np.zeros(self._count, np.bool_)
-        return moving(self.kind, self.__getitem__)
+        terms = [
+            self[name] == self.kind.code(name, value) for name, value in at_rest.values.items()
+        ]
+        both = np.logical_or if isinstance(at_rest, AnyOf) else np.logical_and
+        found: Mask = np.logical_not(both.reduce(terms))
+        return found
 
     def states(self) -> list[State]:
         """The state of each row as it is written; neighbours with one state share one object."""
@@ -135,8 +141,9 @@ class HostRows:
     `t`, `end` and `known` (ns) are the times of the first and the last byte, and when it was known
     that no more follow. A row has `size` bytes of `data` from `offset` on. `kind` is a place in
     `KINDS`, `verdict` one in `OUTCOMES` or NO_VERDICT, `sequence` the instruction's number or -1.
-    `reasons` gives the reasons why some rows are faulty. `keys` are those of `Judgement.key`; None
-    if that is the first byte. `due` tells to which an answer is due; None: to every frame.
+    `reasons` gives the reasons why some rows are faulty. `header` is the key of each row, as
+    `Judgement.key`, whose ID is in `Protocol.keys`. `due` tells to which an answer is due; None: to
+    every frame.
     """
 
     t: NDArray[np.int64]
@@ -150,16 +157,11 @@ class HostRows:
     sequence: NDArray[np.int64]
     states: StateColumns
     reasons: Callable[[NDArray[np.int64]], Sequence[str]]
-    keys: NDArray[np.uint8] | None = None
-    due: Mask | None = None
+    header: NDArray[np.uint8]
+    due: Mask | None
 
     def __len__(self) -> int:
         return len(self.t)
-
-    @cached_property
-    def header(self) -> NDArray[np.uint8]:
-        """The key of each row, whose ID is in `Protocol.keys`."""
-        return self.data.take(self.offset) if self.keys is None else self.keys
 
     @cached_property
     def faults(self) -> Kinds:
@@ -390,7 +392,7 @@ class Records(Batch):
             sequence=_numbers([record.sequence for record in listed]),
             states=_states_of(listed),
             reasons=lambda rows: [listed[row].reason for row in rows.tolist()],
-            keys=_keys(listed),
+            header=np.array([one.key if one else 255 for one in judged], np.uint8),
             due=np.array([bool(one and one.answer_due) for one in judged], np.bool_),
         )
 
@@ -486,14 +488,6 @@ def _states_of(records: Sequence[HostRecord] | Sequence[DeviceRecord]) -> StateC
         return np.array(values) if values else np.zeros(0, np.int64)
 
     return StateColumns(kind, len(records), made)
-
-
-def _keys(records: Sequence[HostRecord]) -> NDArray[np.uint8] | None:
-    """The keys of records; None where they are the first bytes."""
-    judged = [record.judgement for record in records]
-    if not any(one.framed for one in judged if one):
-        return None
-    return np.array([one.key if one else 0 for one in judged], np.uint8)
 
 
 def _wide(records: Sequence[DeviceRecord]) -> WideAnswers | None:

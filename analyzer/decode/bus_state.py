@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.state import Assigned, State, after
-
-OTHERS = -1
-"""Stands for the address of every device that was not addressed yet."""
+from bilprov.spec.state import OTHERS, Assigned, State, after
 
 
 class BusState:

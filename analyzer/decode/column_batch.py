@@ -1,12 +1,11 @@
-"""What batches of regular traffic have in common, whatever the layout of frames is. Needs numpy."""
+"""Regular traffic in columns. Needs numpy."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import repeat
 from typing import Any, Self
 
@@ -14,26 +13,74 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.analyzer.decode import anomalies
-from bilprov.analyzer.decode.batch import Batch, OtherRows, Selection, repeated
+from bilprov.analyzer.decode.batch import (
+    INSTRUCTION,
+    Batch,
+    DeviceRows,
+    HostRows,
+    OtherRows,
+    Selection,
+    StateColumns,
+    WideAnswers,
+    repeated,
+    sliced,
+)
+from bilprov.analyzer.decode.decoder import paired_record
+from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.schemas import Line
+from bilprov.spec.arrays.answers import Answers, AnswerTables
+from bilprov.spec.arrays.layouts import Requests
+from bilprov.spec.arrays.requests import RequestTables
+from bilprov.spec.arrays.states import Known
 from bilprov.spec.codec import Judgement
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import Reply, read_as, usual_way
 from bilprov.spec.state import State
+from bilprov.spec.steps import Steps
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """What decoding into columns rests on: the protocol, its tables, and the session's settings.
+
+    `skew` and `late` (the answer's deadline) are in ns.
+    """
+
+    protocol: Protocol
+    requests: RequestTables
+    answers: AnswerTables
+    steps: Steps
+    skew: int
+    late: int
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnBatch(Batch):
-    """Regular traffic as arrays; a subclass says how its frames are laid out.
+    """Regular traffic as arrays: every frame is whole, every answer is to the request in turn.
 
-    `start` (ns) is when the first byte of each new frame came, `t` (ns) that of each answer;
-    `device_after` new frames come before it. `before` is the state before the new frames. Before
-    each of the `lines` come `line_after` new frames and `line_heard` answers.
+    `data` are the host's bytes and `heard` the device's. The `requests` are the new frames, which
+    came from `start` to `end` (ns); the first has the number `first`. Answer j of `answers`, whose
+    first byte came at `t` (ns), is to the frame of row j of `asked`, which has the number
+    `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. `before` is
+    the state before the new frames. Before each of the `lines` come `line_after` new frames and
+    `line_heard` answers.
     """
 
+    decoding: Decoding
+    data: NDArray[np.uint8]
+    heard: NDArray[np.uint8]
+    requests: Requests
+    first: int
     start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    asked: Requests
+    asked_end: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+    answers: Answers
     t: NDArray[np.int64]
     device_after: NDArray[np.int64]
-    before: State
+    before: Known
     lines: Sequence[Line]
     line_after: NDArray[np.int64]
     line_heard: NDArray[np.int64]
@@ -45,18 +92,73 @@ class ColumnBatch(Batch):
     def __len__(self) -> int:
         return len(self.start) + len(self.t) + len(self.lines)
 
-    @abstractmethod
-    def _host_judgements(self, rows: NDArray[np.int64]) -> Sequence[Judgement]:
-        """The judgements of some of the new frames."""
+    @cached_property
+    def hosts(self) -> HostRows:
+        """The host's rows."""
+        count, alone, tables = len(self.start), self._alone, self.decoding.requests
+        return HostRows(
+            t=self.start,
+            end=self.end,
+            known=self.end,
+            kind=np.broadcast_to(np.uint8(INSTRUCTION), count),
+            data=self.data,
+            offset=self.requests.offset,
+            size=self.requests.size,
+            verdict=self.requests.verdict,
+            sequence=self.first + np.arange(count),
+            states=StateColumns(type(self.before.state), count, alone._host_states),
+            reasons=lambda rows: [one.reason for one in alone._judgements(rows)],
+            header=tables.keys.take(self.requests.kind),
+            due=tables.due(self.data, self.requests),
+        )
 
-    @abstractmethod
-    def _answers(self, rows: NDArray[np.int64], states: list[State]) -> list[DeviceRecord]:
-        """The records of some of the device's rows, in these states."""
+    @cached_property
+    def devices(self) -> DeviceRows:
+        """The device's rows."""
+        count, alone, tables = len(self.t), self._alone, self.decoding
+        plain, verdict = tables.protocol.plain, self.asked.verdict
+        agrees = tables.answers.agree(self.asked, self.answers)
+        latency = self.t - self.asked_end
+        late = latency > tables.late
+
+        def sort(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+            """Rows with the same number have the same kinds of anomalies."""
+            wrong: NDArray[np.int64] = (
+                512 * verdict[rows].astype(np.int64) + alone.answers.code[rows]
+            )
+            return late[rows] * (1 << 18) + wrong
+
+        return DeviceRows(
+            t=self.t,
+            byte=self.answers.code if plain else tables.answers.bytes.take(self.answers.code),
+            sequence=self.sequence,
+            header=tables.requests.keys.take(self.asked.kind),
+            verdict=verdict,
+            latency=latency,
+            agrees=agrees.view(np.int8),
+            odd=~agrees | late | (latency < 0),
+            states=StateColumns(
+                type(self.before.state), count, partial(alone._device_states, self.hosts.states)
+            ),
+            samples=alone._samples,
+            sort=sort,
+            wide=None if plain else self._wide,
+        )
 
     @property
-    @abstractmethod
-    def _states(self) -> NDArray[np.object_]:
-        """The state before the new frames, and after each of them."""
+    def _wide(self) -> WideAnswers:
+        answers, tables = self.answers, self.decoding.answers
+        fields_at, fields_size = tables.fields(self.asked.kind, answers)
+        return WideAnswers(
+            data=self.heard,
+            offset=answers.offset,
+            size=answers.size,
+            name=answers.code,
+            names=tables.names,
+            fields_at=fields_at,
+            fields_size=fields_size,
+            address=tables.addresses(self.asked.kind, self.heard, answers),
+        )
 
     @cached_property
     def others(self) -> OtherRows:
@@ -99,7 +201,7 @@ class ColumnBatch(Batch):
     def _host_records(self, rows: NDArray[np.int64]) -> Iterator[HostRecord]:
         hosts = self.hosts
         end = objects(hosts.end[rows])
-        judged = self._host_judgements(rows)
+        judged = self._judgements(rows)
         return map(
             HostRecord,
             objects(hosts.t[rows]),
@@ -113,7 +215,84 @@ class ColumnBatch(Batch):
         )
 
     def _samples(self, rows: NDArray[np.int64]) -> list[DeviceRecord]:
-        return self._answers(rows, [self.before] * len(rows))
+        return self._answers(rows, [self.before.state] * len(rows))
+
+    def _answers(self, rows: NDArray[np.int64], states: list[State]) -> list[DeviceRecord]:
+        """The records of some of the device's rows, in these states."""
+        tables, hosts, end = self.decoding, self.devices, self.asked_end[rows]
+        code = self.answers.code[rows]
+        judged = self._asked_judgements(rows)
+        made = list(
+            map(
+                DeviceRecord,
+                objects(self.t[rows]),
+                hosts.byte[rows].tolist(),
+                map(tables.answers.responses.__getitem__, code.tolist()),
+                judged,
+                self.sequence[rows].tolist(),
+                objects(hosts.latency[rows]),
+                repeat(True),
+                states,
+                repeat(()),
+                repeat(None) if tables.protocol.plain else self._replies(rows, judged),
+            )
+        )
+        for at in np.flatnonzero(hosts.odd[rows]).tolist():
+            one = made[at]
+            assert one.answered is not None
+            assert one.instruction is not None
+            waiting = Waiting(one.instruction, int(end[at]), int(end[at]), one.answered)
+            held = Held(one.t, one.byte, one.reply)
+            made[at] = paired_record(tables.protocol, held, waiting, tables.skew, one.state)
+        return made
+
+    def _replies(self, rows: NDArray[np.int64], judged: Sequence[Judgement]) -> Iterator[Reply]:
+        """The answers of several bytes to these frames."""
+        protocol = self.decoding.protocol
+        frames = sliced(self.heard, self.answers.offset[rows], self.answers.end[rows])
+        for frame, asked in zip(frames, judged, strict=True):
+            yield read_as(protocol, usual_way(protocol, asked.instruction), frame, asked)
+
+    def _asked_judgements(self, rows: NDArray[np.int64]) -> list[Judgement]:
+        """The judgements of the frames that some of the device's rows answer."""
+        new = self.sequence[rows] - self.first
+        carried = int(np.searchsorted(new, 0))
+        before = self._judged(self.asked.rows(rows[:carried]))
+        return [*before, *self._judgements(new[carried:])]
+
+    def _judgements(self, rows: NDArray[np.int64]) -> list[Judgement]:
+        """The judgements of some of the new frames."""
+        if 2 * len(rows) < len(self.start):
+            return self._judged(self.requests.rows(rows))
+        judged: list[Judgement] = self._all_judged.take(rows).tolist()
+        return judged
+
+    @cached_property
+    def _all_judged(self) -> NDArray[np.object_]:
+        """The judgements of all new frames, which the records of both sides have."""
+        judged = self._judged(self.requests)
+        return np.fromiter(judged, object, len(judged))
+
+    def _judged(self, requests: Requests) -> list[Judgement]:
+        steps = self.decoding.steps
+        return [
+            steps[frame].judgement for frame in sliced(self.data, requests.offset, requests.end)
+        ]
+
+    def _host_states(self, variable: str) -> NDArray[Any]:
+        tables = self.decoding.requests.states
+        return tables.column(variable, self.data, self.requests, self.before)
+
+    def _device_states(self, hosts: StateColumns, variable: str) -> NDArray[Any]:
+        column, before = hosts[variable], self.before.state
+        first = before.code(variable, getattr(before, variable))
+        return np.append(np.array([first], column.dtype), column).take(self.after)
+
+    @cached_property
+    def _states(self) -> NDArray[np.object_]:
+        """The state before the new frames, and after each of them."""
+        states = [self.before.state, *self.hosts.states.states()]
+        return np.fromiter(states, object, len(states))
 
     def _states_after(self, after: NDArray[np.int64]) -> list[State]:
         states: list[State] = self._states.take(after).tolist()

@@ -291,9 +291,7 @@ class Decoder:
 
     @property
     def begun(self) -> list[Chunk]:
-        """The host's bytes of a frame of any layout that is not complete, as they came."""
-        if self._protocol.plain:
-            return []
+        """The host's bytes of a frame that is not complete, as they came."""
         return [Chunk(t, "host", data) for t, data in self._framer.reads]
 
     def hold(self, chunks: Iterable[Chunk]) -> None:

@@ -7,8 +7,8 @@ goes on from the state in which the one before it has ended. numpy is loaded wit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
-from typing import Protocol as Interface
+from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.records import Record
@@ -18,6 +18,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.decode.batch import Batch
+    from bilprov.analyzer.decode.columns import Carry, ColumnDecoder
     from bilprov.captures.events import Events
 
 LEAST = 512
@@ -32,20 +33,10 @@ _SHORTEST = 64  # events tried at once after an irregular one
 
 def preload(protocol: Protocol) -> None:
     """Make now what decoding needs, and not in the first busy moment of a line."""
-    from bilprov.analyzer.decode.regular import prepare
+    from bilprov.spec.arrays.requests import request_tables
 
-    prepare(protocol)
-
-
-class _ColumnDecoder(Interface):
-    """A decoder of regular traffic; what one batch leaves to the next is its carry."""
-
-    def carry(self, state: DecoderState, begun: Sequence[Chunk]) -> Any: ...
-    def state(self, carry: Any) -> DecoderState: ...
-    def begun(self, carry: Any) -> list[Chunk]: ...
-    def saved(self, carry: Any) -> DecoderState | None: ...
-    def deadline(self, carry: Any) -> int | None: ...
-    def decode(self, before: Any, events: Events) -> tuple[Batch, int, Any]: ...
+    with suppress(OverflowError):  # its state fits into no column
+        request_tables(protocol)
 
 
 class StreamDecoder:
@@ -70,9 +61,9 @@ class StreamDecoder:
         )
         self._protocol = protocol
         self._settings = timeout, skew, heard >= BOTH
-        self._regular: _ColumnDecoder | None = None
+        self._regular: ColumnDecoder | None = None
         self._unfit = False  # whether this protocol's state does not fit into columns
-        self._carry: Any = None  # what the last batch left, while the Session rests
+        self._carry: Carry | None = None  # what the last batch left, while the Session rests
         self._direct = _FEWEST
         self._window = _MOST
 
@@ -171,16 +162,16 @@ class StreamDecoder:
         self._carry = regular.carry(state, self._session.begun)
         return self._carry is not None
 
-    def _load(self) -> _ColumnDecoder | None:
+    def _load(self) -> ColumnDecoder | None:
         """Make the decoder into columns; None for a protocol that does not fit into them."""
         if self._regular is None and not self._unfit:
-            from bilprov.analyzer.decode.framed import FramedDecoder
-            from bilprov.analyzer.decode.regular import RegularDecoder
+            from bilprov.analyzer.decode.columns import ColumnDecoder
 
             timeout, skew, paired = self._settings
-            kind = RegularDecoder if self._protocol.plain else FramedDecoder
             try:
-                self._regular = kind(self._protocol, timeout=timeout, skew=skew, paired=paired)
+                self._regular = ColumnDecoder(
+                    self._protocol, timeout=timeout, skew=skew, paired=paired
+                )
             except OverflowError:
                 self._unfit = True
         return self._regular

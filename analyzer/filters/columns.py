@@ -27,13 +27,19 @@ from bilprov.analyzer.decode.json_lines import JsonLine
 from bilprov.analyzer.filters.fields import Kind, fields_of
 from bilprov.analyzer.filters.moments import DAY, STEP, offset
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
-from bilprov.spec.arrays.layouts import part_values
+from bilprov.spec.arrays.layouts import (
+    BAD_DATA,
+    OUTCOMES,
+    VALID,
+    WIDEST,
+    field_values,
+    part_values,
+)
 from bilprov.spec.codec import judge
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.layout import Role
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import NOT_KNOWN
-from bilprov.spec.tables import BAD_DATA, OUTCOMES, VALID, WIDEST, field_values
 
 
 class Numbers(NamedTuple):
@@ -284,17 +290,10 @@ class _Carried(NamedTuple):
 def _requests(protocol: Protocol, rows: HostRows) -> Iterator[tuple[DataSpec, _Carried]]:
     """The data of each instruction that has some, and the rows with it."""
     head, tail = protocol.layout.head, protocol.layout.tail
-    judged = rows.kind == INSTRUCTION
-    if not protocol.plain:
-        judged &= (rows.verdict == VALID) | (rows.verdict == BAD_DATA)
+    judged = (rows.kind == INSTRUCTION) & np.isin(rows.verdict, (VALID, BAD_DATA))
     for spec in protocol.instructions:
         if spec.fields:
-            key = (
-                protocol.header_bytes[spec.id, spec.length]
-                if protocol.plain
-                else protocol.key_of(spec.id)
-            )
-            found = np.flatnonzero(judged & (rows.header == key))
+            found = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
             size = rows.size[found] - head - tail
             yield spec.data, _Carried(found, rows.offset[found] + head, size)
 

@@ -9,7 +9,7 @@ from typing import Any
 import zstandard
 
 from bilprov.analyzer.decode.batch import Batch
-from bilprov.analyzer.decode.regular import Decoding
+from bilprov.analyzer.decode.column_batch import Decoding
 from bilprov.spec.protocol import InstructionSpec, ResponseSpec
 
 _LEVEL = 1  # of zstd

@@ -25,8 +25,8 @@ from bilprov.analyzer.decode.records import LineRecord, serious_faults
 from bilprov.analyzer.totals.latencies import Latencies, Spread
 from bilprov.analyzer.totals.moving import MovingTime
 from bilprov.analyzer.totals.rates import SECOND, Rates
+from bilprov.spec.arrays.layouts import OUTCOMES
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
-from bilprov.spec.tables import OUTCOMES
 
 DAMAGED = "damaged"
 """Stands for the name of an answer that has none, since it is damaged."""
@@ -76,7 +76,7 @@ class Totals:
         # By key of a frame: its ID, and the group of its latencies. Unused IDs share one where they
         # are many.
         self._ids = np.array(protocol.keys, np.int64)
-        apart = sorted(protocol.keys if protocol.plain else protocol.by_id)
+        apart = protocol.ids if protocol.plain else sorted(protocol.by_id)
         places = {identity: place for place, identity in enumerate(dict.fromkeys(apart))}
         groups = [places.get(identity, len(places)) for identity in protocol.keys]
         self._groups = np.array(groups, np.int64)

@@ -5,15 +5,18 @@ An answer in the layout of errors is not: what it is depends on all the ways to 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bilprov.spec.arrays.checks import Checking
 from bilprov.spec.arrays.layouts import (
+    OUTCOMES,
     Bytes,
     Mask,
     Places,
+    Requests,
     Told,
     checks_hold,
     constants_hold,
@@ -23,12 +26,12 @@ from bilprov.spec.arrays.layouts import (
     size_by_byte,
     sizes_by_request,
 )
-from bilprov.spec.arrays.requests import Requests, RequestTables
+from bilprov.spec.arrays.requests import RequestTables
 from bilprov.spec.codec import judge
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
-from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
+from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Way, asked_values, meaning, reply_size, usual_way
 
 NO_CODE = 256
@@ -36,14 +39,15 @@ NO_CODE = 256
 
 
 class Answers(NamedTuple):
-    """Right answers in a buffer, one row each, in the order of the requests.
+    """Answers in a buffer, one row each, in the order of the requests.
 
-    `offset` is where an answer begins, `size` its bytes, `code` its code, -1 where it has none.
+    `offset` is where an answer begins, `size` its bytes, `code` its code, NO_CODE where it has
+    none.
     """
 
     offset: Places
     size: Places
-    code: Places
+    code: NDArray[Any]
 
     def rows(self, rows: slice | Places) -> Answers:
         """Some of the rows."""
@@ -101,12 +105,15 @@ class AnswerTables:
             if all(layout is not other for other, _ in self._layouts):
                 self._layouts.append((layout, with_it))
         told = [meaning(protocol, code) for code in (*range(NO_CODE), None)]
-        known = [response for _, response in told]
-        # By code, and by NO_CODE: the name, and the code that a record has.
+        # By code, and by NO_CODE: the response, the name, and the code that a record has.
+        self.responses = known = [response for _, response in told]
         self.names = [
             " ".join(names) or (response.name if response else None) for names, response in told
         ]
-        self.bytes = np.array([one.code if one else -1 for one in known], np.int64)
+        self.bytes = np.array([one.code if one else at for at, one in enumerate(known)], np.int64)
+        self._expected = np.array(
+            [max(0, protocol.answers[outcome].code) for outcome in OUTCOMES], np.uint8
+        )
         self._known = np.array([one is not None for one in known], np.bool_)
         # Codes with which the answer may lack its data.
         self._fails = np.array(
@@ -118,6 +125,10 @@ class AnswerTables:
 
         `reads` are where the reads end in which the bytes came: mostly, each is one answer.
         """
+        if self._protocol.plain:  # each byte is an answer, right or not
+            count = min(len(data), len(requests.kind))
+            size = np.broadcast_to(np.int64(1), count)
+            return CutAnswers(Answers(np.arange(count), size, data[:count]), count, regular=True)
         raw = data.tobytes()
         sizes = self._sizes(asked, requests)
         bounds = self._whole_reads(data, sizes, requests.kind, reads)
@@ -126,7 +137,7 @@ class AnswerTables:
         offset, end = bounds[:-1], int(bounds[-1])
         size = np.diff(bounds)
         given = requests.rows(slice(len(offset)))
-        code = np.full(len(offset), PLAIN_ANSWER.code, np.int64)
+        code = np.full(len(offset), NO_CODE)
         good = self._right(_Pairs(asked, given, data, offset, offset + size, code))
         rows = len(good) if good.all() else int(np.argmin(good))
         regular = rows == len(good)
@@ -134,6 +145,13 @@ class AnswerTables:
             regular = self._is_open(raw[end:], self._request(asked, requests, rows))
         found = Answers(offset[:rows], size[:rows], code[:rows])
         return CutAnswers(found, int(found.end[-1]) if rows else 0, regular)
+
+    def agree(self, requests: Requests, answers: Answers) -> Mask:
+        """Which answers are those that a conforming device gives to these requests."""
+        if self._protocol.plain:
+            right: Mask = self._expected.take(requests.verdict) == answers.code
+            return right
+        return np.broadcast_to(True, len(answers.code))
 
     def fields(self, kind: Places, answers: Answers) -> tuple[Places, Places]:
         """Where the fields of answers to requests of these kinds are: their places and bytes.
@@ -146,7 +164,7 @@ class AnswerTables:
         size = answers.size - head - tail
         needed = np.array(least, np.int64).take(kind)
         by_request = [bool(way.data and _by_request(way.data)) for way in self._ways]
-        refused = self._fails.take(answers.code, mode="clip") & (answers.code >= 0) & (size == 0)
+        refused = self._fails.take(answers.code) & (size == 0)
         lacking = refused & np.array(by_request, np.bool_).take(kind)
         there = (needed >= 0) & (size >= needed) & ~lacking
         return answers.offset + head, np.where(there, size, -1)
@@ -242,7 +260,7 @@ class AnswerTables:
             if part is not None:
                 code = part_values(part, *where)
                 pairs.code[rows] = code
-                right &= self._known.take(code, mode="clip")
+                right &= self._known.take(code)
             good[rows] = right
         for kind, way in enumerate(self._ways):
             rows = np.flatnonzero(good & (pairs.requests.kind == kind))
@@ -290,7 +308,7 @@ class AnswerTables:
                     spec, these.data, at, lambda row: self._measured(way, these, row)
                 )
             good[rows] = size[rows] == needed
-        refused: Mask = (size == 0) & (pairs.code >= 0) & self._fails.take(pairs.code, mode="clip")
+        refused: Mask = (size == 0) & self._fails.take(pairs.code)
         return good | refused
 
     def _measured(self, way: Way, pairs: _Pairs, row: int) -> int:

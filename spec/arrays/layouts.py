@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, TypeAlias
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from construct import Container
@@ -11,12 +12,50 @@ from numpy.typing import NDArray
 
 from bilprov.spec.arrays.checks import Checking
 from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
-from bilprov.spec.tables import WIDEST, number_values
+from bilprov.spec.numbers import Number
 
 Bytes: TypeAlias = NDArray[np.uint8]
 Places: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
+
+OUTCOMES = tuple(Outcome)
+"""The outcomes in the order of the codes in a column of verdicts; 0 is a valid frame."""
+
+VALID, BAD_DATA = OUTCOMES.index(Outcome.VALID), OUTCOMES.index(Outcome.BAD_DATA)
+WIDEST = 7
+"""Bytes of a field whose values, signed or not, all fit into 64 bits."""
+
+
+class Requests(NamedTuple):
+    """Whole frames in a buffer, one row each.
+
+    `offset` is where a frame begins, `size` its bytes, `verdict` a place in `OUTCOMES`. `kind` is
+    what the tables know it by: the place of its instruction in `Protocol.instructions`; of a frame
+    with one header byte that byte times 256, plus the first byte of its data where that decides.
+    """
+
+    offset: Places
+    size: Places
+    kind: Places
+    verdict: NDArray[Any]
+
+    def rows(self, rows: slice | Mask | Places) -> Requests:
+        """Some of the rows."""
+        return Requests(*(column[rows] for column in self))
+
+    def and_then(self, other: Requests) -> Requests:
+        """These rows and those of `other`, of the same buffer."""
+        columns: list[NDArray[Any]] = [
+            np.concatenate(both) for both in zip(self, other, strict=True)
+        ]
+        return Requests(*columns)
+
+    @property
+    def end(self) -> Places:
+        """Where each frame ends."""
+        return self.offset + self.size
 
 
 class Told(NamedTuple):
@@ -58,6 +97,39 @@ def size_by_byte(layout: Layout, data: DataSpec | None) -> int | Told | None:
 def _alone(part: Part, byte: int) -> bytes:
     """A frame in which a part of one byte in front has this byte."""
     return bytes(part.offset) + bytes([byte])
+
+
+def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[Any]:
+    """The value of a field in each of the data that begin `at` some places and carry it."""
+    at = at + part.offset
+    if part.number and part.size == 1:
+        return np.take(_byte_values(part.number), data.take(at))
+    if part.number and part.size <= WIDEST:
+        return number_values(part.number, data, at)
+    raw = data.take(at[:, None] + np.arange(part.size)).view(f"V{part.size}").ravel()
+    distinct, place = np.unique(raw, return_inverse=True)
+    values = [part.parse(one.tobytes()) for one in distinct]
+    return np.take(np.array(values) if values else np.zeros(0, np.int64), place)
+
+
+def number_values(
+    number: Number, data: NDArray[np.uint8], at: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The numbers whose first bytes are at these places of `data`; of at most WIDEST bytes."""
+    places = range(number.size) if number.order == "big" else reversed(range(number.size))
+    value = np.zeros(len(at), np.int64)
+    for place in places:
+        value <<= 8
+        value |= data.take(at + place)
+    if number.signed:
+        half = np.int64(1 << 8 * number.size - 1)
+        value = (value ^ half) - half
+    return value
+
+
+@lru_cache(maxsize=256)
+def _byte_values(number: Number) -> NDArray[np.int64]:
+    return np.array([number.parse(bytes([byte])) for byte in range(256)], np.int64)
 
 
 def require_narrow(layout: Layout) -> None:

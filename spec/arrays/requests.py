@@ -1,58 +1,41 @@
-"""Cuts and judges the requests in a buffer in arrays, as far as they are whole and valid."""
+"""Cuts and judges the requests in a buffer in arrays, as far as they are whole and valid.
+
+Those with one header byte may be faulty, too: their headers tell where they end.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cached_property, lru_cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from bilprov.spec.arrays.layouts import (
+    BAD_DATA,
+    OUTCOMES,
+    WIDEST,
     Bytes,
     Mask,
     Places,
+    Requests,
     Told,
     checks_hold,
     constants_hold,
     data_sizes,
     in_range,
+    number_values,
     part_values,
     require_narrow,
     size_by_byte,
 )
+from bilprov.spec.arrays.states import StateTables
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import frame_size
 from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol
-from bilprov.spec.state import Assigned, assigned
-from bilprov.spec.tables import WIDEST, number_values
-
-
-class Requests(NamedTuple):
-    """Valid frames of a buffer, one row each.
-
-    `offset` is where a frame begins, `size` its bytes, `kind` the place of its instruction in
-    `Protocol.instructions`, and `due` tells whether a conforming device answers it.
-    """
-
-    offset: Places
-    size: Places
-    kind: Places
-    due: Mask
-
-    def rows(self, rows: slice | Mask | Places) -> Requests:
-        """Some of the rows."""
-        return Requests(self.offset[rows], self.size[rows], self.kind[rows], self.due[rows])
-
-    def and_then(self, other: Requests) -> Requests:
-        """These rows and those of `other`, of the same buffer."""
-        return Requests(*(np.concatenate(both) for both in zip(self, other, strict=True)))
-
-    @property
-    def end(self) -> Places:
-        """Where each frame ends."""
-        return self.offset + self.size
+from bilprov.spec.steps import Step, Steps, data_decide
 
 
 class CutRequests(NamedTuple):
@@ -81,12 +64,6 @@ class RequestTables:
         require_narrow(layout)
         for spec in self.specs:
             _require_numbers(spec.data)
-        self.keys = np.array([protocol.key_of(spec.id) for spec in self.specs], np.uint8)
-        self._ids = np.array([spec.id for spec in self.specs], np.int64)
-        answered = protocol.answers[Outcome.VALID] is not NO_ANSWER
-        self._answered = np.array(
-            [answered and spec.answer is not None for spec in self.specs], np.bool_
-        )
         # The size of a frame by the byte at a place in it, 0 where it takes more to tell.
         self._place = identity.offset
         self._sizes: tuple[int, ...] = (0,) * 256
@@ -98,6 +75,49 @@ class RequestTables:
             self._sizes = tuple(map(self._by_id_byte, range(256)))
         elif isinstance(told, Told):
             self._place, self._sizes = told
+        self._size_of = np.array(self._sizes, np.int64)
+        self._ids = np.array([spec.id for spec in self.specs], np.int64)
+        answered = protocol.answers[Outcome.VALID] is not NO_ANSWER
+        self._answered = np.array(
+            [answered and spec.answer is not None for spec in self.specs], np.bool_
+        )
+        self.keys = np.array([protocol.key_of(spec.id) for spec in self.specs], np.uint8)
+        self._verdict = np.zeros(0, np.uint8)  # by kind, of frames with one header byte
+        # Of these the instructions with more than one data byte, which are judged field by field.
+        self._long: dict[int, InstructionSpec] = {}
+        if protocol.plain:
+            self._fill()
+            return
+        self.states = StateTables(protocol, len(self.specs))
+        for place, spec in enumerate(self.specs):
+            self.states.add(place, spec.effect.assignments, spec.fields)
+
+    def _fill(self) -> None:
+        """Fill the tables of frames with one header byte from the judgements of such frames."""
+        protocol, steps = self._protocol, Steps(self._protocol)
+        keys = [protocol.key_of(identity) for identity, _ in protocol.headers]
+        self.keys = np.repeat(np.array(keys, np.uint8), 256)
+        self._answered = np.array(
+            [protocol.answers[outcome] is not NO_ANSWER for outcome in OUTCOMES], np.bool_
+        )
+        self._verdict = np.zeros(1 << 16, np.uint8)
+        self.states = StateTables(protocol, 1 << 16)
+        for header, length in enumerate(protocol.lengths):
+            frame, kind = bytes([header]) + bytes(length), header << 8
+            if not length or not data_decide(protocol, frame):
+                self._add(slice(kind, kind + 256), steps[frame])
+            elif length == 1:
+                for first in range(256):
+                    self._add(kind | first, steps[bytes([header, first])])
+            else:
+                spec = self._long[header] = protocol.by_id[protocol.headers[header][0]]
+                self.states.add(kind, spec.effect.assignments, spec.fields)
+                self._verdict[kind | 1] = BAD_DATA
+                self.states.add(kind | 1, protocol.on_fault.assignments)
+
+    def _add(self, kinds: int | slice, step: Step) -> None:
+        self._verdict[kinds] = OUTCOMES.index(step.judgement.outcome)
+        self.states.add(kinds, step.sets)
 
     def _by_id_byte(self, byte: int) -> int:
         """The size of the frames with this byte in the place of the ID; 0 if more decides."""
@@ -110,29 +130,80 @@ class RequestTables:
         self._counted[byte] = size or spec
         return 0
 
-    @cached_property
-    def has_effects(self) -> bool:
-        """Whether any frame sets a state variable."""
-        effects = [self._protocol.on_fault, *(spec.effect for spec in self.specs)]
-        return any(effect.assignments for effect in effects)
-
     def cut(self, data: Bytes, begun: int, reads: Places | None = None) -> CutRequests:
         """The requests of `data` from byte `begun` on, as far as they are whole and valid.
 
         `reads` are where the reads end in which the bytes came: mostly, each is one frame.
         """
+        if len(self._verdict):
+            offset, end = self.offsets(data, begun)
+            size = np.diff(offset, append=end)
+            return CutRequests(self._judged(data, offset, size), end, regular=True)
         raw = data.tobytes()
         bounds = np.array([begun]) if reads is None else self._whole_reads(data, begun, reads)
         bounds = np.concatenate([bounds[:-1], self._walk(raw, int(bounds[-1]))])
-        offset, end = bounds[:-1], int(bounds[-1])
-        size = np.diff(bounds)
+        offset, size = bounds[:-1], np.diff(bounds)
         kind = self._kinds(data, offset)
-        good = self._valid(data, offset, offset + size, kind)
+        good = self._valid(data, offset, bounds[1:], kind)
         rows = len(good) if good.all() else int(np.argmin(good))
-        regular = rows == len(good) and self._is_open(raw[end:])
-        offset, size, kind = offset[:rows], size[:rows], kind[:rows]
-        found = Requests(offset, size, kind, self._due(data, offset, kind))
-        return CutRequests(found, int(offset[-1] + size[-1]) if rows else begun, regular)
+        regular = rows == len(good) and self._is_open(raw[int(bounds[-1]) :])
+        found = Requests(offset, size, kind, np.zeros(len(kind), np.uint8)).rows(slice(rows))
+        return CutRequests(found, int(bounds[rows]), regular)
+
+    def _judged(self, data: Bytes, offset: Places, size: Places) -> Requests:
+        """Frames with one header byte, valid or not."""
+        kind = data.take(offset).astype(np.int64) << 8
+        kind |= data.take(offset + 1, mode="clip")
+        for header, spec in self._long.items():
+            rows = np.flatnonzero(kind >> 8 == header)
+            start = offset[rows]
+            good = self._good_data(spec.data, data, start, start + size[rows])
+            kind[rows] = header << 8 | ~good
+        return Requests(offset, size, kind, self._verdict.take(kind))
+
+    def blocks(self, data: Bytes, start: int = 0) -> Iterator[tuple[Places, int]]:
+        """Find the headers in `data`, whose byte `start` is one, block by block.
+
+        Yields the offsets of the frames that are complete, and that of the next header.
+
+        Where a frame begins depends on all frames before it. So for each place the place 2^k
+        frames on is looked up (k times an array operation); only each 2^k-th frame is then walked
+        to one by one, and those between are looked up again.
+        """
+        spare = int(self._size_of.max())
+        block = min(len(data) - start, _BLOCK)
+        places = np.arange(block + spare, dtype=np.int64)
+        jumps = [np.empty(block + spare, np.int64) for _ in range(_DOUBLINGS + 1)]
+        at = start
+        for base in range(start, len(data), _BLOCK):
+            size = min(len(data) - base, _BLOCK)
+            reach = size + spare
+            np.take(self._size_of, data[base : base + size], out=jumps[0][:size], mode="clip")
+            jumps[0][:size] += places[:size]
+            jumps[0][size:reach] = places[size:reach]  # behind the block each place is its own next
+            for near, far in pairwise(jumps):
+                np.take(near[:reach], near[:reach], out=far[:reach], mode="clip")
+            walked = _followed(jumps[-1].data, at - base, size)
+            at = base + walked.pop()
+            frames = np.array(walked, np.int64)
+            for jump in reversed(jumps[:-1]):
+                both = np.empty(2 * len(frames), np.int64)
+                both[::2] = frames
+                np.take(jump, frames, out=both[1::2], mode="clip")
+                frames = both
+            frames = frames[: np.searchsorted(frames, size)]
+            frames += base
+            if at > len(data):  # the last frame is not complete, and may end in a block to come
+                yield frames[:-1], int(frames[-1])
+                return
+            yield frames, at
+
+    def offsets(self, data: Bytes, start: int = 0) -> tuple[Places, int]:
+        """The offsets of all complete frames, and that of the first header after them."""
+        blocks = list(self.blocks(data, start))
+        if not blocks:
+            return np.empty(0, np.int64), start
+        return np.concatenate([offset for offset, _ in blocks]), blocks[-1][1]
 
     def _whole_reads(self, data: Bytes, begun: int, reads: Places) -> Places:
         """Where the frames begin of which each is one read, and where the next one begins."""
@@ -146,7 +217,7 @@ class RequestTables:
         A size that reaches beyond the data may be wrong.
         """
         byte = data.take(offset + self._place, mode="clip")
-        size = np.array(self._sizes, np.int64).take(byte)
+        size = self._size_of.take(byte)
         for known, told in self._counted.items():
             if isinstance(told, Told):
                 rows = np.flatnonzero(byte == known)
@@ -194,9 +265,11 @@ class RequestTables:
         place = np.minimum(np.searchsorted(self._ids, identity), len(self._ids) - 1)
         return np.where(self._ids.take(place) == identity, place, -1)
 
-    def _due(self, data: Bytes, offset: Places, kind: Places) -> Mask:
-        due = self._answered.take(kind)
-        return due & self._to(data, offset, broadcast=False)
+    def due(self, data: Bytes, requests: Requests) -> Mask | None:
+        """To which requests a conforming device gives an answer; None: to each."""
+        if len(self._verdict):
+            return None if self._answered.all() else self._answered.take(requests.verdict)
+        return self._answered.take(requests.kind) & self._to(data, requests.offset, broadcast=False)
 
     def _to(self, data: Bytes, offset: Places, *, broadcast: bool) -> Mask:
         """Which frames are for one device that there can be, or with `broadcast` for all."""
@@ -244,28 +317,6 @@ class RequestTables:
 
         return measured
 
-    def sets(self, data: Bytes, requests: Requests) -> list[Assigned]:
-        """The state variables that each request sets, with their new values."""
-        found: list[Assigned] = [()] * len(requests.kind)
-        for kind in np.unique(requests.kind).tolist():
-            effect = self.specs[kind].effect
-            if effect.assignments:
-                rows = np.flatnonzero(requests.kind == kind)
-                numbers = self.numbers(data, requests.rows(rows), kind)
-                columns = {name: column.tolist() for name, column in numbers.items()}
-                for place, row in enumerate(rows.tolist()):
-                    fields = {name: column[place] for name, column in columns.items()}
-                    found[row] = assigned(effect, fields)
-        return found
-
-    def addresses(self, data: Bytes, requests: Requests) -> list[int] | None:
-        """The address in each request; None where they have none."""
-        part = self.layout.part("address")
-        if part is None:
-            return None
-        found: list[int] = part_values(part, data, requests.offset, requests.end).tolist()
-        return found
-
     def numbers(self, data: Bytes, requests: Requests, kind: int) -> Mapping[str, Places]:
         """The parts and the fields of requests of one kind that are numbers, by name."""
         start, end = requests.offset, requests.end
@@ -286,6 +337,19 @@ def _require_numbers(spec: DataSpec) -> None:
     for part in spec.fields:
         if part.number is not None and part.size > WIDEST and not part.unlimited:
             raise OverflowError(f"{part.name} does not fit into 64 bits")
+
+
+_BLOCK = 1 << 16  # bytes that are cut at once; the tables of a block fit into a cache
+_DOUBLINGS = 5
+
+
+def _followed(jumps: memoryview, at: int, end: int) -> list[int]:
+    """Follow `jumps` from `at` until `end` is reached; that last place is in the list too."""
+    walked = [at]
+    while at < end:
+        at = jumps[at]
+        walked.append(at)
+    return walked
 
 
 @lru_cache(maxsize=8)

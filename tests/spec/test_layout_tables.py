@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.spec.arrays.checks import Checking
+from bilprov.spec.arrays.layouts import WIDEST, number_values
 from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
 from bilprov.spec.numbers import Number
-from bilprov.spec.tables import WIDEST, number_values
 
 NUMBERS = st.builds(
     Number, st.integers(1, WIDEST), st.sampled_from(["big", "little"]), signed=st.booleans()

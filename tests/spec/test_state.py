@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bilprov.spec.arrays.requests import request_tables
+from bilprov.spec.arrays.states import Known
 from bilprov.spec.by_effect import change_by, effect_words
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
-from bilprov.spec.tables import frame_tables
 from bilprov.spec.value_checks import WrongValue
 from tests.support import ROOT
 from tests.support.car import car_state
@@ -120,21 +121,34 @@ def test_a_state_is_told_in_words() -> None:
     assert car_state("stopped", 80, -3).described == "stopped speed 80 steering -3 led 0"
 
 
+LONG = {
+    'Instruction(document="up"': 'Instruction("by" / Byte, "at" / Byte, document="up"',
+}
+
+
+@pytest.mark.parametrize("changes", [{}, LONG])
 @given(data=st.lists(st.sampled_from([b"\x20", b"\x30", b"\x40", b"\x50", b"\x60", b"\x11\x05"])))
-def test_columns_have_what_the_effects_make_one_by_one(data: list[bytes]) -> None:
-    array = np.frombuffer(b"".join(data), np.uint8)
-    tables, state = frame_tables(BOARD), BOARD.power_on
-    frames = tables.frames(array, tables.offsets(array)[0])
+def test_columns_have_what_the_effects_make_one_by_one(
+    changes: dict[str, str], data: list[bytes]
+) -> None:
+    board = load(mutated(TEXT, changes) if changes else TEXT, "switches.py")
+    frames = [*data, *(bytes([0x52, at, 1]) for at in range(3) if changes)]
+    array = np.frombuffer(b"".join(frames), np.uint8)
+    tables, state = request_tables(board), board.power_on
+    requests, known = tables.cut(array, 0).requests, Known(board.power_on, None)
     expected = []
-    for frame in data:
-        judged = judge(BOARD, frame)
-        assert judged.instruction
-        state = judged.instruction.effect.apply(state, dict(judged.fields))
+    for frame in frames:
+        judged = judge(board, frame)
+        effect = judged.instruction.effect if judged.instruction else None
+        state = (effect if judged.valid and effect else board.on_fault).apply(
+            state, dict(judged.fields)
+        )
         expected.append(state.codes)
-    before = BOARD.power_on.codes
-    columns = [tables.state(name, array, frames, before).tolist() for name in BOARD.variables]
+    columns = [
+        tables.states.column(name, array, requests, known).tolist() for name in board.variables
+    ]
     assert list(zip(*columns, strict=True)) == expected
-    assert tables.last_state(array, frames, before) == state.codes
+    assert tables.states.last(array, requests, known).state.codes == state.codes
 
 
 @pytest.mark.parametrize(
@@ -218,12 +232,6 @@ def test_a_name_that_is_no_word_is_refused_with_its_line(
         f"the grammar grammar cannot be used: the effect of {wrong}, allowed are the names of an "
         f"Enum that are words of fan: off, low, high (line {line})"
     )
-
-
-def test_tables_have_no_old_values_for_longer_instructions() -> None:
-    long = 'Instruction("by" / Byte, "at" / Byte, document="up"'
-    with pytest.raises(OverflowError):
-        frame_tables(load(mutated(TEXT, {'Instruction(document="up"': long})))
 
 
 GRAMMAR = ("--grammar", str(SWITCHES))

@@ -10,17 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bilprov.spec.arrays.layouts import OUTCOMES, field_values
+from bilprov.spec.arrays.requests import RequestTables, request_tables
+from bilprov.spec.arrays.states import Known
 from bilprov.spec.codec import build, judge, nearest
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.state import State
-from bilprov.spec.tables import (
-    OUTCOMES,
-    FrameTables,
-    field_values,
-    frame_tables,
-)
 from tests.support.car import VARIABLES
 from tests.support.grammars import undeclared
 
@@ -38,7 +35,7 @@ def framed(protocol: Protocol, data: bytes) -> tuple[list[int], int]:
     return places[:-1], places[-1]
 
 
-def found(tables: FrameTables, data: bytes, start: int = 0) -> tuple[list[int], int]:
+def found(tables: RequestTables, data: bytes, start: int = 0) -> tuple[list[int], int]:
     offsets, end = tables.offsets(np.frombuffer(data, np.uint8), start)
     return offsets.tolist(), end
 
@@ -62,15 +59,15 @@ def test_every_header_and_first_byte_has_the_verdict_and_the_state_of_the_gramma
 ) -> None:
     frames = every_first_byte(each_protocol, Random(1))
     data = np.frombuffer(b"".join(frames), np.uint8)
-    tables = frame_tables(each_protocol)
+    tables = request_tables(each_protocol)
     before = each_protocol.state(motion=MOTIONS[2], speed=9, steering=-8, led=7)
 
-    offsets, end = tables.offsets(data)
-    columns = tables.frames(data, offsets)
-    states = [tables.state(name, data, columns, before.codes) for name in VARIABLES]
+    requests, end, _ = tables.cut(data, 0)
+    known = Known(before, None)
+    states = [tables.states.column(name, data, requests, known) for name in VARIABLES]
 
     starts = np.cumsum([0, *(len(frame) for frame in frames)])
-    assert (offsets.tolist(), end) == (starts[:-1].tolist(), starts[-1])
+    assert (requests.offset.tolist(), end) == (starts[:-1].tolist(), starts[-1])
     state, expected = before, []
     for frame in frames:
         judgement = judge(each_protocol, frame)
@@ -79,11 +76,8 @@ def test_every_header_and_first_byte_has_the_verdict_and_the_state_of_the_gramma
             effect = judgement.instruction.effect
         state = effect.apply(state, dict(judgement.fields))
         expected.append((judgement.outcome, MOTIONS.index(state.motion), *_numbers(state)))
-    verdicts = [OUTCOMES[code] for code in columns.verdict.tolist()]
+    verdicts = [OUTCOMES[code] for code in requests.verdict.tolist()]
     assert list(zip(verdicts, *(column.tolist() for column in states), strict=True)) == expected
-    assert tables.codes[columns.verdict].tolist() == [
-        each_protocol.answers[outcome].code for outcome, *_ in expected
-    ]
 
 
 def _numbers(state: State) -> tuple[int, int, int]:
@@ -100,22 +94,24 @@ def test_the_last_state_is_the_last_of_all_states(
             highest = {part.name: part.high for part in spec.fields}
             stream = build(each_protocol, spec.name, highest) + stream
         stream += bytes([each_protocol.pad_byte]) * padding
-    tables = frame_tables(each_protocol)
+    tables = request_tables(each_protocol)
     array = np.frombuffer(stream, np.uint8)
-    columns = tables.frames(array, tables.offsets(array)[0])
-    before = (MOTIONS.index("forward"), 5, -6, 1)
+    requests = tables.cut(array, 0).requests
+    before = each_protocol.state(motion="forward", speed=5, steering=-6, led=1)
 
-    states = [tables.state(name, array, columns, before) for name in VARIABLES]
+    known = Known(before, None)
+    states = [tables.states.column(name, array, requests, known) for name in VARIABLES]
 
-    last = tables.last_state(array, columns, before)
-    assert last == (tuple(int(column[-1]) for column in states) if len(columns.key) else before)
+    last = [int(column[-1]) for column in states] if len(requests.kind) else before.codes
+    found = tables.states.last(array, requests, known)
+    assert (found.state.codes, found.by_address) == (tuple(last), None)
 
 
 @given(data=st.data())
 def test_every_field_of_every_frame_has_the_value_that_the_grammar_parses(
     each_protocol: Protocol, data: st.DataObject
 ) -> None:
-    tables = frame_tables(each_protocol)
+    tables = request_tables(each_protocol)
     for spec in each_protocol.instructions:
         if not spec.fields:
             continue
@@ -134,7 +130,7 @@ def test_every_field_of_every_frame_has_the_value_that_the_grammar_parses(
 def test_a_stream_in_any_cuts_has_the_same_frames(
     each_protocol: Protocol, stream: bytes, cuts: list[int]
 ) -> None:
-    tables = frame_tables(each_protocol)
+    tables = request_tables(each_protocol)
 
     pieces, header = [], 0
     for cut in [*sorted(min(cut, len(stream)) for cut in cuts), len(stream)]:
@@ -150,7 +146,7 @@ def test_a_stream_in_any_cuts_has_the_same_frames(
 def test_streams_around_the_size_of_a_block_have_the_frames_of_the_framer(
     each_protocol: Protocol, kind: str
 ) -> None:
-    tables = frame_tables(each_protocol)
+    tables = request_tables(each_protocol)
     longest = each_protocol.lengths.index(each_protocol.longest_frame - 1)
     one = next(h for h, length in enumerate(each_protocol.lengths) if length == 1)
     stream = {
@@ -190,17 +186,17 @@ def test_a_grammar_whose_numbers_do_not_fit_into_64_bits_is_refused(
     text = text.replace(*edit).replace("Byte, Struct", "Byte, BytesInteger, Struct")
 
     with pytest.raises(OverflowError):
-        FrameTables(load(text))
+        RequestTables(load(text))
 
 
 @pytest.mark.parametrize("led", [-1, 1 << 15, -(1 << 31), (1 << 62)])
 def test_a_state_that_only_power_on_sets_fits(grammar_text: str, led: int) -> None:
     text = undeclared(grammar_text)
     other = load(text.replace("steering=0, led=0)", f"steering=0, led={led})"))
-    tables = FrameTables(other)
+    tables = RequestTables(other)
     stop = np.array([other.pad_byte], np.uint8)
 
-    frames = tables.frames(stop, tables.offsets(stop)[0])
-    state = tables.state("led", stop, frames, other.power_on.codes)
+    requests = tables.cut(stop, 0).requests
+    state = tables.states.column("led", stop, requests, Known(other.power_on, None))
 
     assert state.tolist() == [led]

@@ -8,7 +8,7 @@ from random import Random
 import pytest
 
 from bilprov.analyzer.decode.batch import Records
-from bilprov.analyzer.decode.framed_batch import FramedBatch
+from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.records import FaultRecord
 from bilprov.analyzer.decode.session import SKEW, Session
 from bilprov.analyzer.grammar_file import load_protocol
@@ -41,7 +41,7 @@ def test_regular_traffic_is_columns_alone(name: str) -> None:
 
     parts = same(protocol_of(name), events, [70])
 
-    assert {type(batch) for batch in parts} == {FramedBatch}
+    assert {type(batch) for batch in parts} == {ColumnBatch}
     assert sum(batch.counts.frames for batch in parts) >= 500
 
 
@@ -51,7 +51,7 @@ def test_regular_traffic_of_a_drawn_layout_is_columns_alone(seed: int) -> None:
 
     parts = same(protocol_of(seed), events, [1000])
 
-    assert {type(batch) for batch in parts} == {FramedBatch}
+    assert {type(batch) for batch in parts} == {ColumnBatch}
 
 
 @pytest.mark.sample(40)

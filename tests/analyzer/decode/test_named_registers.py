@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.decode.batch import Records
-from bilprov.analyzer.decode.framed_batch import FramedBatch
+from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
@@ -112,11 +112,11 @@ def test_registers_are_shown_with_fields_wherever_these_are() -> None:
     assert "goal_position" not in [one.label for one in details(SERVO, ask, state=False)]
 
 
-@pytest.mark.parametrize("batch_type", [Records, FramedBatch])
+@pytest.mark.parametrize("batch_type", [Records, ColumnBatch])
 def test_registers_are_columns_of_filters_and_tables(batch_type: type) -> None:
     events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
     (batch,) = StreamDecoder(SERVO).feed(events)
-    assert isinstance(batch, FramedBatch)
+    assert isinstance(batch, ColumnBatch)
     found = Records(list(batch.records())) if batch_type is Records else batch
 
     for text, rows in (

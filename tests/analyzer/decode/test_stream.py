@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from bilprov.analyzer.decode import pairing, regular, stream
+from bilprov.analyzer.decode import columns, pairing, stream
 from bilprov.analyzer.decode.batch import Batch, Kinds, Records
-from bilprov.analyzer.decode.regular import RegularBatch
+from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.replay.capture_session import capture_decoder
@@ -150,13 +150,13 @@ def test_early_answers_are_columns_too(protocol: Protocol) -> None:
 
     parts = same(protocol, events)
 
-    assert {type(batch) for batch in parts} == {RegularBatch}
+    assert {type(batch) for batch in parts} == {ColumnBatch}
 
 
 def test_traffic_without_oddities_is_columns_alone(each_protocol: Protocol) -> None:
     parts = same(each_protocol, conversation(each_protocol, 3000, 1), [700])
 
-    assert {type(batch) for batch in parts} == {RegularBatch}
+    assert {type(batch) for batch in parts} == {ColumnBatch}
     assert sum(batch.counts.frames for batch in parts) == 3000
 
 
@@ -315,11 +315,11 @@ def test_columns_give_up_as_a_session_does_where_a_million_have_one_time(
     protocol: Protocol, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pairing, "MOST", 500)
-    monkeypatch.setattr(regular, "MOST", 500)
+    monkeypatch.setattr(columns, "MOST", 500)
     flood = [Chunk(MS, "host", b"\x20" * size)] * (2000 // size)
     answers = [Chunk(MS, "device", b"\x00" * size)] * (1500 // size)
 
     parts = same(protocol, [*flood, *answers, *flood], (300,))
     same(protocol, [*answers, *flood, *answers], (300,))
 
-    assert any(isinstance(batch, RegularBatch) for batch in parts)
+    assert any(isinstance(batch, ColumnBatch) for batch in parts)

@@ -1,0 +1,179 @@
+"""The predicted state after each of some requests, as columns: by tables of what each kind sets.
+
+A column of a state variable has numbers, as `State.code` makes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bilprov.spec.arrays.layouts import Bytes, Places, Requests, field_values, part_values
+from bilprov.spec.data import FieldSpec
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import OTHERS, FromField, FromOld, State, VariableSpec
+
+_TAIL = 256  # requests in which each variable is mostly set
+
+
+class Known(NamedTuple):
+    """The state that was predicted last, and where requests have an address that of each device."""
+
+    state: State
+    by_address: Mapping[int, State] | None
+
+
+class StateTables:
+    """What each kind of requests sets, for so many `kinds`.
+
+    Raises OverflowError for a variable that does not fit into 64 bits.
+    """
+
+    def __init__(self, protocol: Protocol, kinds: int) -> None:
+        self._state = protocol.state_type
+        self._layout = protocol.layout
+        self._variables = tuple(protocol.variables.values())
+        ends = [end for spec in self._variables for end in (spec.low, spec.high)]
+        self._number = np.result_type(np.int16, *(np.min_scalar_type(-abs(v) - 1) for v in ends))
+        if self._number.kind != "i":
+            raise OverflowError("a state variable does not fit into 64 bits")
+        # One bit for each variable.
+        self._sets = np.zeros(kinds, np.min_scalar_type((1 << len(self._variables)) - 1))
+        self._values = {v.name: np.zeros(kinds, self._type(v)) for v in self._variables}
+        # Of the variables whose new value may depend on the old one: the place of each kind in a
+        # list of changes, from 1 on.
+        self._changes: dict[str, tuple[Places, list[FromOld]]] = {}
+        # Of the variables that are set from a field: by which kind, from which field, and how.
+        self._fields: dict[str, list[tuple[int, FieldSpec, FromField]]] = {}
+
+    def _type(self, variable: VariableSpec) -> np.dtype[Any]:
+        if variable.unknown:
+            return np.dtype(np.int64)  # which holds NOT_KNOWN
+        return np.dtype(np.int8) if variable.words else self._number
+
+    def add(
+        self, kinds: int | slice, sets: Iterable[tuple[str, Any]], fields: Iterable[FieldSpec] = ()
+    ) -> None:
+        """Let a kind, or some, set these variables; `fields` are those of its data."""
+        parts = {part.name: part for part in fields}
+        for name, value in sets:
+            self._sets[kinds] |= 1 << list(self._values).index(name)
+            if isinstance(value, FromOld):
+                made = np.zeros(len(self._sets), np.int64), list[FromOld]()
+                places, changes = self._changes.setdefault(name, made)
+                changes.append(value)
+                places[kinds] = len(changes)
+            elif isinstance(value, FromField):
+                assert isinstance(kinds, int)
+                self._fields.setdefault(name, []).append((kinds, parts[value.field], value))
+            else:
+                self._values[name][kinds] = self._state.code(name, value)
+
+    @property
+    def has_effects(self) -> bool:
+        """Whether any request sets a variable."""
+        return bool(self._sets.any())
+
+    def column(self, variable: str, data: Bytes, requests: Requests, before: Known) -> NDArray[Any]:
+        """A variable after each request."""
+        if before.by_address is None:
+            return self._column(variable, data, requests, before.state.codes)
+        found = np.zeros(len(requests.kind), self._values[variable].dtype)
+        to = self._to(data, requests)
+        for address in np.unique(to).tolist():
+            rows = self._heard_by(address, to)
+            codes = self._state_of(address, before.by_address).codes
+            column = self._column(variable, data, requests.rows(rows), codes)
+            own = to[rows] == address
+            found[rows[own]] = column[own]
+        return found
+
+    def last(self, data: Bytes, requests: Requests, before: Known) -> Known:
+        """What is known after all of the requests."""
+        if before.by_address is None or not len(requests.kind):
+            codes = self._last(data, requests, before.state.codes)
+            return before._replace(state=self._state.of_codes(codes))
+        to = self._to(data, requests)
+        found = {}
+        for address in {*before.by_address, *(self._known_as(one) for one in np.unique(to))}:
+            rows = self._heard_by(address, to)
+            codes = self._state_of(address, before.by_address).codes
+            found[address] = self._state.of_codes(self._last(data, requests.rows(rows), codes))
+        return Known(found[self._known_as(to[-1])], found)
+
+    def _to(self, data: Bytes, requests: Requests) -> Places:
+        """Whom each request is for."""
+        part = self._layout.part("address")
+        assert part is not None
+        return part_values(part, data, requests.offset, requests.end)
+
+    @property
+    def _broadcast(self) -> int | None:
+        part = self._layout.part("address")
+        return part.broadcast if part else None
+
+    def _known_as(self, address: int) -> int:
+        """The address under which the state after a request is known."""
+        return OTHERS if address == self._broadcast else int(address)
+
+    def _state_of(self, address: int, known: Mapping[int, State]) -> State:
+        return known.get(self._known_as(address), known[OTHERS])
+
+    def _heard_by(self, address: int, to: Places) -> Places:
+        """The requests for a device; what is sent to all is for each."""
+        return np.flatnonzero((to == address) | (to == self._broadcast))
+
+    def _column(
+        self, variable: str, data: Bytes, requests: Requests, before: Sequence[int]
+    ) -> NDArray[Any]:
+        """A variable after each request to one device; `before` are the values of all variables."""
+        place, kind = list(self._values).index(variable), requests.kind
+        rows = np.flatnonzero(self._sets.take(kind) & self._sets.dtype.type(1 << place))
+        kinds = kind.take(rows)
+        values = self._values[variable].take(kinds)
+        for one, part, source in self._fields.get(variable, ()):
+            of_it = np.flatnonzero(kinds == one)
+            at = requests.offset.take(rows.take(of_it)) + self._layout.head
+            values[of_it] = self._from(variable, source, field_values(part, data, at))
+        if variable in self._changes:
+            values = self._changed(variable, kinds, values, before[place])
+        counts = np.diff(np.append(rows, len(kind)), prepend=0)
+        return np.repeat(np.append(np.array([before[place]], values.dtype), values), counts)
+
+    def _from(self, variable: str, source: FromField, numbers: NDArray[Any]) -> Any:
+        """The values of a variable that is set from a field with these numbers."""
+        if not source.words:
+            return numbers * source.factor
+        codes = {number: self._state.code(variable, word) for word, number in source.words}
+        return [codes[number] for number in numbers.tolist()]
+
+    def _changed(
+        self, variable: str, kinds: Places, values: NDArray[Any], before: int
+    ) -> NDArray[Any]:
+        """The values of a variable, where some requests make the new one of the old one."""
+        state = self._state
+        places, changes = self._changes[variable]
+        found: list[int] = []
+        value = state.value(variable, before)
+        for place, code in zip(places.take(kinds).tolist(), values.tolist(), strict=True):
+            value = changes[place - 1].value(value) if place else state.value(variable, code)
+            found.append(state.code(variable, value))
+        return np.array(found, values.dtype)
+
+    def _last(self, data: Bytes, requests: Requests, before: Sequence[int]) -> Sequence[int]:
+        """The values of all variables after all requests to one device."""
+        if len(requests.kind) and not self._changes:
+            # Then the last request that sets a variable tells, for each of them.
+            bits = [1 << bit for bit in range(len(self._variables))]
+            sets = self._sets.take(requests.kind[-_TAIL:])
+            if np.bitwise_or.reduce(sets) != sum(bits):  # none of the last ones sets one of them
+                sets = self._sets.take(requests.kind)
+            requests = requests.rows(slice(len(requests.kind) - len(sets), None))
+            last = {int(rows[-1]) for bit in bits if len(rows := np.flatnonzero(sets & bit))}
+            requests = requests.rows(np.array(sorted(last), np.int64))
+        if not len(requests.kind):
+            return before
+        return [int(self._column(name, data, requests, before)[-1]) for name in self._values]
