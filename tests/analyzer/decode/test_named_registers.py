@@ -128,11 +128,11 @@ def test_registers_are_columns_of_filters_and_tables(batch_type: type) -> None:
         assert found.in_order(compile_filter(text, SERVO).selection(found)).tolist() == rows, text
 
 
-@pytest.mark.parametrize("batch_type", [Records, FramedBatch])
+@pytest.mark.parametrize("batch_type", [Records, ColumnBatch])
 def test_filters_find_a_register_that_is_written_at_several_servos(batch_type: type) -> None:
     events = conversation([(frame(BOTH), b""), (frame(MOVE), frame("FFFF 01 02 00 FC"))])
     (batch,) = StreamDecoder(SERVO).feed(events)
-    assert isinstance(batch, FramedBatch)
+    assert isinstance(batch, ColumnBatch)
     found = Records(list(batch.records())) if batch_type is Records else batch
 
     for text, rows in (
