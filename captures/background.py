@@ -22,7 +22,7 @@ from bilprov.captures.writer import CaptureWriter
 
 QUEUE_BYTES: Final = 16 * 1024 * 1024  # of payload that may wait
 WAKE_BYTES: Final = 256 * 1024  # of waiting payload that is written at once
-WAKE_AFTER: Final = 0.07  # s; what waits less is written then, so that it waits 0.1 s at most
+WAKE_AFTER: Final = 0.06  # s; what waits less is written then; with the time before it comes, 0.1 s
 EVENT_BYTES: Final = 256  # counted for each event beside its bytes
 
 

@@ -33,9 +33,11 @@ SIDES: Final[tuple[Direction, ...]] = ("host", "device")
 LATE = 250_000_000  # ns; a reader that comes so much too late does not know when the bytes came
 FOREVER = 1 << 62  # ns
 _COUNT_EVERY = 100_000_000  # ns between readings of a driver's error counts
-_LINGER = 0.0003  # s that a bridge waits for an answer before what was said is decoded
+GATHERED = 20_000_000  # ns of a busy line that are handled at once: shown, that is still now
+_BUSY = 80  # bytes in that time: with fewer each read is handled at once
+_LINGER = 300_000  # ns that a bridge waits for an answer before what was said is decoded
 _MOST_LINGER = 5_000_000  # ns for which it goes on to do so
-_MOST_AT_ONCE = 1 << 14  # bytes after which it does not: so many are decoded before more is read
+MOST_AT_ONCE = 1 << 14  # bytes that are handled at once: it takes a millisecond, a pty holds 4 KiB
 _RETRY = 0.005  # s between attempts to forward bytes that a peer did not take
 
 
@@ -65,6 +67,8 @@ class Source(Closing):
     one_clock = False
     attached = True
     served = ""
+    linger = 0, 0
+    """How long (ns) more is waited for after a read, and for how long this goes on."""
 
     def __init__(self, ports: Mapping[Direction, Port]) -> None:
         self.names = {str(tap): port.name for tap, port in ports.items()}
@@ -73,6 +77,9 @@ class Source(Closing):
         self._places = {tap: Place(port.name) for tap, port in ports.items()}
         self._looked_at = 0.0
         self.seen = 0  # ns; up to when it is known what came
+        self._came = 0  # bytes
+        self._busy = False
+        self._rated = 0, 0  # when (ns) it was last looked at whether the line is busy; `_came` then
         self._counts = {tap: port.error_counts() for tap, port in ports.items()}
         self.start_wall = wall_clock()
         self._start = self._counted_at = time.monotonic_ns()
@@ -98,11 +105,15 @@ class Source(Closing):
         `also` are descriptors (such as a Stopper's) that end the wait too. When both sides have
         bytes the host comes first, since an instruction is older than its answer.
 
+        On a line that is busy (more than 4 kB/s), what is read in the 20 ms after the first event
+        is returned with it, each read with its own time.
+
         If this program was stopped or had no time meanwhile, a Line event `waited` with the time up
-        to which bytes were read comes first; without a timeout this cannot be noticed.
+        to which bytes were read comes before what was read then; without a timeout this cannot be
+        noticed.
         """
         events: Events = []
-        asked = self.now()
+        asked, most = self.now(), self._came + MOST_AT_ONCE
         missing = self._missing
         if missing:
             self._reopen(missing, events)
@@ -110,20 +121,39 @@ class Source(Closing):
             timeout_s = wait if timeout_s is None else min(timeout_s, wait)
         if missing or not self.ended:
             self._gather(events, timeout_s, also)
+            timeout = FOREVER if timeout_s is None else round(timeout_s * 1e9)
+            self._note_unread(events, 0, asked, timeout)
+            if events:
+                self._read_on(events, most, also)
             self._count(events)
-        self._note_unread(events, asked, FOREVER if timeout_s is None else round(timeout_s * 1e9))
         return events
 
-    def _note_unread(self, events: Events, asked: int, timeout: int) -> None:
-        """Put a `waited` before events that came much later than they were asked for (ns)."""
-        if not events:
+    def _read_on(self, events: Events, most: int, also: Sequence[int]) -> None:
+        """Append what comes soon after the first events, until `most` bytes have come in all."""
+        since, before = self._rated
+        if self.seen - since >= GATHERED:
+            self._busy = (self._came - before) * GATHERED >= _BUSY * (self.seen - since)
+            self._rated = self.seen, self._came
+        pause, longest = (GATHERED, GATHERED) if self._busy else self.linger
+        until, came = self.now() + longest, -1
+        while came < self._came < most and (now := self.now()) < until and self._ports:
+            known, came, timeout = len(events), self._came, min(pause, until - now)
+            self._gather(events, timeout / 1e9, also)
+            self._note_unread(events, known, now, timeout)
+
+    def _note_unread(self, events: Events, known: int, asked: int, timeout: int) -> None:
+        """Put a `waited` before events that came much later than they were asked for (ns).
+
+        The first `known` events came before.
+        """
+        if len(events) == known:
             self.seen = max(self.seen, min(asked + timeout, self.now()))
             return
-        unread = events[0].t - self.seen
+        unread = events[known].t - self.seen
         if unread > timeout + LATE:
             why = "this program was stopped, or had no time or a slow disk"
             detail = f"nothing was read for {unread / 1e9:.3f} s: {why}"
-            events.insert(0, Line(self.seen, "waited", "", detail))
+            events.insert(known, Line(self.seen, "waited", "", detail))
         self.seen = events[-1].t
 
     @abstractmethod
@@ -149,7 +179,11 @@ class Source(Closing):
         except LinkError as error:
             self._ports.pop(tap).close()  # so that its path is free for when it comes back
             return Line(self.now(), "unplugged", tap, str(error))
-        return Chunk(self.now(), tap, data) if data else None
+        return self._chunk(tap, data) if data else None
+
+    def _chunk(self, tap: Direction, data: bytes) -> Chunk:
+        self._came += len(data)
+        return Chunk(self.now(), tap, data)
 
     def _reopen(self, missing: Sequence[Direction], events: Events) -> None:
         """Open the ports that are there again; looked at every 0.2 s at most."""
@@ -261,8 +295,8 @@ class HalfDuplexTap(Source):
                 events += [*self._wire.rest(), came]
         events += self._wire.advance(self.now())
 
-    def _note_unread(self, events: Events, asked: int, timeout: int) -> None:
-        super()._note_unread(events, asked, timeout)
+    def _note_unread(self, events: Events, known: int, asked: int, timeout: int) -> None:
+        super()._note_unread(events, known, asked, timeout)
         if self._wire.since is not None:
             self.seen = min(self.seen, self._wire.since)
 
@@ -283,6 +317,8 @@ class Bridge(Source):
 
     one_clock = True
     attached = False  # no traffic has passed yet through a pty that was just made
+    linger = _LINGER, _MOST_LINGER
+    """What is done with the events takes longer than a quick device does to answer."""
 
     def __init__(self, port: Port) -> None:
         super().__init__({"device": port})
@@ -295,20 +331,6 @@ class Bridge(Source):
         self._to_host = Forward(self._pty.write_some, "the host program does not read")
 
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
-        """Hand on what comes; the answer to it too, if it comes at once, before all else is done.
-
-        What is done with the events takes longer than a quick device does to answer.
-        """
-        self._hand_on_all(events, timeout_s, also)
-        if events:
-            give_up = self.now() + _MOST_LINGER
-            while self._ports and self.now() < give_up and _size(events) < _MOST_AT_ONCE:
-                known = len(events)
-                self._hand_on_all(events, _LINGER, also)
-                if len(events) == known:
-                    return
-
-    def _hand_on_all(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
         if self._to_device.owed or self._to_host.owed:
             timeout_s = _RETRY if timeout_s is None else min(timeout_s, _RETRY)
         ports = list(self._ports.values())
@@ -319,7 +341,7 @@ class Bridge(Source):
                 port.pulse_dtr()
         said = self._pty.read() if self._pty.master in others else b""
         if said:
-            events.append(Chunk(self.now(), "host", said))
+            events.append(self._chunk("host", said))
         self._hand_on(self._to_device, said, "host", events)
         answer = self._read("device", ready=True) if ready else None
         if answer:
@@ -344,11 +366,6 @@ class Bridge(Source):
         dropped = forward.push(data, self.now())
         if dropped:
             events.append(Line(self.now(), "gap", tap, dropped))
-
-
-def _size(events: Events) -> int:
-    """How many bytes have come."""
-    return sum(len(event.data) for event in events if isinstance(event, Chunk))
 
 
 class Tap(NamedTuple):

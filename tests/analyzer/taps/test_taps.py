@@ -7,8 +7,9 @@ import os
 import select
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -28,7 +29,7 @@ from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.schemas import MS, Chunk, Line
 
 pytestmark = pytest.mark.waits
 
@@ -211,6 +212,67 @@ def test_what_the_driver_counts_becomes_line_events() -> None:
     assert list(counted(7, "host", after, before)) == []  # counters that start anew
 
 
+# Many reads at once
+
+
+class Script(Source):
+    """A source without ports: what comes when (ns), on a clock that stands still in between.
+
+    At the time `stopped` the program stops for twice `LATE`.
+    """
+
+    def __init__(self, *reads: tuple[int, bytes], stopped: int = 0) -> None:
+        super().__init__({})
+        self._ports = {"host": Mock(**{"error_counts.return_value": None})}
+        self._reads = list(reads)
+        self._stopped = stopped
+        self._now = 0
+
+    def now(self) -> int:
+        return self._now
+
+    def _gather(self, events: list[Event], timeout_s: float | None, also: Sequence[int]) -> None:
+        end = self._now + round((timeout_s or 0) * 1e9)
+        if not self._reads or self._reads[0][0] > end:
+            self._now = end
+            return
+        t, data = self._reads.pop(0)
+        self._now = max(self._now, t) + (2 * LATE if t == self._stopped else 0)
+        events.append(self._chunk("host", data))
+
+
+def polled(source: Source, polls: int) -> list[list[int]]:
+    """The times (ms) of what each poll returns."""
+    return [[event.t // MS for event in source.poll(1)] for _ in range(polls)]
+
+
+def test_on_a_busy_line_many_reads_are_returned_at_once_each_with_its_time() -> None:
+    source = Script(*((at * MS, bytes(12)) for at in range(1, 76)))
+
+    assert polled(source, 19) == [[at] for at in range(1, 20)]
+    assert polled(source, 3) == [list(range(20, 41)), list(range(41, 62)), list(range(62, 76))]
+
+
+def test_what_comes_slowly_or_after_a_pause_is_returned_at_once() -> None:
+    slow = Script(*((at * MS, b"\x10\x20") for at in range(1, 76)))
+    assert polled(slow, 75) == [[at] for at in range(1, 76)]
+
+    busy = [(at * MS, bytes(12)) for at in range(1, 76)]
+    paused = Script(*busy, (500 * MS, b"\x10"), (501 * MS, b"\x10"))
+    assert polled(paused, 24)[-2:] == [[500], [501]]
+
+
+def test_a_stop_among_reads_that_are_returned_at_once_is_noted_where_it_was() -> None:
+    source = Script(*((at * MS, bytes(12)) for at in range(1, 76)), stopped=45 * MS)
+    polled(source, 20)
+
+    *before, waited, after = source.poll(1)
+    assert [event.t // MS for event in before] == [41, 42, 43, 44]
+    assert isinstance(waited, Line)
+    assert (waited.event, waited.t) == ("waited", 44 * MS)
+    assert after.t == 45 * MS + 2 * LATE
+
+
 # Handing on
 
 SECOND = 1_000_000_000
@@ -334,7 +396,7 @@ def test_a_device_that_floods_is_given_on_in_small_parts(
 ) -> None:
     """What comes at once is decoded at once, so it must not fill the memory."""
     much = bytes(1 << 14)
-    monkeypatch.setattr(bridge, "_read", lambda tap, ready: Chunk(bridge.now(), tap, much))
+    monkeypatch.setattr(Port, "read", lambda port, ready: much)
     device_line.write_some(b"\0")  # never read, so that there is always more
 
     assert heard(bridge.poll(1), "device") == much
