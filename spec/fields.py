@@ -197,9 +197,10 @@ class Memory:
     where others have these fields too; `only` is "reads" or "writes" where they do not do both.
 
     Without `at` the first cell is 0. A cell is 0 until it is written, or what `power_on` has for
-    its place. Bits that are set in the field `keep` stay as they are in a cell. What is written
-    takes effect with the next instruction `until`. With `blocks` the value is for several devices:
-    for each its address and `count` cells.
+    its place; the instruction `reset` brings it back to that. Bits that are set in the field `keep`
+    stay as they are in a cell. What is written takes effect with the next instruction `until`,
+    which is answered `code` where there is nothing to take effect. With `blocks` the value is for
+    several devices: for each its address and `count` cells.
     """
 
     name: str
@@ -216,6 +217,8 @@ class Memory:
     keep: str = ""
     until: str = ""
     blocks: bool = False
+    reset: str = ""
+    code: str = ""
 
     def __post_init__(self) -> None:
         require_text("the name of a Memory", self.name)
@@ -225,7 +228,8 @@ class Memory:
         for name in ("bits", "latest", "blocks"):
             require_kind(f"the {name} of a Memory", getattr(self, name), bool)
         require_kind("the instructions of a Memory", self.by, tuple)
-        require_text("the until of a Memory", self.until)
+        for name in ("until", "reset", "code"):
+            require_text(f"the {name} of a Memory", getattr(self, name))
         require_kind("the power_on of a Memory", self.power_on, dict)
         for number in (*self.power_on, *self.power_on.values()):
             require_whole("a number in the power_on of a Memory", number, 0)

@@ -970,14 +970,16 @@ def _require_each_outcome(
 def _require_codes(
     instructions: tuple[InstructionSpec, ...], responses: tuple[ResponseSpec, ...]
 ) -> None:
-    """Raise GrammarError for a field whose code is the name of no Answer."""
-    names = [spec.name for spec in responses]
+    """Raise GrammarError for a field or a memory whose code is the name of no Answer."""
+    names = ["", *(spec.name for spec in responses)]
     for spec in instructions:
-        for part in spec.fields:
-            if part.code and part.code not in names:
+        codes = [(f"{spec.name}.{part.name}", part.code) for part in spec.fields]
+        codes += [(f"the Memory that {spec.name} writes", spec.writes.code)] if spec.writes else []
+        for where, code in codes:
+            if code not in names:
                 raise GrammarError(
-                    f"{spec.name}.{part.name} has code={shown(part.code)}, allowed are names of "
-                    f"an Answer: {', '.join(names) or 'there is none'}"
+                    f"{where} has code={shown(code)}, allowed are names of an Answer: "
+                    f"{', '.join(names[1:]) or 'there is none'}"
                 )
 
 
@@ -1037,10 +1039,12 @@ def _with_memory(
                 f"MEMORY has {memory.name} at {memory.at}, and no instruction writes or reads "
                 f"{memory.value} there"
             )
-        if memory.until and memory.until not in {spec.name for spec in instructions}:
-            raise GrammarError(
-                f"MEMORY has {memory.name} until {memory.until}, and there is no such instruction"
-            )
+        for word in ("until", "reset"):
+            name = getattr(memory, word)
+            if name and name not in {spec.name for spec in instructions}:
+                raise GrammarError(
+                    f"MEMORY has {memory.name} {word} {name}, and there is no such instruction"
+                )
     return tuple(
         replace(
             spec,

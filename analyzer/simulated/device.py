@@ -28,26 +28,34 @@ class Cells:
     """The cells of one device; one that was never written has its value at power-on."""
 
     def __init__(self, protocol: Protocol) -> None:
-        self._power_on = {
-            memory.name: memory.power_on
-            for spec in protocol.instructions
-            for memory in (spec.writes, spec.reads)
-            if memory and memory.power_on
-        }
+        used = [one for spec in protocol.instructions for one in (spec.writes, spec.reads) if one]
+        self._power_on = {memory.name: memory.power_on for memory in used if memory.power_on}
+        self._resets = {(memory.reset, memory.name) for memory in used}
+        self._refused = {memory.until: memory.code for memory in used}
         self._cells: dict[tuple[str, Any], dict[int, int]] = {}
         self._latest: dict[str, Any] = {}  # the value of each field in the latest request with one
         # What is written by the next instruction of that name.
         self._waiting: dict[str, tuple[Memory, Mapping[str, Any]]] = {}
 
-    def take(self, spec: InstructionSpec, fields: Mapping[str, Any]) -> None:
-        """Do what a valid request asks for."""
+    def take(self, spec: InstructionSpec, fields: Mapping[str, Any]) -> str:
+        """Do what a valid request asks for.
+
+        Returns the name of the answer to one that cannot be done, "" for one that is.
+        """
         self._latest |= fields
         if spec.name in self._waiting:
             self._write(*self._waiting.pop(spec.name))
+        elif self._refused.get(spec.name):
+            return self._refused[spec.name]
+        for reset, name in self._resets:
+            if reset == spec.name:
+                self._cells = {key: held for key, held in self._cells.items() if key[0] != name}
+                self._waiting = {u: one for u, one in self._waiting.items() if one[0].name != name}
         if spec.writes and spec.writes.until:
             self._waiting[spec.writes.until] = spec.writes, fields
         elif spec.writes:
             self._write(spec.writes, fields)
+        return ""
 
     def read(self, memory: Memory, fields: Mapping[str, Any], told: FieldSpec) -> Any:
         """The value of the field `told` of the answer, in which a request's cells are."""
@@ -163,8 +171,12 @@ class SimulatedDevice:
         if judgement.outcome in FRAMING_FAULTS:  # whom such a frame is for is not known
             self._answer(judgement, {}, known)
             return
-        for device, fields in self._meant(judgement):
-            self._do(device, judgement, fields)
+        refusals = [
+            self._do(device, judgement, fields) for device, fields in self._meant(judgement)
+        ]
+        if judgement.answer_due and (refusal := "".join(refusals)):
+            named = {one.name: one for one in self.protocol.responses}
+            judgement = msgspec.structs.replace(judgement, response=named[refusal])
         values = self._told(judgement) if judgement.valid and judgement.answer_due else {}
         self._answer(judgement, values, known)
 
@@ -195,14 +207,16 @@ class SimulatedDevice:
             self._devices[address] = deepcopy(self._untold)
         return self._devices[address]
 
-    def _do(self, device: _Device, judgement: Judgement, fields: dict[str, Any]) -> None:
-        """Change a device as a frame asks."""
+    def _do(self, device: _Device, judgement: Judgement, fields: dict[str, Any]) -> str:
+        """Change a device as a frame asks; returns what `Cells.take` does."""
         spec = judgement.instruction
         if not judgement.valid or spec is None:
             device.state = self.protocol.on_fault.apply(device.state)
-            return
-        device.state = spec.effect.apply(device.state, fields)
-        device.cells.take(spec, fields)
+            return ""
+        refusal = device.cells.take(spec, fields)
+        if not refusal:
+            device.state = spec.effect.apply(device.state, fields)
+        return refusal
 
     def _told(self, judgement: Judgement) -> dict[str, Any]:
         """The values of an answer's fields that the device knows."""

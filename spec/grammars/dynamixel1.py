@@ -76,10 +76,13 @@ INSTRUCTIONS = {
     * "Writes the same registers of several servos, which may move.",
 }
 
+UNDONE = "INSTRUCTION"
 MEMORY = (
     Memory("registers", at="register", value="values", count="size", by=("Read", "Write")),
-    Memory("registers", at="register", value="values", by=("RegWrite",), until="Action"),
-    Memory("registers", at="register", value="blocks", count="size", blocks=True),
+    Memory(
+        "registers", at="register", value="values", by=("RegWrite",), until="Action", code=UNDONE
+    ),
+    Memory("registers", at="register", value="blocks", count="size", blocks=True, reset="Reset"),
 )
 RESPONSE = Answers(
     Byte,

@@ -123,8 +123,22 @@ def test_what_a_servo_registers_is_written_by_the_next_action_alone() -> None:
     for address in (1, 2):
         assert line.do("Read", address=address, register=30, size=1) == {"values": b"\x05"}
     line.do("Write", address=1, register=30, values="06")
-    line.do("Action", address=1)
+    refused = line.ask(build(line.protocol, "Action", {"address": 1}))
+    assert refused == bytes.fromhex("ff ff 01 02 40 bc")  # Instruction Error
+    assert line.ask(build(line.protocol, "Action", {"address": 254})) == b""
     assert line.do("Read", address=1, register=30, size=1) == {"values": b"\x06"}
+
+
+def test_a_reset_brings_back_the_registers_of_one_servo() -> None:
+    line = Line("dynamixel1")
+    for address in (1, 2):
+        line.do("Write", address=address, register=30, values="05")
+        line.do("RegWrite", address=address, register=31, values="06")
+    line.do("Reset", address=1)
+    told = [line.do("Read", address=one, register=30, size=1)["values"] for one in (1, 2)]
+    assert told == [b"\x00", b"\x05"]
+    assert line.ask(build(line.protocol, "Action", {"address": 1}))[4] == 0x40
+    line.do("Action", address=2)
 
 
 def test_a_write_to_several_servos_gives_each_its_own_bytes() -> None:
@@ -219,6 +233,12 @@ def test_a_report_that_cannot_be_is_refused(old: str, new: str, why: str) -> Non
     [
         ('value="blocks", count="size"', 'value="blocks"', "with blocks needs a count"),
         ('until="Action"', 'until="Acton"', "until Acton, and there is no such instruction"),
+        ('reset="Reset"', 'reset="Rest"', "reset Rest, and there is no such instruction"),
+        (
+            'UNDONE = "INSTRUCTION"',
+            'UNDONE = "NO"',
+            "the Memory that RegWrite writes has code='NO', allowed are names of an Answer: OK, ",
+        ),
         ('value="blocks"', 'value="block"', "no instruction writes or reads block there"),
         ("blocks=True", "power_on=[1]", "the power_on of a Memory is [1]"),
         ("blocks=True", "power_on={0: -1}", "a number in the power_on of a Memory is -1"),
