@@ -1,8 +1,10 @@
-"""Random filter expressions for Hypothesis, built from the names and values of a protocol."""
+"""Random filters for Hypothesis, and what each of them means for the values of a row."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypeAlias
 
 from hypothesis import strategies as st
@@ -10,175 +12,99 @@ from hypothesis import strategies as st
 from bilprov.analyzer.filters.fields import Field, Kind, fields_of
 from bilprov.spec.protocol import Protocol
 
-Draw: TypeAlias = Callable[[st.SearchStrategy[Any]], Any]
+Values: TypeAlias = Mapping[str, Any]
+Condition: TypeAlias = tuple[str, Callable[[Values], bool]]
+"""A condition as it is written, and what it means for the values of a row."""
 
-_ORDER = ("==", "!=", "<", "<=", ">", ">=")
-_OCTETS = ("00", "11", "ff", "0a 0b", "21 21", "81 09", "'20'", "00 00 00")
-_TIMES = ("0", "1ms", "0.5 ms", "20us", "100ms", "1.5s", "-1", "0.001", "3s", "59s", "1e-9", "700")
-_CLOCKS = ("00:00", "13:46:40", "13:46:41.5", "13:47", "14:00", "23:59:59.999999999")
-_DATES = ("2026-09-21", "2026-09-21 13:46:41", "2026-09-21T13:47:00.25Z", "2026-09-22 00:00")
-_TEXTS = ("'LED'", "ms", "'header'", "byte", '"a"', "'no such'")
-_NUMBERS = (0, 1, 2, 4, 64, 127, 200, 255)
+SIGNS = {"==": operator.eq, "!=": operator.ne, "<": operator.lt, ">=": operator.ge}
 
 
 @st.composite
-def expressions(draw: Draw, protocol: Protocol) -> str:
-    """Filters that compile: comparisons of all kinds, joined."""
-    fields = list(dict.fromkeys(fields_of(protocol)))
-    text = ""
-    for _ in range(draw(st.integers(1, 4))):
-        field = fields_of(protocol)[draw(st.sampled_from(fields))]
-        condition = _Writer(draw, list(fields_of(protocol).values())).condition(field)
-        condition = draw(st.sampled_from(["{}", "{}", "not {}", "!({})"])).format(condition)
-        join = draw(st.sampled_from(["{} and {}", "({}) or {}", "({}) && ({})", "{} || {}"]))
-        text = join.format(text, condition) if text else condition
-    return text
+def conditions(draw: Callable[..., Any], protocol: Protocol) -> Condition:
+    """A few comparisons, joined."""
+    fields = [one for one in fields_of(protocol).values() if one.kind is not Kind.CLOCK]
+    text, holds = draw(st.sampled_from(fields).flatmap(comparisons))
+    for _ in range(draw(st.integers(0, 2))):
+        more, also = draw(st.sampled_from(fields).flatmap(comparisons))
+        text, holds = draw(st.sampled_from(_joined(text, holds, more, also)))
+    return text, holds
 
 
-class _Writer:
-    """Writes conditions about fields, with values that they can have."""
+def _joined(
+    text: str, holds: Callable[[Values], bool], more: str, also: Callable[[Values], bool]
+) -> list[Condition]:
+    return [
+        (f"({text}) and not {more}", lambda row: holds(row) and not also(row)),
+        (f"{more} or {text}", lambda row: holds(row) or also(row)),
+        (f"!({text}) && ({more})", lambda row: also(row) and not holds(row)),
+    ]
 
-    def __init__(self, draw: Draw, fields: Sequence[Field]) -> None:
-        self._draw = draw
-        self._fields = fields
 
-    def _one(self, *of: str) -> str:
-        chosen: str = self._draw(st.sampled_from(of))
-        return chosen
+def comparisons(field: Field) -> st.SearchStrategy[Condition]:
+    """One comparison of a field with a value that it may have."""
+    name = field.name
 
-    def condition(self, field: Field) -> str:
-        """A condition that asks for the field."""
-        name = self._one(field.name, field.name.upper())
-        write = {
-            Kind.NUMBER: self._number,
-            Kind.SECONDS: self._seconds,
-            Kind.CLOCK: self._clock,
-            Kind.WORD: self._word,
-            Kind.WORDS: self._words,
-            Kind.TEXT: self._text,
-            Kind.TRUTH: self._truth,
-            Kind.BYTES: self._bytes,
-        }
-        return write[field.kind](name, field)
+    def condition(text: str, holds: Callable[[Any], bool]) -> Condition:
+        return text, lambda row: row.get(field.key) is not None and holds(row[field.key])
 
-    def _others(self, field: Field) -> list[str]:
-        """Other fields with which it can be compared."""
+    def signed(value: Any, written: object) -> list[Condition]:
         return [
-            other.name
-            for other in self._fields
-            if other.kind is field.kind
-            and other.key != field.key
-            and (not field.words or not other.words or other.words == field.words)
+            condition(f"{name} {sign} {written}", partial(_turned(compare), value))
+            for sign, compare in SIGNS.items()
+            if sign in field.signs
         ]
 
-    def _set(self, value: Callable[[], str]) -> str:
-        values = ", ".join(value() for _ in range(self._draw(st.integers(1, 3))))
-        return self._one("({},)", "{{{}}}", "[{}]").format(values)
+    def contains(part: Any, written: object) -> Condition:
+        return condition(f"{name} contains {written}", lambda whole: part in whole)
 
-    def _infix(self, name: str, signs: Sequence[str], value: str) -> str:
-        return f"{name} {self._one(*signs)} {value}"
+    def numbers(ends: list[int]) -> list[Condition]:
+        first, last = sorted(ends)
+        found = [condition(f"{name} in {first}..{last}", lambda value: first <= value <= last)]
+        if field.kind is Kind.SECONDS:
+            return [*found, *signed(first / 1000, f"{first}ms")]
+        bit = high.bit_length() - 1
+        if low >= 0:
+            found.append(condition(f"{name} & {1 << bit}", lambda value: value >> bit & 1 == 1))
+        return [*found, *signed(first, first)]
 
-    def _among(self, name: str, values: str) -> str:
-        return self._infix(name, ("in", "not in"), values)
+    def octets(part: bytes) -> list[Condition]:
+        byte, text = part[0] % 3, part.hex(" ")
+        return [
+            contains(part, text),
+            *signed(part, text),
+            *signed(b"", "''"),
+            condition(f"{name}[{byte}] >= 32", lambda d: len(d) > byte and d[byte] >= 32),
+        ]
 
-    def _value(self, field: Field) -> str:
-        """A value strictly between the field's ends, or the name of one."""
-        number = self._inside(field)
-        named = [repr(word) for word, value in field.words.items() if value == number]
-        return self._one(str(number), hex(number), *named)
+    def words(word: str) -> list[Condition]:
+        if field.kind is Kind.WORDS:
+            return [contains(word, repr(word))]
+        return signed(field.words[word], repr(word))
 
-    def _inside(self, field: Field) -> int:
+    if field.kind in (Kind.NUMBER, Kind.SECONDS):
         low = -1 if field.low is None else field.low
         high = 300 if field.high is None else field.high
-        inside = [number for number in (*_NUMBERS, low + 1, high - 1) if low < number < high]
-        number: int = self._draw(st.sampled_from(inside))
-        return number
+        inside = st.integers(low + 1, max(low + 1, min(high - 1, low + 300)))
+        found = st.lists(inside, min_size=2, max_size=2).map(numbers)
+    elif field.kind is Kind.BYTES:
+        found = st.sampled_from([b"\0", b"\x11", b"\x81\x09", b"\0\0\0"]).map(octets)
+    elif field.kind is Kind.TEXT:
+        texts = st.sampled_from(["LED", "ms", "header", "byte"])
+        found = texts.map(lambda part: [contains(part, part)])
+    else:
+        found = st.sampled_from([*field.words]).map(words)
+    return found.flatmap(st.sampled_from)
 
-    def _range(self, field: Field) -> str:
-        return "..".join(map(str, sorted(self._inside(field) for _ in range(2))))
 
-    def _named(self, field: Field) -> str:
-        return repr(self._one(*field.words)) if field.words else ""
+def _turned(compare: Callable[[Any, Any], bool]) -> Callable[[Any, Any], bool]:
+    return lambda value, of_row: compare(of_row, value)
 
-    def _number(self, name: str, field: Field) -> str:
-        other = self._one(*self._others(field))
-        value = self._value(field)
-        bit = "1" if (field.low or 0) < 0 else str(1 << ((field.high or 8).bit_length() - 1))
-        half = f"{self._inside(field)}.5"
-        return self._one(
-            self._infix(name, _ORDER, value),
-            self._infix(value, _ORDER, name),
-            self._infix(name, _ORDER, other),
-            self._infix(name, ("<", "<=", ">", ">="), half),
-            self._among(name, self._set(lambda: self._value(field))),
-            self._among(name, self._set(lambda: self._one(other, self._range(field)))),
-            self._among(name, self._range(field)),
-            f"{name} & {bit}",
-            f"{name} & {bit} == {bit}",
-            f"{name} & {other} > 2",
-        )
 
-    def _seconds(self, name: str, field: Field) -> str:
-        time = self._one(*_TIMES)
-        return self._one(
-            self._infix(name, _ORDER, time),
-            self._infix(time, _ORDER, name),
-            self._among(name, self._set(lambda: self._one("1ms..2s", *_TIMES))),
-            self._among(name, "0.5ms..100ms"),
-            self._infix(name, _ORDER, self._one(*self._others(field))),
-        )
+_CLOCKS = ("time >= 13:46:40", "time in 00:00..13:47", "time < 2026-09-21 13:46:41.5")
 
-    def _clock(self, name: str, field: Field) -> str:
-        moment = self._one(*_CLOCKS, *_DATES)
-        over = f"{self._one(*_CLOCKS)}..{self._one(*_CLOCKS)}"
-        return self._one(
-            self._infix(name, ("<", "<=", ">", ">="), moment),
-            self._infix(moment, ("<", "<=", ">", ">="), name),
-            self._among(name, over),
-            self._among(name, f"{{{over}, 13:46..13:47}}"),
-            self._among(name, f"{_DATES[1]}..{_DATES[2]}"),
-        )
 
-    def _word(self, name: str, field: Field) -> str:
-        part = self._one(*field.words)[:3].strip()
-        return self._one(
-            self._infix(name, ("==", "!="), self._named(field)),
-            self._infix(self._named(field), ("==", "!="), name),
-            self._among(name, self._set(lambda: self._named(field))),
-            self._infix(name, ("contains", "not contains"), repr(part)),
-        )
-
-    def _words(self, name: str, field: Field) -> str:
-        return self._one(
-            self._infix(name, ("contains", "not contains"), self._named(field)),
-            self._among(self._named(field), name),
-            self._infix(name, ("==", "!="), self._set(lambda: self._named(field))),
-            self._infix(name, ("==", "!="), self._named(field)),
-        )
-
-    def _text(self, name: str, field: Field) -> str:
-        text = self._one(*_TEXTS)
-        return self._one(
-            self._infix(name, ("contains", "not contains"), text),
-            self._among(repr("byte"), name),
-            self._among(name, self._set(lambda: self._one("''", *_TEXTS))),
-            self._infix(name, ("==", "!="), "''"),
-        )
-
-    def _truth(self, name: str, field: Field) -> str:
-        return self._one(
-            name,
-            self._infix(name, ("==", "!="), self._named(field)),
-            self._infix(name, ("==", "!="), self._one(*self._others(field))),
-        )
-
-    def _bytes(self, name: str, field: Field) -> str:
-        item = f"{name}[{self._one('0', '1', '2')}]"
-        return self._one(
-            self._infix(name, ("contains", "not contains"), self._one(*_OCTETS)),
-            self._infix(name, ("==", "!="), self._one("''", *_OCTETS)),
-            self._among(name, self._set(lambda: self._one(*_OCTETS))),
-            self._infix(item, _ORDER, self._one("0x21", "0x80", "9")),
-            self._among(item, "0x20..0x80"),
-            f"{item} & {self._one('1', '0x80')}",
-        )
+@st.composite
+def expressions(draw: Callable[..., Any], protocol: Protocol) -> str:
+    """Filters that compile: comparisons of all kinds, joined."""
+    text, _ = draw(conditions(protocol))
+    return draw(st.sampled_from([text, text, f"({text}) or {draw(st.sampled_from(_CLOCKS))}"]))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import operator
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from random import Random
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -17,7 +16,6 @@ from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.filters.fields import Field, Kind, fields_of
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.captures.events import Events
 from bilprov.captures.schemas import Chunk, Line
@@ -25,15 +23,10 @@ from bilprov.spec.codec import build, judge, nearest
 from bilprov.spec.protocol import Protocol, load
 from tests.support.car import VARIABLES
 from tests.support.decoding import MS, Event, decoded
+from tests.support.expressions import SIGNS, Values, conditions
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
-
-Values: TypeAlias = Mapping[str, Any]
-Condition: TypeAlias = tuple[str, Callable[[Values], bool]]
-"""A condition as it is written, and what it means for the values of a row."""
-
-_SIGNS = {"==": operator.eq, "!=": operator.ne, "<": operator.lt, ">=": operator.ge}
 
 
 def values(protocol: Protocol, line: JsonLine) -> Values:
@@ -54,87 +47,6 @@ def values(protocol: Protocol, line: JsonLine) -> Values:
         "judgement": codes.get(line.judgement or ""),
         "faulty": bool(line.faults) or codes.get(line.judgement or "", 0) != 0,
     }
-
-
-@st.composite
-def conditions(draw: Callable[..., Any], protocol: Protocol) -> Condition:
-    """A few comparisons, joined."""
-    fields = [one for one in fields_of(protocol).values() if one.kind is not Kind.CLOCK]
-    text, holds = draw(st.sampled_from(fields).flatmap(comparisons))
-    for _ in range(draw(st.integers(0, 2))):
-        more, also = draw(st.sampled_from(fields).flatmap(comparisons))
-        text, holds = draw(st.sampled_from(_joined(text, holds, more, also)))
-    return text, holds
-
-
-def _joined(
-    text: str, holds: Callable[[Values], bool], more: str, also: Callable[[Values], bool]
-) -> list[Condition]:
-    return [
-        (f"({text}) and not {more}", lambda row: holds(row) and not also(row)),
-        (f"{more} or {text}", lambda row: holds(row) or also(row)),
-        (f"!({text}) && ({more})", lambda row: also(row) and not holds(row)),
-    ]
-
-
-def comparisons(field: Field) -> st.SearchStrategy[Condition]:
-    """One comparison of a field with a value that it may have."""
-    name = field.name
-
-    def condition(text: str, holds: Callable[[Any], bool]) -> Condition:
-        return text, lambda row: row.get(field.key) is not None and holds(row[field.key])
-
-    def signed(value: Any, written: object) -> list[Condition]:
-        return [
-            condition(f"{name} {sign} {written}", partial(_turned(compare), value))
-            for sign, compare in _SIGNS.items()
-            if sign in field.signs
-        ]
-
-    def contains(part: Any, written: object) -> Condition:
-        return condition(f"{name} contains {written}", lambda whole: part in whole)
-
-    def numbers(ends: list[int]) -> list[Condition]:
-        first, last = sorted(ends)
-        found = [condition(f"{name} in {first}..{last}", lambda value: first <= value <= last)]
-        if field.kind is Kind.SECONDS:
-            return [*found, *signed(first / 1000, f"{first}ms")]
-        bit = high.bit_length() - 1
-        if low >= 0:
-            found.append(condition(f"{name} & {1 << bit}", lambda value: value >> bit & 1 == 1))
-        return [*found, *signed(first, first)]
-
-    def octets(part: bytes) -> list[Condition]:
-        byte, text = part[0] % 3, part.hex(" ")
-        return [
-            contains(part, text),
-            *signed(part, text),
-            *signed(b"", "''"),
-            condition(f"{name}[{byte}] >= 32", lambda d: len(d) > byte and d[byte] >= 32),
-        ]
-
-    def words(word: str) -> list[Condition]:
-        if field.kind is Kind.WORDS:
-            return [contains(word, repr(word))]
-        return signed(field.words[word], repr(word))
-
-    if field.kind in (Kind.NUMBER, Kind.SECONDS):
-        low = -1 if field.low is None else field.low
-        high = 300 if field.high is None else field.high
-        inside = st.integers(low + 1, max(low + 1, min(high - 1, low + 300)))
-        found = st.lists(inside, min_size=2, max_size=2).map(numbers)
-    elif field.kind is Kind.BYTES:
-        found = st.sampled_from([b"\0", b"\x11", b"\x81\x09", b"\0\0\0"]).map(octets)
-    elif field.kind is Kind.TEXT:
-        texts = st.sampled_from(["LED", "ms", "header", "byte"])
-        found = texts.map(lambda part: [contains(part, part)])
-    else:
-        found = st.sampled_from([*field.words]).map(words)
-    return found.flatmap(st.sampled_from)
-
-
-def _turned(compare: Callable[[Any, Any], bool]) -> Callable[[Any, Any], bool]:
-    return lambda value, of_row: compare(of_row, value)
 
 
 def batches(protocol: Protocol, events: list[Event], **chosen: Any) -> list[Batch]:
@@ -237,7 +149,7 @@ def test_numbers_that_floats_cannot_tell_apart_are_told_apart(
     text = wide.replace("speed=0, steering=0, led=0)", f"speed=0, led={(1 << 53) + 2})")
     protocol = load(text)
     for batch in batches(protocol, driving(protocol, 3, 1), heard=frozenset({"host"})):
-        for sign, compare in _SIGNS.items():
+        for sign, compare in SIGNS.items():
             meaning = partial(_led, compare, int(number))
             require_selected(compile_filter(f"state.led {sign} {number}", protocol), batch, meaning)
 
