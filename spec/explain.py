@@ -338,6 +338,8 @@ def _laid_out(
 
 def _no_fields(judgement: Judgement) -> str:
     """Why data are not read as fields."""
+    if judgement.outcome in (Outcome.BAD_CHECKSUM, Outcome.BAD_SYNC):
+        return "the frame is damaged"
     if judgement.framed:
         return "not complete" if judgement.truncated else "means nothing"
     if judgement.truncated:

@@ -274,7 +274,7 @@ def sniff(options: SniffOptions) -> int:
             lost = listened(Shown(output, test, options.shown.count), say)
     waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
     failure = recorder.failure if path and recorder else ""
-    if isinstance(recorder, Recorder) and not failure:
+    if path and recorder and not failure:
         kept = said_of_parts(recorder.paths)
     if path or quiet or style == "live":
         _tell(statistics, kept, waited)

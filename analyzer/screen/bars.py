@@ -47,7 +47,7 @@ def status_line(doing: str, feed: Feed[Any], said: str, width: int) -> Text:
         return _spread(told, Text(_LEAST if fits else "", "dim"), width)
     line = Text()
     keys = [key for key in BINDINGS if key.show]
-    room = width - sum(len(f"{key.key_display} {key.description}") + 3 for key in keys[-2:])
+    room = width + 3 - sum(len(f"{key.key_display} {key.description}") + 3 for key in keys[-2:])
     for key in keys:
         shown = Text.assemble((key.key_display or "", "bold"), (f" {key.description}   ", "dim"))
         if line.cell_len + shown.cell_len <= room or key in keys[-2:]:

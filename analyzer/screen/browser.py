@@ -384,7 +384,7 @@ class Browser(App[str | None]):
             lambda text: self._filter(text, compiled(text)),
             lambda text, at: completions(text, at, protocol),
         )
-        self._ask(question, self.filter_text)
+        self._ask(question, self.filter_text, replaced=True)
 
     def action_only_faults(self) -> None:
         """Show only the rows with a fault; where they are shown, all rows."""
@@ -490,7 +490,7 @@ class Browser(App[str | None]):
 
     async def action_columns(self) -> None:
         """Ask which columns are shown."""
-        known = OWN | columns_of(self._recording.protocol)
+        known = OWN | columns_of(self._recording.protocol) | OWN
 
         def choose(names: list[str] | None) -> None:
             if names is not None:

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Vertical, VerticalScroll
+from textual.containers import VerticalScroll
 from textual.screen import ModalScreen
 from textual.strip import Strip
 from textual.widgets import SelectionList, Static
@@ -49,7 +49,7 @@ class Help(Dialog[str]):
         table.add_row()
         for look, says in LOOKS.items():
             table.add_row(Text(look.sign, look.style), Text(says))
-        with Vertical(classes="ground"), VerticalScroll(classes="box"):
+        with VerticalScroll(classes="box"):
             yield Static(table)
 
 
@@ -75,8 +75,7 @@ class ColumnChoice(Dialog[list[str]]):
 
     def compose(self) -> ComposeResult:
         """The columns, each with what it says."""
-        with Vertical(classes="ground"):
-            yield self.listed
+        yield self.listed
 
     def action_take(self) -> None:
         """Give the names of the chosen columns, in the order of the list."""
@@ -84,6 +83,11 @@ class ColumnChoice(Dialog[list[str]]):
 
 
 class _Columns(SelectionList[str]):
+    def action_select(self) -> None:
+        """Choose a column or leave it out at once; Textual's own does so after the next key."""
+        if self.highlighted is not None:
+            self.toggle(self.get_option_at_index(self.highlighted))
+
     def render_line(self, y: int) -> Strip:
         """A column with a sign that tells whether it is chosen; Textual's own do so by colour."""
         strip, index = super().render_line(y), self.scroll_offset.y + y

@@ -12,6 +12,7 @@ from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.text import printable, quantity
 
 _SIDES = {"host": HOST_FAULT, "device": DEVICE_FAULT, "": LINE_FAULT}
+_LATE = 9  # columns of a latency, with a space before it
 _KINDS = 4  # kinds of faults of each side that are named
 
 
@@ -26,7 +27,8 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
     load = max(rates.bytes) * byte_time / 1e9
     lines = [
         Text(_levels(totals.rates.series("frames"), width)),
-        Text(f"{quantity(totals.frames, 'frame')}, {quantity(totals.answers, 'answer')}"),
+        Text(quantity(totals.frames, "frame")),
+        Text(quantity(totals.answers, "answer")),
         Text(f"{rates.frames:,.0f} frames/s, {load:.0%} full"),
     ]
     spread = totals.latencies.spread()
@@ -42,10 +44,13 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
         for kind, count in kinds.most_common(_KINDS):
             lines.append(Text(f"  {count:,} {printable(kind)}", "dim"))
     lines.append(Text())
-    for name, counted in totals.instructions().items():
-        if counted.frames:
-            late = f"{_ms(counted.latencies.median)} ms" if counted.latencies else ""
-            lines.append(Text(f"{printable(name):<11}{counted.frames:>6,} {late:>8}", "dim"))
+    said = {name: said for name, said in totals.instructions().items() if said.frames}
+    digits = max((len(f"{one.frames:,}") for one in said.values()), default=0)
+    for name, one in said.items():
+        late = f"{_ms(one.latencies.median)} ms" if one.latencies else ""
+        line = Text(printable(name), "dim")
+        line.truncate(width - digits - _LATE - 1, overflow="ellipsis", pad=True)
+        lines.append(line.append(f" {one.frames:>{digits},}{late:>{_LATE}}"))
     return lines
 
 

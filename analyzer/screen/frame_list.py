@@ -35,6 +35,7 @@ SHOWN_ONLY = {column.name for column in (NO, DELTA, ARROW, WHAT)}
 _LEAST = {DELTA.name: 59, NO.name: 49}  # columns of the screen from which on these are shown
 _LENT = 6  # columns of what a row is that longer frames may take
 _LATE = 13  # columns of an answer's name
+_ROOMY = 45  # columns from which on a longer answer is cut, so that its latency is seen
 _FRONT = 2  # columns before the first cell: the signs of a fault and of a mark
 _HEADINGS = {TimeStyle.ABSOLUTE: "clock", TimeStyle.UTC: "UTC"}
 _WHEN = slice(11, 24)  # the time of day of a date and time, to 0.1 ms
@@ -302,7 +303,9 @@ class FrameList(ScrollView, can_focus=True):
         words, reason = words_of(record)
         text = Text(words, look.style, end="")
         if isinstance(record, DeviceRecord) and record.latency is not None and room >= _LATE + 11:
-            text.pad_right(_LATE - len(words))
+            if room >= _ROOMY:
+                text.truncate(room - 11, overflow="ellipsis")
+            text.pad_right(_LATE - text.cell_len)
             text = Text.assemble(text, (f"{record.latency / 1e6:8.2f} ms", "dim"))
         text = Text.assemble(text, (f"  {reason}" if reason else "", "dim"))
         if text.cell_len > room:

@@ -12,10 +12,10 @@ def _key(keys: str, action: str, shown: str, says: str, word: str = "") -> Bindi
 
 BINDINGS = [
     _key("slash", "filter", "/", "filter the rows; an empty filter shows all", "filter"),
-    _key("n", "fault(1)", "n N", "the next, the previous fault", "next fault"),
+    _key("n", "fault(1)", "n N", "the next, the previous fault", "fault"),
     _key("N", "fault(-1)", "", ""),
     _key("e", "only_faults", "e", "show only the rows with a fault, or all again", "only faults"),
-    _key("space", "pause", "Space", "hold a live view still; play a capture", "pause"),
+    _key("space", "pause", "Space", "hold a live view still; play a capture", "pause/play"),
     _key("f", "follow", "f", "follow what comes", "follow"),
     _key("t", "times", "t", "times since the start, of the clock here, in UTC", "time"),
     _key("r", "reference", "r", "count times from this row; again: from the start"),

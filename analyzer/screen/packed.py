@@ -23,8 +23,16 @@ class PackedBatch:
         self._shared: list[Any] = []
         packed = BytesIO()
         with zstandard.ZstdCompressor(_LEVEL).stream_writer(packed, closefd=False) as file:
-            _Packer(file, self._shared).dump(batch)
+            pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
+            # A persistent id is asked for each object: packing records would be twice as slow.
+            pickler.dispatch_table = dict.fromkeys(_SHARED, self._share)
+            pickler.dump(batch)
         self._packed = packed.getvalue()
+
+    def _share(self, value: Any) -> tuple[Any, ...]:
+        """Keep a value beside the packed bytes, which have its place there."""
+        self._shared.append(value)
+        return _shared, (len(self._shared) - 1,)
 
     def batch(self) -> Batch:
         """The batch again."""
@@ -39,27 +47,8 @@ class PackedBatch:
 
 
 def _shared(place: int) -> Any:
-    """The name under which a packed batch asks for what it shares.
-
-    It is only a name: `_Unpacker` looks the place up instead. A persistent id would be simpler, but
-    it is asked for each object, which makes packing records twice as slow.
-    """
+    """The name under which a packed batch asks for what it shares; `_Unpacker` looks it up."""
     raise AssertionError(f"place {place} was not looked up by _Unpacker")
-
-
-class _Packer(pickle.Pickler):
-    """Puts what is shared into a list, and its place there into the file."""
-
-    def __init__(self, file: zstandard.ZstdCompressionWriter, shared: list[Any]) -> None:
-        super().__init__(file, pickle.HIGHEST_PROTOCOL)
-        self._shared = shared
-
-    def reducer_override(self, value: Any) -> Any:
-        """How a value is packed; asked once for each object of a class."""
-        if not isinstance(value, _SHARED):
-            return NotImplemented
-        self._shared.append(value)
-        return _shared, (len(self._shared) - 1,)
 
 
 class _Unpacker(pickle.Unpickler):

@@ -124,8 +124,8 @@ class Prompt(Vertical):
             return
         offered = question.completions(text, self.line.cursor_position)
         wrong = question.refusal(text.strip())
-        if any(one.start < len(text) for one in offered):  # a word that can be gone on with
-            words = printable("  ".join(one.text for one in offered))
+        words = printable("  ".join(one.text for one in offered))
+        if any(len(one.text) > len(text) - one.start > 0 for one in offered):  # a word goes on
             self._under.update(Text(words, "dim", no_wrap=True))
         elif wrong:
             self._refuse(wrong)

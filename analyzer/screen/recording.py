@@ -6,9 +6,9 @@ One thread adds batches while others read: what is added is there as a whole or 
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import groupby
 from threading import Lock, RLock
 from typing import TYPE_CHECKING
@@ -57,7 +57,7 @@ class Recording:
         self.totals = Totals(protocol)
         self._blocks: list[_Block] = []
         self._listed: list[Record] = []  # the rows of the last block, where it is not packed yet
-        self._unpacked: OrderedDict[int, Batch] = OrderedDict()
+        self._unpacked = lru_cache(_UNPACKED)(PackedBatch.batch)
 
     @property
     def nbytes(self) -> int:
@@ -99,7 +99,7 @@ class Recording:
                 if block.packed is None:
                     found += [self._listed[place] for place in places]
                     continue
-                batch = self._batch(block.first, block.packed)
+                batch = self._unpacked(block.packed)
                 chosen = np.zeros(len(batch), np.bool_)
                 chosen[places] = True
                 found += batch.records(batch.selection(chosen))
@@ -138,20 +138,12 @@ class Recording:
         with self.lock:
             if len(self._blocks) < 2:
                 return False
-            self._unpacked.pop(self._blocks.pop(0).first, None)
+            self._blocks.pop(0)
             self.first = self._blocks[0].first
             return True
 
     def _block_of(self, row: int) -> _Block:
         return self._blocks[bisect_right(self._blocks, row, key=lambda block: block.first) - 1]
-
-    def _batch(self, first: int, packed: PackedBatch) -> Batch:
-        """The rows of a block, unpacked; the last ones are kept."""
-        batch = self._unpacked.pop(first, None) or packed.batch()
-        self._unpacked[first] = batch
-        if len(self._unpacked) > _UNPACKED:
-            self._unpacked.popitem(last=False)
-        return batch
 
 
 class View:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Literal, cast
 
-from bilprov.analyzer.decode.batch import Records
+from bilprov.analyzer.files import whole_file, why_not_writable
 from bilprov.analyzer.output.outputs import opened_output
 from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.screen.recording import Recording, View
@@ -30,11 +29,9 @@ def new_file_refusal(name: str) -> str:
     try:
         if path.exists() or path.is_symlink():
             return f"{printable(name)} exists and is never overwritten: choose another name"
-        if not path.absolute().parent.is_dir():
-            return "name a file in a folder that exists"
+        return why_not_writable(path)
     except (OSError, ValueError) as error:
         return f"no file can have this name: {printable(error)}"
-    return ""
 
 
 def export(
@@ -49,28 +46,23 @@ def export(
 
     `goes_on` is asked with the share that is written; where it denies, no file is left.
     """
-    path, first, count = Path(name), view.first, view.count
-    style = cast(Literal["csv", "jsonl"], path.suffix[1:])
-    written = 0
+    first, count, written = view.first, view.count, 0
+    style = cast(Literal["csv", "jsonl"], Path(name).suffix[1:])
 
     def write(text: str) -> None:
         nonlocal written
-        file.write(text)
+        file.write(text.encode("utf-8", "backslashreplace"))
         written += text.count("\n")  # events of the line are rows only on the screen
 
     try:
-        with path.open("x", encoding="utf-8", newline="") as file:
+        with whole_file(Path(name), replace=False) as file:
             output = opened_output(style, recording.protocol, rows, start_wall, write)
             written = 0
             for at in range(first, count, _TOGETHER):
                 if not goes_on((at - first) / (count - first)):
                     raise InterruptedError(0, "stopped")
-                numbers = view.rows(at, min(at + _TOGETHER, count))
-                output.show(Records(recording.records(numbers)))
+                output.records(recording.records(view.rows(at, min(at + _TOGETHER, count))))
     except (OSError, ValueError) as error:
-        if not isinstance(error, FileExistsError):
-            with suppress(OSError):
-                path.unlink()
         why = error.strerror if isinstance(error, OSError) else error
-        return f"{printable(path)} cannot be written ({printable(why)})"
-    return f"{quantity(written, 'row')} written to {printable(path)}"
+        return f"{printable(name)} cannot be written ({printable(why)})"
+    return f"{quantity(written, 'row')} written to {printable(name)}"

@@ -209,12 +209,13 @@ def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> N
     lines = [line.plain for line in figures(totals, None, 86_805, 27)]
     assert lines == [
         "█▁",
-        "1,001 frames, 1,001 answers",
+        "1,001 frames",
+        "1,001 answers",
         "1,000 frames/s, 17% full",
         "latency 0.5 ms",
         "p95 0.5, max 0.5 ms",
         "",
-        "Speed       1,001   0.5 ms",
+        "Speed        1,001   0.5 ms",
     ]
 
 
