@@ -201,6 +201,7 @@ SEQUENCE_PREFIXES = tuple(dict.fromkeys(f"{row.group.partition('/')[0]}/" for ro
 """What the id of a sequence begins with."""
 
 
+@lru_cache(maxsize=8)
 def level_cases(
     protocol: Protocol,
     name: str,
@@ -216,14 +217,6 @@ def level_cases(
     machine the level `complete` allows a device. `left_out` are groups of `INDEPENDENT_GROUPS`
     that are not made. Raises UserError where `extra` takes too many sequences.
     """
-    return _level_cases(protocol, name, seed, soaked, extra, left_out)
-
-
-@lru_cache(maxsize=8)
-def _level_cases(
-    protocol: Protocol, name: str, seed: int, soaked: int, extra: int, left_out: frozenset[str]
-) -> tuple[AnyCase, ...]:
-    """The cases that `level_cases` returns, by arguments that are all given."""
     return (
         *single_cases(protocol, name, seed),
         *_sequences(protocol, LEVELS[name], seed, extra, left_out),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, NamedTuple
 from typing import Literal as OneOf
-from typing import NamedTuple
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.causes.exchanges import Exchange
@@ -233,24 +233,25 @@ class Literal(NamedTuple):
 
     def holds(self, exchange: Exchange) -> bool:
         """Return whether the condition holds for an exchange."""
-        return self.fits(self.feature.of(exchange))
+        return bool(self.fits(self.feature.of(exchange)))
 
-    def fits(self, found: Value) -> bool:
-        """Return whether the condition holds for this value of the feature."""
-        value = self.value
+    def fits(self, found: Any) -> Any:
+        """Return whether the condition holds for a value of the feature, or for each of an array.
+
+        Arrays are of numbers.
+        """
+        value: Any = self.value
         if found is None:
             return False
         if self.operator == "is":
             return found == value
-        assert isinstance(found, int)
-        if isinstance(value, tuple):
+        if self.operator == "every":
             return found % value[0] == value[1]
-        assert isinstance(value, int)
         if self.operator == "from":
             return found >= value
         if self.operator == "to":
             return found <= value
-        return bool(abs(found) >> value & 1) == (self.operator == "bit")
+        return (abs(found) >> value & 1 == 1) == (self.operator == "bit")
 
 
 Rule = tuple[Literal, ...]

@@ -73,7 +73,7 @@ class _Column:
         """Return for which exchanges of a part the literal holds."""
         if isinstance(literal.value, str):
             return np.asarray(part.codes == self._code_of[literal.value], bool)
-        return np.asarray(part.known & _fits(part.numbers, literal), bool)
+        return np.asarray(part.known & literal.fits(part.numbers), bool)
 
     def literals(self, part: _Part, single: Mask) -> list[Literal]:
         """The literals that hold for some of a part; `single` are those alone in their bag."""
@@ -96,20 +96,6 @@ class _Column:
             if period > 1:
                 found.append(Literal(feature, "every", (period, int(alone[0]) % period)))
         return found
-
-
-def _fits(numbers: npt.NDArray[np.int64], literal: Literal) -> npt.NDArray[np.bool_]:
-    operator, value = literal.operator, literal.value
-    if isinstance(value, tuple):
-        return np.asarray(numbers % value[0] == value[1])
-    assert isinstance(value, int)
-    if operator == "is":
-        return np.asarray(numbers == value)
-    if operator == "from":
-        return np.asarray(numbers >= value)
-    if operator == "to":
-        return np.asarray(numbers <= value)
-    return np.asarray((np.abs(numbers) >> value & 1 == 1) == (operator == "bit"))
 
 
 class Table:
