@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,6 @@ from bilprov.conformance.learning.drawing import (
 from bilprov.conformance.machines.wp_method import state_cover
 from bilprov.spec.by_effect import all_movement
 from bilprov.spec.codec import spaced
-from bilprov.spec.errors import UserError
 
 if TYPE_CHECKING:
     from bilprov.conformance.learning.learned import Learned
@@ -39,10 +38,6 @@ if TYPE_CHECKING:
     from bilprov.conformance.machines.mealy import Mealy
 
 _SHOWN = 5  # differences told on the screen
-
-
-class NotUsable(UserError):
-    """The device, its port or its probe cannot be used for learning. One sentence."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +77,7 @@ def learn(options: LearnOptions) -> int:
     Exit code: 0 the same machine, 1 another one, 2 the port or the probe cannot be used, 3 it could
     not be learned, or no probe sees the robot.
     """
-    from bilprov.conformance.learning.learned import Unusable, learn_target
+    from bilprov.conformance.learning.learned import learn_target
     from bilprov.conformance.learning.learner import require_aalpy
 
     protocol, robot, svg = family_protocol("lab learn"), options.robot, options.svg
@@ -112,10 +107,7 @@ def learn(options: LearnOptions) -> int:
         def progress(states: int, frames: int) -> None:
             shown.update(task, completed=frames, description=quantity(states, "state"))
 
-        try:
-            learned = learn_target(target, seed=options.seed, progress=progress)
-        except Unusable as why:
-            raise NotUsable(str(why)) from why
+        learned = learn_target(target, seed=options.seed, progress=progress)
     _write(learned, options)
     onto_stdout = any(path == STANDARD_OUTPUT for _, path in options.files)
     for line in _told(learned):
@@ -160,9 +152,10 @@ def _drawn(learned: Learned, machine: Mealy[Output], *, overview: bool = False) 
 
 def _told(learned: Learned) -> Iterator[str]:
     """What came of it, in lines for a person."""
-    sent = f"{quantity(learned.frames, 'frame')} in {quantity(learned.sequences, 'sequence')}"
-    if learned.repeated:
-        sent += f", {learned.repeated:,} of them sent again"
+    counts = learned.sent
+    sent = f"{quantity(counts.frames, 'frame')} in {quantity(counts.sequences, 'sequence')}"
+    if counts.repeated:
+        sent += f", {counts.repeated:,} of them sent again"
     if learned.machine is not None:
         states = quantity(len(learned.machine), "state")
         inputs = quantity(len(learned.steps), "input")
@@ -201,8 +194,8 @@ def _conclusion(learned: Learned) -> str:
         return "not the Protocol's machine"
     if learned.beside:
         return "the Protocol's machine, but it does not conform: run bilprov conform"
-    if learned.flaky:
-        times = quantity(learned.flaky, "outcome")
+    if learned.sent.flaky:
+        times = quantity(learned.sent.flaky, "outcome")
         why = "the device does not always do the same" if learned.lossless else "noise, or a rhythm"
         return f"the Protocol's machine, but {times} came once and not again: {why}"
     if not learned.seen:
@@ -232,12 +225,7 @@ def _as_json(learned: Learned) -> dict[str, Any]:
         "exit": learned.exit,
         "trouble": learned.trouble,
         "seen": learned.seen,
-        "sent": {
-            "frames": learned.frames,
-            "sequences": learned.sequences,
-            "repeated": learned.repeated,
-            "flaky": learned.flaky,
-        },
+        "sent": asdict(learned.sent),
         "inputs": inputs,
         "states": None if machine is None else _states(machine),
         "expected_states": learned.expected_states,

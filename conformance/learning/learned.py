@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bilprov.analyzer.client.operations import Link, Procedure, drive, send
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import in_motion
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.dut.target import Target
-from bilprov.conformance.learning.learner import Difference, Learner, NotLearned, System
+from bilprov.conformance.learning.learner import Difference, Learner, NotLearned, Sent, System
 from bilprov.conformance.learning.reference import (
     FACETS,
     Output,
@@ -33,6 +33,7 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import home, set_up, watch
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.waiting import GaveUp
+from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 
@@ -46,9 +47,8 @@ class Learned:
     first; `more` says that there are others. `choices` are the open points at which the device
     chooses otherwise than the kit, with its word and the verdict of that. `beside` are failures
     found before, between and after the sequences, as case and reason. `broken` is true where the
-    kit or the port failed. `seen` are facets of the look, in words. `flaky` counts outcomes that
-    came once and not again, between the sequences too; on a line that loses nothing (`lossless`)
-    they are the device's.
+    kit or the port failed. `seen` are facets of the look, in words. Of `sent`, `flaky` also counts
+    what came between the sequences; on a line that loses nothing (`lossless`) it is the device's.
     """
 
     protocol: Protocol
@@ -66,10 +66,7 @@ class Learned:
     trouble: str = ""
     broken: bool = False
     seen: tuple[str, ...] = ()
-    frames: int = 0
-    sequences: int = 0
-    repeated: int = 0
-    flaky: int = 0
+    sent: Sent = field(default_factory=Sent)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,11 +76,12 @@ class Learned:
     @property
     def verdict(self) -> Verdict:
         """The verdict, from what was found. What was never seen is no pass."""
-        if self.differences or self.beside or (self.flaky and self.lossless):
+        if self.differences or self.beside or (self.sent.flaky and self.lossless):
             return Verdict.FAIL
         if self.broken:
             return Verdict.ERROR
-        return Verdict.INCONCLUSIVE if self.trouble or self.flaky or not self.seen else Verdict.PASS
+        unsure = self.trouble or self.sent.flaky or not self.seen
+        return Verdict.INCONCLUSIVE if unsure else Verdict.PASS
 
     @property
     def exit(self) -> int:
@@ -105,7 +103,7 @@ class Learned:
         return tuple(self.steps[letter].frame for letter in word)
 
 
-class Unusable(Exception):
+class Unusable(UserError):
     """The line cannot be used at all; the message says why, in one sentence."""
 
 
@@ -188,10 +186,8 @@ def _learn(
         for point in sorted(choices.others)
     )
     reference = reference_machine(Model(run.protocol, choices), learned.steps)
-    system = System(
-        *(run, link, interrupted, learned.steps, reference),
-        sent=lambda frames: progress(learner.states, frames),
-    )
+    system = System(run, link, interrupted, learned.steps, reference, learned.sent)
+    system.progress = lambda frames: progress(learner.states, frames)
     learner = Learner(system, reference, seed=learned.seed)
     try:
         learned.machine = machine = learner.learn()
@@ -204,10 +200,8 @@ def _learn(
     finally:
         if learned.machine is None and system.deviation:
             learned.differences = (system.deviation,)
-        learned.frames, learned.sequences = system.frames, system.sequences
-        learned.repeated, learned.flaky = system.repeated, system.flaky
         run.strays.close(keeps_all=run.keeps_all)
         if not learned.lossless:
             # In so many sequences noise makes as many strays as fail a run of the suite.
-            learned.flaky += len(run.results) - begun
+            learned.sent.flaky += len(run.results) - begun
             del run.results[begun:]

@@ -19,7 +19,7 @@ import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, zip_longest
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from bilprov.analyzer.client.operations import Link, Procedure, drive, listen, observe, send
 from bilprov.captures.schemas import MS
@@ -50,11 +50,17 @@ class NoAALpy(UserError):
     """AALpy is not installed. The message says how it comes."""
 
 
-class Teacher(Protocol):
-    """Whoever answers an output query."""
+@dataclass(slots=True)
+class Sent:
+    """What learning has sent: inputs, sequences of them, and how many of these were sent again.
 
-    def outputs(self, word: bytes) -> tuple[Output, ...]:
-        """The outputs for a sequence of inputs."""
+    `flaky` counts outcomes that came once and not again.
+    """
+
+    frames: int = 0
+    sequences: int = 0
+    repeated: int = 0
+    flaky: int = 0
 
 
 def require_aalpy() -> Callable[..., Any]:
@@ -77,7 +83,7 @@ class Learner:
     `more` whether there are others beside them.
     """
 
-    def __init__(self, teacher: Teacher, reference: Mealy[Output], *, seed: int = 1) -> None:
+    def __init__(self, teacher: System, reference: Mealy[Output], *, seed: int = 1) -> None:
         self._teacher, self._reference = teacher, reference
         self._minimal = minimal(reference)
         self._apart = Characterisation(self._minimal)
@@ -190,9 +196,9 @@ class NotLearned(Exception):
 class System:
     """A device as a function from sequences of inputs to outputs; known ones are not asked again.
 
-    `reference` is the machine that is expected, `steps` are its inputs. `sent` is called with the
-    number of inputs sent so far. `deviation` is the shortest difference from the reference that was
-    seen twice, `flaky` counts the outcomes that were seen once and not again.
+    `reference` is the machine that is expected, `steps` are its inputs. `progress` is called with
+    the number of inputs sent so far. `deviation` is the shortest difference from the reference that
+    was seen twice.
     """
 
     run: Run
@@ -200,11 +206,8 @@ class System:
     interrupted: Callable[[], bool | str]
     steps: Sequence[Step]
     reference: Mealy[Output]
-    sent: Callable[[int], None] = lambda frames: None
-    frames: int = 0
-    sequences: int = 0
-    repeated: int = 0
-    flaky: int = 0
+    sent: Sent = field(default_factory=Sent)
+    progress: Callable[[int], None] = lambda frames: None
     deviation: Difference | None = None
     _known: dict[bytes, Output] = field(default_factory=dict)
 
@@ -231,25 +234,25 @@ class System:
             if got[: len(known)] == known and _first_difference(due, got) is None:
                 break
             tries.append(got)
-            self.repeated += 1
+            self.sent.repeated += 1
             if len(tries) == _TRIES:
-                self.flaky += _TRIES
+                self.sent.flaky += _TRIES
                 raise NotLearned(f"{_TRIES} tries of one sequence gave {_TRIES} different outcomes")
-        self.flaky += sum(one != got for one in tries)
+        self.sent.flaky += sum(one != got for one in tries)
         place = _first_difference(due, got)
         if place is not None and (not self.deviation or place + 1 < len(self.deviation.word)):
             expected_there = due[place].beside(got[place])
             self.deviation = Difference(word[: place + 1], expected_there, got[place])
         if got[: len(known)] != known:
-            self.flaky += 1  # what was known came once and not again
+            self.sent.flaky += 1  # what was known came once and not again
             raise NotLearned("the same sequence gave one outcome first and then, twice, another")
         return got
 
     def _attempt(self, word: bytes, expected: _Outputs) -> _Outputs:
-        self.sequences += 1
-        self.frames += len(word)
-        self.sent(self.frames)
-        if self.frames > MOST_FRAMES:
+        self.sent.sequences += 1
+        self.sent.frames += len(word)
+        self.progress(self.sent.frames)
+        if self.sent.frames > MOST_FRAMES:
             raise NotLearned(
                 f"it is not learned after {MOST_FRAMES:,} frames: it has too many states"
             )

@@ -178,7 +178,7 @@ def test_a_rhythm_is_no_pass_though_no_sequence_shows_it_twice(protocol: Protoco
     device = Blind(faulty(protocol, "every-100th-frame-unanswered"))
 
     learned = learn(protocol, device)
-    assert learned.flaky > 0
+    assert learned.sent.flaky > 0
     assert learned.exit == 1
 
 
@@ -228,7 +228,7 @@ def test_what_a_robot_does_between_the_sequences_counts(
     robot = Simulator(protocol, fault)
     robot.lossless = False
     learned = learn(protocol, Blind(robot))
-    assert learned.flaky == 1
+    assert learned.sent.flaky == 1
     assert learned.verdict is Verdict.INCONCLUSIVE
 
 
@@ -237,7 +237,7 @@ def test_what_begins_late_and_then_stays_is_a_difference(protocol: Protocol) -> 
     learned = learn(protocol, faulty(protocol, "dark-after-40000-frames"))
 
     assert learned.machine is None
-    assert (learned.exit, len(learned.differences), learned.flaky) == (1, 1, 1)
+    assert (learned.exit, len(learned.differences), learned.sent.flaky) == (1, 1, 1)
 
 
 @pytest.mark.slow
@@ -247,7 +247,7 @@ def test_a_bad_line_changes_nothing_about_the_machine(protocol: Protocol) -> Non
 
     assert learned.machine is not None
     assert (len(learned.machine), learned.differences) == (36, ())
-    assert learned.flaky > 0
+    assert learned.sent.flaky > 0
     assert learned.verdict is Verdict.INCONCLUSIVE
 
 

@@ -74,7 +74,7 @@ def test_what_is_seen_twice_and_contradicts_what_was_known_is_a_deviation(
         asked.outputs(unused + stop)
 
     assert asked.deviation == Difference(unused, Output((1,)), Output((WRONG,)))
-    assert asked.flaky == 1
+    assert asked.sent.flaky == 1
 
 
 def test_tries_that_all_disagree_teach_nothing(protocol: Protocol) -> None:
@@ -84,7 +84,7 @@ def test_tries_that_all_disagree_teach_nothing(protocol: Protocol) -> None:
         asked.outputs(letters(protocol, "81 08"))
 
     assert asked.deviation is None
-    assert asked.flaky == 6
+    assert asked.sent.flaky == 6
 
 
 def test_a_deviation_is_told_with_the_facets_that_are_seen(protocol: Protocol) -> None:
