@@ -199,15 +199,13 @@ def _run(path: str, evidence: Evidence) -> _Run:
     counts = evidence.capture.contents.counts
     if topics.HISTORY in evidence.capture.metadata:
         raise CaptureError(
-            f"{path} is not a recording as it was made but an edited one (bilprov "
-            "capture "
-            "info shows how): judge the recording itself again"
+            f"{path} is not a recording as it was made but an edited one (bilprov capture info "
+            "shows how): judge the recording itself again"
         )
     if RUN not in evidence.attachments or not counts.get(topics.ASKS):
         raise CaptureError(
-            f"{path} is not a recording of a conformance run that can be judged "
-            "again: make "
-            "one with bilprov conform PORT --record FILE.mcap"
+            f"{path} is not a recording of a conformance run that can be judged again: make one "
+            "with bilprov conform PORT --record FILE.mcap"
         )
     try:
         return from_json(evidence.attachments[RUN], _Run)

@@ -97,9 +97,8 @@ def announcement(protocol: Protocol, extra: int, groups: Container[str]) -> str:
         if proof.applies(protocol) and f"{GROUP}/{proof.name}" in groups:
             machine, words = proof.machine(protocol), suite(protocol, proof, extra).words
             told.append(
-                f"{proof.seen(protocol)}: {len(machine.machine)} states, "
-                f"{len(machine.classes)} byte classes and the silence, "
-                f"{quantity(len(words), 'word')} in "
+                f"{proof.seen(protocol)}: {len(machine.machine)} states, {len(machine.classes)} "
+                f"byte classes and the silence, {quantity(len(words), 'word')} in "
                 f"{quantity(sequences(protocol, proof, extra), 'sequence')}"
             )
     return "; ".join(told)

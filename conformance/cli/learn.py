@@ -94,8 +94,7 @@ def learn(options: LearnOptions) -> int:
         if target.environment.observability.costly:
             raise click.UsageError(
                 f"--probe {robot.probe} allows only a few observations, and learning makes one "
-                "after each frame: "
-                "use tcp:HOST:PORT or modem:LINE"
+                "after each frame: use tcp:HOST:PORT or modem:LINE"
             )
         if target.moves:
             _confirm(target, robot)

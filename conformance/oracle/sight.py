@@ -143,8 +143,7 @@ class Sight:
             if gap.over:
                 yield (
                     f"In {gap.looks:,} of {self.looks:,} observations the probe did not report "
-                    f"{words} "
-                    f"({where}, observation {gap.first:,})"
+                    f"{words} ({where}, observation {gap.first:,})"
                 )
             else:
                 yield (

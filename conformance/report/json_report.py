@@ -93,9 +93,8 @@ def _require_consistent(report: Report, document: Mapping[str, Any], path: str) 
     found = {name: count for name, count in report.counts.items() if count}
     if verdict != report.verdict.label or said != found:
         raise ReportError(
-            f"{path} contradicts itself: its verdict is {verdict} ({_counted(said)}), "
-            f"that of its cases is {report.verdict.label} ({_counted(found)}); run conform "
-            "--json again"
+            f"{path} contradicts itself: its verdict is {verdict} ({_counted(said)}), that of its "
+            f"cases is {report.verdict.label} ({_counted(found)}); run conform --json again"
         )
     twice = [ident for ident, count in Counter(r.id for r in report.results).items() if count > 1]
     if twice:

@@ -48,10 +48,9 @@ def _machine(protocol: Protocol, proof: Proof, extra: int) -> str:
     bytes_, told = proof.machine(protocol), suite(protocol, proof, extra)
     states = len(bytes_.machine)
     return (
-        f"{proof.seen(protocol)} ({quantity(states, 'state')}, "
-        f"{len(bytes_.classes)} classes of bytes and the silence, "
-        f"{quantity(len(told.words), 'word')}): every other device of at most {states + extra} "
-        "states would have failed"
+        f"{proof.seen(protocol)} ({quantity(states, 'state')}, {len(bytes_.classes)} classes of "
+        f"bytes and the silence, {quantity(len(told.words), 'word')}): every other device of at "
+        f"most {states + extra} states would have failed"
     )
 
 
@@ -61,10 +60,9 @@ def _assumptions(protocol: Protocol) -> Iterator[str]:
         "(each class took all its values in turn, but not each value in each state)."
     )
     yield (
-        "Time has two classes: pauses inside a frame, waiting for answers and observations, "
-        "far below its "
-        "time-out, and a silence "
-        f"longer than that (between frames {silence(protocol)} ms)."
+        "Time has two classes: pauses inside a frame, waiting for answers and observations, far "
+        f"below its time-out, and a silence longer than that (between frames {silence(protocol)} "
+        "ms)."
     )
     yield (
         f"The reset before each word, {quantity(protocol.longest_frame, protocol.stop.name)} and "

@@ -144,11 +144,10 @@ def _facts(report: Report) -> Iterator[str]:
         yield "other readings of the document: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
     if timing.keys() >= _TIMED and report.link.get("kind") == "port":
         yield (
-            f"{timing['ratio']:.2f} times the minimum time: "
-            f"{timing['bytes_sent']:.0f} bytes sent and {timing['bytes_received']:.0f} received "
-            f"({timing['wire_s']:.1f} s on the wire), {timing['silences_s']:.1f} s of silences, "
-            f"{timing['timeouts_s']:.1f} s of time-outs, {timing['looks']:.0f} observations of "
-            f"{timing['look_ms']:.2f} ms"
+            f"{timing['ratio']:.2f} times the minimum time: {timing['bytes_sent']:.0f} bytes sent "
+            f"and {timing['bytes_received']:.0f} received ({timing['wire_s']:.1f} s on the wire), "
+            f"{timing['silences_s']:.1f} s of silences, {timing['timeouts_s']:.1f} s of time-outs, "
+            f"{timing['looks']:.0f} observations of {timing['look_ms']:.2f} ms"
         )
     about = run_facts(msgspec.structs.replace(report, unseen=(), notices=()))
     if about:
