@@ -38,8 +38,7 @@ from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.executor import Runner, SkipPolicy, is_slow
-from bilprov.conformance.runner.listeners.listener import ObservedLink, RunListener
-from bilprov.conformance.runner.listeners.meter import Meter
+from bilprov.conformance.runner.listeners.listener import Meter, ObservedLink, RunListener
 from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol as Grammar

@@ -26,7 +26,7 @@ from bilprov.captures.text import escape_controls, escape_json, printable
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
 from bilprov.conformance.learning.reference import Output
-from bilprov.conformance.machines.mealy import Mealy
+from bilprov.conformance.machines.wp_method import Mealy
 from bilprov.spec.emit.c import c_header
 from bilprov.spec.emit.python_stub import python_stub
 from bilprov.spec.emit.wireshark import lua_dissector

@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from bilprov.conformance.cases.steps import Step, framed
-from bilprov.conformance.machines.mealy import Mealy, Output, explore, input_classes, minimal
+from bilprov.conformance.machines.wp_method import Mealy, Output, explore, input_classes, minimal
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol

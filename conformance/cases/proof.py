@@ -18,8 +18,7 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.cases.byte_machine import ByteMachine, byte_machine
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, step_of
-from bilprov.conformance.machines.mealy import Output
-from bilprov.conformance.machines.wp_method import Reset, Suite, most_words, wp_suite
+from bilprov.conformance.machines.wp_method import Output, Reset, Suite, most_words, wp_suite
 from bilprov.spec.by_effect import setting
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol

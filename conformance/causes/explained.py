@@ -14,9 +14,9 @@ from bilprov.conformance.causes.features import Literal, Rule, features, matches
 from bilprov.conformance.causes.relations import Effect
 from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, shows
 from bilprov.conformance.causes.trace import Trace
+from bilprov.conformance.oracle.judge import code_words
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import Cause, Verdict, WireEvent
-from bilprov.conformance.oracle.wording import code_words
 from bilprov.conformance.runner.homing import home_after
 from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run

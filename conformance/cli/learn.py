@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from bilprov.conformance.learning.learned import Learned
     from bilprov.conformance.learning.learner import Difference
     from bilprov.conformance.learning.reference import Output
-    from bilprov.conformance.machines.mealy import Mealy
+    from bilprov.conformance.machines.wp_method import Mealy
 
 _SHOWN = 5  # differences told on the screen
 

@@ -12,9 +12,8 @@ from collections.abc import Callable, Collection, Sequence
 
 from bilprov.captures.text import escape_controls, quantity
 from bilprov.conformance.learning.reference import Output
-from bilprov.conformance.machines.mealy import Mealy
-from bilprov.conformance.machines.wp_method import state_cover
-from bilprov.conformance.oracle.wording import answer_words
+from bilprov.conformance.machines.wp_method import Mealy, state_cover
+from bilprov.conformance.oracle.judge import answer_words
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 

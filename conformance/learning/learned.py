@@ -23,7 +23,7 @@ from bilprov.conformance.learning.reference import (
     reset,
     seen_without,
 )
-from bilprov.conformance.machines.mealy import Mealy, minimal
+from bilprov.conformance.machines.wp_method import Mealy, minimal
 from bilprov.conformance.oracle.choices import Choices, verdict_of
 from bilprov.conformance.oracle.profile import Profile, timers_of
 from bilprov.conformance.oracle.state_model import Model

@@ -26,8 +26,13 @@ from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.steps import Step
 from bilprov.conformance.learning.reference import Output, output_of, reset
-from bilprov.conformance.machines.mealy import Mealy, explore, minimal
-from bilprov.conformance.machines.wp_method import Characterisation, state_cover
+from bilprov.conformance.machines.wp_method import (
+    Characterisation,
+    Mealy,
+    explore,
+    minimal,
+    state_cover,
+)
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.errors import UserError

@@ -15,11 +15,11 @@ from bilprov.captures.schemas import MS, Look, look_class
 from bilprov.conformance.cases.frame_source import fill
 from bilprov.conformance.cases.steps import Step, framed, frames_of, open_frames, step_of
 from bilprov.conformance.dut.target import Target
-from bilprov.conformance.machines.mealy import Mealy, explore, minimal
+from bilprov.conformance.machines.wp_method import Mealy, explore, minimal
 from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.judge import answer_words
 from bilprov.conformance.oracle.profile import timers_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
-from bilprov.conformance.oracle.wording import answer_words
 from bilprov.spec.by_effect import frames_to
 from bilprov.spec.codec import bad_data, judge, spaced
 from bilprov.spec.motion import Wheels, visible_motion

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict
-from bilprov.conformance.report.conclusion import conclusion
 from bilprov.conformance.report.grouping import by_group
-from bilprov.conformance.report.run_report import Report, run_facts
+from bilprov.conformance.report.run_report import Report, conclusion, run_facts
 from bilprov.spec.protocol import Protocol
 
 _NOT_RUN = "run"

@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 
 from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.report.conclusion import EXIT_VERDICTS, conclusion
 from bilprov.conformance.report.grouping import by_group, by_reason, tally
-from bilprov.conformance.report.run_report import Report, run_facts
+from bilprov.conformance.report.run_report import EXIT_VERDICTS, Report, conclusion, run_facts
 from bilprov.spec.protocol import Protocol
 
 _FIRST = 10  # cases of each verdict in full

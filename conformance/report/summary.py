@@ -12,7 +12,6 @@ from rich.text import Text
 from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.report.conclusion import STYLES, conclusion
 from bilprov.conformance.report.grouping import (
     Row,
     by_group,
@@ -23,7 +22,7 @@ from bilprov.conformance.report.grouping import (
     rows,
     tally,
 )
-from bilprov.conformance.report.run_report import Report, evidence, run_facts
+from bilprov.conformance.report.run_report import STYLES, Report, conclusion, evidence, run_facts
 
 # The verdicts whose cases are listed, the first one's only if every case is asked for.
 _LISTED = (

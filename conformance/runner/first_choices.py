@@ -11,9 +11,8 @@ from bilprov.analyzer.client.operations import Procedure, Received, listen, send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import case_of_the_run, full_state
 from bilprov.conformance.cases.steps import code_of, step_of
-from bilprov.conformance.oracle.judge import differences
+from bilprov.conformance.oracle.judge import differences, look_words
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import movers, moving_to

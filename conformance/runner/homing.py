@@ -30,10 +30,10 @@ from bilprov.captures.schemas import MS, Look
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, case_of_the_run, in_motion
 from bilprov.conformance.cases.steps import FrameClass, step_of
+from bilprov.conformance.oracle.judge import look_words
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Homed, Late, Trial
 from bilprov.conformance.runner.waiting import GaveUp

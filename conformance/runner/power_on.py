@@ -18,11 +18,16 @@ from bilprov.analyzer.client.rest import stops
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.single_frames import at_rest, link_check, motion_first
-from bilprov.conformance.oracle.judge import judge_answers, judge_state, lost
+from bilprov.conformance.oracle.judge import (
+    answer_words,
+    judge_answers,
+    judge_state,
+    look_words,
+    lost,
+)
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.oracle.wording import answer_words, look_words
 from bilprov.conformance.runner.noise import case_bytes, confirm
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.codec import spaced

@@ -16,11 +16,11 @@ from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.link import Observability
+from bilprov.conformance.oracle.judge import answer_words
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, SEEN_AXES, Sight
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, worst
-from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.probe_trust.looks import Looks
 from bilprov.conformance.runner.time_limit import TimeLimit
 from bilprov.conformance.runner.waiting import CoarseLine, Waiting

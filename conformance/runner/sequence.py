@@ -15,11 +15,16 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.cases.adaptation import adapt_to_device
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.oracle.judge import contradiction, differences, facets_of_motion
+from bilprov.conformance.oracle.judge import (
+    contradiction,
+    differences,
+    facets_of_motion,
+    look_words,
+    state_words,
+)
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_set, untold
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.oracle.wording import look_words, state_words
 from bilprov.conformance.runner.sequence_answers import (
     Early,
     Mismatch,

@@ -9,9 +9,8 @@ from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
-from bilprov.conformance.oracle.judge import matching
+from bilprov.conformance.oracle.judge import answer_words, code_words, matching
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.oracle.wording import answer_words, code_words
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.readings import FLUSH_POINTS, POINTS

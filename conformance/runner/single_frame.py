@@ -21,17 +21,19 @@ from bilprov.conformance.cases.adaptation import adapt_to_device
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.steps import FrameClass, step_of
 from bilprov.conformance.oracle.judge import (
+    answer_words,
     contradiction,
     deviation,
     differences,
     facets_of_motion,
     judge_answers,
     judge_state,
+    look_words,
+    state_words,
 )
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_of, untold
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.oracle.wording import answer_words, look_words, state_words
 from bilprov.conformance.runner.homing import SetUp, home, preamble_of, set_up, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Trial

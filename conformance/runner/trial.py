@@ -8,10 +8,9 @@ from bilprov.analyzer.client.operations import Ended, Received, Reconnected
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.oracle.judge import matching
+from bilprov.conformance.oracle.judge import answer_words, matching
 from bilprov.conformance.oracle.sight import SEEN_AXES
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, worst
-from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.readings import POINTS

@@ -16,9 +16,8 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import Case, in_motion
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import truncation_timeout
-from bilprov.conformance.oracle.judge import judge_answers
+from bilprov.conformance.oracle.judge import judge_answers, look_words
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.homing import home, home_after, set_up_slowly, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.trial import Trial

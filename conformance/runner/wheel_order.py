@@ -10,9 +10,9 @@ from typing import Any
 from bilprov.analyzer.client.operations import Procedure, Received, listen, observe, send
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.wheel_order import READING, OrderCase
+from bilprov.conformance.oracle.judge import answer_words
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wheel_order import Speeds, WheelOrder, sizes, spread, tolerance
-from bilprov.conformance.oracle.wording import answer_words
 from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.codec import judge

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.conformance.cli.shell.completion import candidates
+from bilprov.conformance.cli.shell.prompt import candidates
 from tests.support.commands import Done, command
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cli.shell.completion import candidates
+from bilprov.conformance.cli.shell.prompt import candidates
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank

@@ -14,8 +14,8 @@ from typing import Any
 
 from bilprov.analyzer.html.markup import Safe, bar, joined, tag
 from bilprov.captures.schemas import MS
+from bilprov.conformance.oracle.judge import code_words
 from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict, WireEvent
-from bilprov.conformance.oracle.wording import code_words
 from bilprov.conformance.report.grouping import Row, by_group, tally
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import judge

@@ -17,8 +17,7 @@ from bilprov.conformance.cases.steps import (
     open_frames,
     step_of,
 )
-from bilprov.conformance.oracle.judge import matching
-from bilprov.conformance.oracle.wording import answer_words
+from bilprov.conformance.oracle.judge import answer_words, matching
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.run import Run

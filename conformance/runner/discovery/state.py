@@ -9,7 +9,7 @@ from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.case import full_state
 from bilprov.conformance.cases.steps import one_of_each
-from bilprov.conformance.oracle.wording import look_words
+from bilprov.conformance.oracle.judge import look_words
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.homing import set_up, set_up_slowly, watch
 from bilprov.conformance.runner.run import Run

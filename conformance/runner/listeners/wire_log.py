@@ -19,8 +19,8 @@ from operator import itemgetter
 import msgspec
 
 from bilprov.analyzer.client.operations import Ended, Observation, Operation, Received, Reply, Send
+from bilprov.conformance.oracle.judge import look_words
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent, WireKind
-from bilprov.conformance.oracle.wording import look_words
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.codec import spaced
 

@@ -10,14 +10,9 @@ import pytest
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.byte_machine import byte_machine
-from bilprov.conformance.cases.proof import (
-    PROOFS,
-    announcement,
-    proof_sequences,
-    suite,
-)
+from bilprov.conformance.cases.proof import PROOFS, announcement, proof_sequences, suite
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.machines.mealy import Mealy, Output, minimal
+from bilprov.conformance.machines.wp_method import Mealy, Output, minimal
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import Verdict

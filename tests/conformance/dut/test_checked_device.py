@@ -8,8 +8,8 @@ import pytest
 
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.checked_device import DeviceError
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.virtual_link import DeviceError
 from bilprov.spec.protocol import Protocol
 
 FEW = Options(only=("valid/LED/*",))

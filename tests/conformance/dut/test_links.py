@@ -35,10 +35,9 @@ from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
-from bilprov.conformance.dut.checked_device import DeviceError
 from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.dut.virtual_link import DeviceError, VirtualLink
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import BYTE_TIME, PATIENCE, ProbeServer, served_here
 

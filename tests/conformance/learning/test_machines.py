@@ -20,8 +20,7 @@ from bilprov.conformance.learning.reference import (
     reference_machine,
     reset,
 )
-from bilprov.conformance.machines.mealy import Mealy, minimal
-from bilprov.conformance.machines.wp_method import state_cover
+from bilprov.conformance.machines.wp_method import Mealy, minimal, state_cover
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.spec.protocol import Protocol

@@ -9,12 +9,15 @@ from random import Random
 
 import pytest
 
-from bilprov.conformance.machines.mealy import Mealy, Output, input_classes, minimal
 from bilprov.conformance.machines.wp_method import (
     NO_RESET,
     Characterisation,
+    Mealy,
+    Output,
     Reset,
     Suite,
+    input_classes,
+    minimal,
     state_cover,
     wp_suite,
 )

@@ -6,7 +6,7 @@ import pytest
 
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
-from bilprov.conformance.oracle.wording import look_words
+from bilprov.conformance.oracle.judge import look_words
 
 
 @pytest.mark.parametrize(

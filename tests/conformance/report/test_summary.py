@@ -11,8 +11,7 @@ from rich.console import Console
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.report.conclusion import conclusion
-from bilprov.conformance.report.run_report import Report
+from bilprov.conformance.report.run_report import Report, conclusion
 from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import a_case, a_run, every_verdict
