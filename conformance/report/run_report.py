@@ -78,7 +78,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     ERROR where nothing could be judged, `counts` how many results have each verdict; both follow
     from the results. `unusable` says why nothing could be judged, `ended` why the run ended early;
     `ended_by` is then `error` (the kit, the port or the probe failed), `user`, or `time` (it took
-    three times what was announced). `timing` says where the time went (see `meter`), `profile` what
+    three times what was announced). `timing` says where the time went (see `Meter`), `profile` what
     was measured. `proof` is what the level `complete` has proven. `comparison` is that with a file
     of expected failures. `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took
     (real time), `host` the machine's name, `versions` those of Python, its platform and libraries.
