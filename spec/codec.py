@@ -318,11 +318,10 @@ def _fault(
             "",
         )
     needed = spec.data.measure(data)
-    more = spec.data.counted is not None and spec.data.counted.how == "rest"
     if needed is None or len(data) < needed:
         reason = f"{spec.name} takes {data_bytes(needed or spec.length)}, {len(data)} came"
         return Outcome.TOO_FEW, reason, ""
-    if len(data) > needed and not more:
+    if len(data) > needed and not spec.data.takes_rest:
         return Outcome.TOO_MANY, f"{spec.name} takes {data_bytes(needed)}, {len(data)} came", ""
     part_wrong = spec.data.wrong(data)
     if part_wrong is None:

@@ -220,6 +220,11 @@ class DataSpec:
         return last if last and last.how != "fixed" else None
 
     @property
+    def takes_rest(self) -> bool:
+        """Whether the last field takes what is left of the frame."""
+        return self.counted is not None and self.counted.how == "rest"
+
+    @property
     def valid_count(self) -> int:
         """How many valid data there are, of those with the least length."""
         return prod(part.count for part in self.fields if not part.many)

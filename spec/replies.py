@@ -146,7 +146,7 @@ def read_as(
         data = layout.data_of(frame)
         needed = way.data.measure(data, values)
         has_some = bool(data) or response is None or Outcome.VALID in response.outcomes
-        if has_some and (needed == len(data) or _takes_rest(way.data)):
+        if has_some and (needed == len(data) or way.data.takes_rest):
             fields = tuple(way.data.decode(data).items())
             specs = way.data.fields
             if asked and asked.instruction and protocol.registers:
@@ -368,10 +368,6 @@ def _damage(protocol: Protocol, layout: Layout, frame: bytes, asked: Judgement |
     return wrong or (layout.check.wrong(frame, before) if layout.check else "")
 
 
-def _takes_rest(data: DataSpec) -> bool:
-    return data.counted is not None and data.counted.how == "rest"
-
-
 def _filled(data: DataSpec, asked: Mapping[str, Any], values: Mapping[str, Any]) -> bytes:
     """The data of an answer: the values that are given, those that the request has, else zeros."""
     built = b""
@@ -400,7 +396,7 @@ def _repeated(
     if not part.in_range(part.parse(raw)):
         return None
     counted = part.many is not None and part.many is data.counted
-    due = data.measure(before + raw, asked) if counted and not _takes_rest(data) else None
+    due = data.measure(before + raw, asked) if counted and not data.takes_rest else None
     return raw if due in (None, len(before + raw)) else None
 
 

@@ -5,6 +5,8 @@ An answer in the layout of errors is not: what it is depends on all the ways to 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,19 +14,20 @@ from numpy.typing import NDArray
 
 from bilprov.spec.arrays.checks import Checking
 from bilprov.spec.arrays.layouts import (
+    NO_NUMBERS,
     OUTCOMES,
     Bytes,
     Mask,
+    Numbers,
     Places,
     Requests,
-    Told,
     checks_hold,
     constants_hold,
     data_sizes,
+    frame_sizes,
     part_values,
+    require_arrays,
     require_narrow,
-    size_by_byte,
-    sizes_by_request,
 )
 from bilprov.spec.arrays.requests import RequestTables
 from bilprov.spec.codec import judge
@@ -32,7 +35,7 @@ from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.replies import Way, asked_values, meaning, reply_size, usual_way
+from bilprov.spec.replies import meaning, reply_size, usual_way
 
 NO_CODE = 256
 """The place of the name of answers without a code; that of a code is the code."""
@@ -93,15 +96,21 @@ class AnswerTables:
     def __init__(self, protocol: Protocol, tables: RequestTables) -> None:
         self._protocol = protocol
         self._tables = tables
-        self._ways = [usual_way(protocol, spec) for spec in protocol.instructions]
-        self._told = [size_by_byte(way.layout, way.data) for way in self._ways]
+        usual = (usual_way(protocol, spec) for spec in protocol.instructions)
+        self._ways = [(way.layout, way.data or DataSpec()) for way in usual]
+        asked = [tables.numbers_of(spec) for spec in protocol.instructions]
+        # Those whose size only the request tells; that of the others is in their own bytes.
+        self._by_request = [
+            _by_request(spec, names) and layout.part("length") is None
+            for (layout, spec), names in zip(self._ways, asked, strict=True)
+        ]
         self._layouts: list[tuple[Layout, Mask]] = []
         for layout in (protocol.reply, protocol.acknowledgement):
             require_narrow(layout)
             code = layout.part("code")
             if code is not None and (code.size > 1 or code.number.signed):
                 raise OverflowError("the code of an answer is more than one byte")
-            with_it = np.array([way.layout is layout for way in self._ways], np.bool_)
+            with_it = np.array([own is layout for own, _ in self._ways], np.bool_)
             if all(layout is not other for other, _ in self._layouts):
                 self._layouts.append((layout, with_it))
         told = [meaning(protocol, code) for code in (*range(NO_CODE), None)]
@@ -129,11 +138,10 @@ class AnswerTables:
             count = min(len(data), len(requests.kind))
             size = np.broadcast_to(np.int64(1), count)
             return CutAnswers(Answers(np.arange(count), size, data[:count]), count, regular=True)
-        raw = data.tobytes()
-        sizes = self._sizes(asked, requests)
-        bounds = self._whole_reads(data, sizes, requests.kind, reads)
-        walked = self._walk(raw, int(bounds[-1]), len(bounds) - 1, sizes, asked, requests)
-        bounds = np.concatenate([bounds[:-1], walked])
+        bounds = self._whole_reads(asked, requests, data, reads)
+        if bounds[-1] < len(data):
+            left = requests.rows(slice(len(bounds) - 1, len(bounds) - 1 + len(data)))
+            bounds = np.append(bounds[:-1], self._walk(asked, left, data, int(bounds[-1])))
         offset, end = bounds[:-1], int(bounds[-1])
         size = np.diff(bounds)
         given = requests.rows(slice(len(offset)))
@@ -141,8 +149,10 @@ class AnswerTables:
         good = self._right(_Pairs(asked, given, data, offset, offset + size, code))
         rows = len(good) if good.all() else int(np.argmin(good))
         regular = rows == len(good)
-        if regular and end < len(raw) and rows < len(requests.offset):
-            regular = self._is_open(raw[end:], self._request(asked, requests, rows))
+        if regular and end < len(data) and rows < len(requests.offset):
+            regular = self._is_open(
+                data[end:].tobytes(), asked, requests.rows(slice(rows, rows + 1))
+            )
         found = Answers(offset[:rows], size[:rows], code[:rows])
         return CutAnswers(found, int(found.end[-1]) if rows else 0, regular)
 
@@ -158,14 +168,12 @@ class AnswerTables:
 
         The size is -1 where an answer has no fields.
         """
-        around = np.array([(way.layout.head, way.layout.tail) for way in self._ways], np.int64)
-        least = [way.data.length if way.data and way.data.fields else -1 for way in self._ways]
+        around = np.array([(layout.head, layout.tail) for layout, _ in self._ways], np.int64)
+        least = [spec.length if spec.fields else -1 for _, spec in self._ways]
         head, tail = around.take(kind, axis=0).T
         size = answers.size - head - tail
         needed = np.array(least, np.int64).take(kind)
-        by_request = [bool(way.data and _by_request(way.data)) for way in self._ways]
-        refused = self._fails.take(answers.code) & (size == 0)
-        lacking = refused & np.array(by_request, np.bool_).take(kind)
+        lacking = self._fails.take(answers.code) & (size == 0)
         there = (needed >= 0) & (size >= needed) & ~lacking
         return answers.offset + head, np.where(there, size, -1)
 
@@ -179,72 +187,52 @@ class AnswerTables:
                 found[rows] = part_values(part, data, answers.offset[rows], answers.end[rows])
         return found
 
-    @staticmethod
-    def _request(asked: Bytes, requests: Requests, row: int) -> bytes:
-        start = int(requests.offset[row])
-        return asked[start : start + int(requests.size[row])].tobytes()
-
-    def _is_open(self, rest: bytes, request: bytes) -> bool:
+    def _is_open(self, rest: bytes, asked: Bytes, request: Requests) -> bool:
         """Whether bytes are the beginning of an answer to a request that is not complete."""
-        size = reply_size(self._protocol, rest, judge(self._protocol, request))
+        frame = asked[int(request.offset[0]) : int(request.end[0])].tobytes()
+        size = reply_size(self._protocol, rest, judge(self._protocol, frame))
         return size is None or size > len(rest)
 
-    def _sizes(self, asked: Bytes, requests: Requests) -> Places:
-        """The size of the answer to each request; 0 where the answer itself tells it."""
-        fixed = [told if isinstance(told, int) else 0 for told in self._told]
-        sizes = np.array(fixed, np.int64).take(requests.kind)
-        for kind, (way, told) in enumerate(zip(self._ways, self._told, strict=True)):
-            if told is not None or way.data is None or way.layout.part("length") is not None:
-                continue
+    def _sizes(self, asked: Bytes, requests: Requests, data: Bytes, start: Places) -> Places:
+        """The sizes of the answers to some requests that begin at these places."""
+        found = np.zeros(len(start), np.int64)
+        for kind, (layout, spec) in enumerate(self._ways):
             rows = np.flatnonzero(requests.kind == kind)
             if len(rows):
-                numbers = self._tables.numbers(asked, requests.rows(rows), kind)
-                found = sizes_by_request(way.data, numbers, len(rows))
-                if found is not None:
-                    sizes[rows] = way.layout.head + found + way.layout.tail
-        return sizes
+                told: Numbers = NO_NUMBERS
+                if self._by_request[kind]:
+                    told = self._tables.numbers(asked, requests.rows(rows), kind)
+                found[rows] = frame_sizes(layout, spec, data, start[rows], told)
+        return found
 
-    def _whole_reads(self, data: Bytes, sizes: Places, kind: Places, reads: Places) -> Places:
+    def _whole_reads(self, asked: Bytes, requests: Requests, data: Bytes, reads: Places) -> Places:
         """Where the answers begin of which each is one read, and where the next one begins."""
-        bounds = np.append(0, reads[: len(kind)])
-        offset, size = bounds[:-1], sizes[: len(bounds) - 1].copy()
-        for told in {told for told in self._told if isinstance(told, Told)}:
-            of_it = np.array([one == told for one in self._told], np.bool_)
-            rows = np.flatnonzero(of_it.take(kind[: len(size)]))
-            size[rows] = told.at(data, offset[rows])
-        whole = size == np.diff(bounds)
+        bounds = np.append(0, reads[: len(requests.kind)])
+        begun = requests.rows(slice(len(bounds) - 1))
+        whole = self._sizes(asked, begun, data, bounds[:-1]) == np.diff(bounds)
         return bounds[: 1 + (len(whole) if whole.all() else int(np.argmin(whole)))]
 
-    def _walk(
-        self, data: bytes, at: int, first: int, sizes: Places, asked: Bytes, requests: Requests
-    ) -> list[int]:
-        """Where the answers from `at` on begin that are whole, and where the next one begins.
+    def _walk(self, asked: Bytes, requests: Requests, data: Bytes, first: int) -> list[int]:
+        """Where the answers from byte `first` on begin that are whole, and where the next one does.
 
-        The one at `at` is to the request of row `first`.
+        They are to these requests.
         """
-        walked, last = [at], len(data)
-        kinds = requests.kind[first:].tolist() if at < last else []
-        rows = zip(sizes[first:].tolist(), kinds, strict=False)
-        for row, (size, kind) in enumerate(rows, first):
-            told = self._told[kind]
-            if not size:
-                if isinstance(told, Told):
-                    place = at + told.place
-                    size = told.sizes[data[place]] if place < last else 0
-                else:
-                    request, way = self._request(asked, requests, row), self._ways[kind]
-                    least = way.layout.head + (way.data.length if way.data else 0)
-                    size = self._size(data[at : at + least], way, request)
-            at += size
-            if not size or at > last:
-                return walked
+        places = np.arange(first, len(data))
+        by_request = self._sizes(asked, requests, data, np.zeros(len(requests.kind), np.int64))
+        by_place = {
+            kind: frame_sizes(layout, spec, data, places).data
+            for kind, (layout, spec) in enumerate(self._ways)
+            if not self._by_request[kind] and kind in requests.kind
+        }
+        walked, at = [first], first
+        for kind, size in zip(requests.kind.tolist(), by_request.tolist(), strict=True):
+            if at == len(data):
+                break
+            at += by_place[kind][at - first] if kind in by_place else size
+            if at == walked[-1] or at > len(data):
+                break
             walked.append(at)
         return walked
-
-    def _size(self, begun: bytes, way: Way, request: bytes) -> int:
-        """The size of the answer that begins so; 0 if it is not known yet, or none."""
-        values = asked_values(self._protocol, judge(self._protocol, request))
-        return max(0, way.layout.size(begun, way.data, values) or 0)
 
     def _right(self, pairs: _Pairs) -> Mask:
         """Which answers are right; writes the codes of those that have one."""
@@ -262,11 +250,12 @@ class AnswerTables:
                 pairs.code[rows] = code
                 right &= self._known.take(code)
             good[rows] = right
-        for kind, way in enumerate(self._ways):
+        for kind, (layout, spec) in enumerate(self._ways):
             rows = np.flatnonzero(good & (pairs.requests.kind == kind))
             if len(rows):
                 these = pairs.rows(rows)
-                good[rows] = self._repeats(way.layout, these, kind) & self._whole(way, these, kind)
+                good[rows] = self._repeats(layout, these, kind)
+                good[rows] &= self._whole(layout, spec, these, kind)
         return good
 
     def _counted(self, layout: Layout, pairs: _Pairs) -> Checking | None:
@@ -289,37 +278,27 @@ class AnswerTables:
             found &= part_values(part, pairs.data, pairs.start, pairs.start) == expected
         return found
 
-    def _whole(self, way: Way, pairs: _Pairs, kind: int) -> Mask:
+    def _whole(self, layout: Layout, spec: DataSpec, pairs: _Pairs, kind: int) -> Mask:
         """Which answers to requests of one kind have all their data, or fail without any."""
-        layout, spec = way.layout, way.data
-        if not layout.has_data or spec is None or layout.part("length") is None:
+        if not layout.has_data or layout.part("length") is None:
             return np.ones(len(pairs.start), np.bool_)  # their size is made of their data
         size = pairs.end - pairs.start - layout.head - layout.tail
         good = size >= spec.length
-        many = spec.counted
-        if many is None or many.how != "rest":
-            rows = np.flatnonzero(good)
-            these = pairs.rows(rows)
-            numbers = self._tables.numbers(these.asked, these.requests, kind)
-            needed = sizes_by_request(spec, numbers, len(rows))
-            if needed is None:
-                at = these.start + layout.head
-                needed = data_sizes(
-                    spec, these.data, at, lambda row: self._measured(way, these, row)
-                )
-            good[rows] = size[rows] == needed
+        if not spec.takes_rest:
+            numbers = self._tables.numbers(pairs.asked, pairs.requests, kind)
+            good &= size == data_sizes(spec, pairs.data, pairs.start + layout.head, numbers)
         refused: Mask = (size == 0) & self._fails.take(pairs.code)
         return good | refused
 
-    def _measured(self, way: Way, pairs: _Pairs, row: int) -> int:
-        """How many bytes the data of one answer must have."""
-        assert way.data is not None
-        judged = judge(self._protocol, self._request(pairs.asked, pairs.requests, row))
-        at = pairs.start[row] + way.layout.head
-        begun = pairs.data[at : at + way.data.length].tobytes()
-        return way.data.measure(begun, asked_values(self._protocol, judged)) or 0
 
+def _by_request(spec: DataSpec, names: Iterable[str]) -> bool:
+    """Whether only the numbers of the request, which have these names, tell the size of data.
 
-def _by_request(spec: DataSpec) -> bool:
-    """Whether the request tells how many data an answer has."""
-    return spec.counted is not None and spec.counted.how == "expression"
+    Raises OverflowError where nothing tells it for arrays.
+    """
+    try:
+        require_arrays(spec)
+    except OverflowError:
+        require_arrays(replace(spec, fields=spec.fields[-1:]), names)
+        return True
+    return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
@@ -19,6 +19,10 @@ from bilprov.spec.numbers import Number
 Bytes: TypeAlias = NDArray[np.uint8]
 Places: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
+Numbers: TypeAlias = Mapping[str, Places]
+"""The numbers in some requests, by name."""
+
+NO_NUMBERS: Numbers = {}
 
 OUTCOMES = tuple(Outcome)
 """The outcomes in the order of the codes in a column of verdicts; 0 is a valid frame."""
@@ -58,47 +62,6 @@ class Requests(NamedTuple):
         return self.offset + self.size
 
 
-class Told(NamedTuple):
-    """The sizes of frames that one byte of a frame tells: that byte's place and the size by it.
-
-    The size is 0 where there is no such frame.
-    """
-
-    place: int
-    sizes: tuple[int, ...]
-
-    def at(self, data: Bytes, offset: Places) -> Places:
-        """The sizes of the frames at these places."""
-        return np.array(self.sizes, np.int64).take(data.take(offset + self.place, mode="clip"))
-
-
-def size_by_byte(layout: Layout, data: DataSpec | None) -> int | Told | None:
-    """The size that all frames with such data have, or the byte that tells it; None otherwise."""
-    around = layout.head + layout.tail
-    length = layout.part("length")
-    if length is not None:
-        if length.size > 1:
-            return None
-        announced = [length.read(_alone(length, byte)) for byte in range(256)]
-        return Told(length.offset, tuple(around + n if n >= 0 else 0 for n in announced))
-    if not layout.has_data or data is None:
-        return around
-    many = data.counted
-    if many is None or many.how == "rest":
-        return around + data.length
-    if many.prefix is None or many.prefix.size > 1:
-        return None
-    width = 1 if many.how == "bytes in front" else many.width
-    least = around + data.length
-    place = layout.head + data.fields[-1].offset
-    return Told(place, tuple(least + width * count for count in range(256)))
-
-
-def _alone(part: Part, byte: int) -> bytes:
-    """A frame in which a part of one byte in front has this byte."""
-    return bytes(part.offset) + bytes([byte])
-
-
 def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[Any]:
     """The value of a field in each of the data that begin `at` some places and carry it."""
     at = at + part.offset
@@ -115,12 +78,15 @@ def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]
 def number_values(
     number: Number, data: NDArray[np.uint8], at: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """The numbers whose first bytes are at these places of `data`; of at most WIDEST bytes."""
+    """The numbers whose first bytes are at these places of `data`; of at most WIDEST bytes.
+
+    Those that reach beyond the data are wrong.
+    """
     places = range(number.size) if number.order == "big" else reversed(range(number.size))
     value = np.zeros(len(at), np.int64)
     for place in places:
         value <<= 8
-        value |= data.take(at + place)
+        value |= data.take(at + place, mode="clip")
     if number.signed:
         half = np.int64(1 << 8 * number.size - 1)
         value = (value ^ half) - half
@@ -176,10 +142,27 @@ def checks_hold(
     return right
 
 
-def data_sizes(spec: DataSpec, data: Bytes, at: Places, one_by_one: Callable[[int], int]) -> Places:
-    """How many bytes the data have that begin at each place, with at least `spec.length` bytes.
+def frame_sizes(
+    layout: Layout, spec: DataSpec, data: Bytes, start: Places, asked: Numbers = NO_NUMBERS
+) -> Places:
+    """The sizes of the frames that begin at these places, with data laid out as `spec`.
 
-    `one_by_one` measures those of one row, where only the fields together tell.
+    A size is 0 where there is no such frame; one that reaches beyond the data may be wrong. `asked`
+    has the numbers of the requests that the frames answer.
+    """
+    around, length = layout.head + layout.tail, layout.part("length")
+    if length is not None:
+        announced = part_values(length, data, start, start)
+        return np.where(announced < 0, 0, around + announced)
+    if not layout.has_data:
+        return np.full(len(start), around)
+    return around + data_sizes(spec, data, start + layout.head, asked)
+
+
+def data_sizes(spec: DataSpec, data: Bytes, at: Places, asked: Numbers = NO_NUMBERS) -> Places:
+    """How many bytes the data have that begin at each place; see `DataSpec.measure`.
+
+    Raises OverflowError for a count that cannot be worked out for arrays.
     """
     many = spec.counted
     if many is None or many.how == "rest":
@@ -188,26 +171,32 @@ def data_sizes(spec: DataSpec, data: Bytes, at: Places, one_by_one: Callable[[in
         width = 1 if many.how == "bytes in front" else many.width
         count = number_values(many.prefix, data, at + spec.fields[-1].offset)
         return spec.length + width * count
-    return np.array([one_by_one(row) for row in range(len(at))], np.int64)
-
-
-def sizes_by_request(spec: DataSpec, asked: Mapping[str, Places], count: int) -> Places | None:
-    """How many bytes the data of answers have, if the request alone tells it; None otherwise.
-
-    `asked` are the numbers in each of `count` requests by name.
-    """
-    many = spec.counted
-    if many is None or many.expression is None:
-        return None
-    context = Container({"_params": Container(asked=Container(asked))})
+    assert many.expression is not None
+    context = Container(
+        {
+            part.name: number_values(part.number, data, at + part.offset)
+            for part in spec.fields
+            if part.number and part.size <= WIDEST
+        }
+    )
+    context["_params"] = Container(asked=Container(asked))
     try:
-        found = np.asarray(many.expression(context))
-    except Exception:  # an expression may hold anything, also what takes no arrays
-        return None
-    if found.dtype.kind not in "iu" or found.shape not in ((), (count,)):
-        return None
-    sizes = spec.length + np.maximum(found.astype(np.int64), 0) * many.width
-    return np.broadcast_to(sizes, count)
+        with np.errstate(divide="ignore"):
+            count = np.broadcast_to(np.asarray(many.expression(context)), len(at))
+    except Exception as error:  # an expression may hold anything, also what takes no arrays
+        raise OverflowError("a count takes no arrays") from error
+    if count.dtype.kind not in "iu":
+        raise OverflowError("a count is no whole number")
+    return spec.length + np.maximum(count.astype(np.int64), 0) * many.width
+
+
+def require_arrays(spec: DataSpec, asked: Iterable[str] = ()) -> None:
+    """Raise OverflowError for data whose sizes cannot be worked out for arrays.
+
+    `asked` names the numbers of the request that they answer.
+    """
+    two = np.zeros(2, np.int64)
+    data_sizes(spec, np.zeros(1, np.uint8), two, dict.fromkeys(asked, two))
 
 
 def in_range(part: FieldSpec, data: Bytes, at: Places, size: Places) -> Mask:

@@ -5,7 +5,7 @@ Those with one header byte may be faulty, too: their headers tell where they end
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -20,15 +20,15 @@ from bilprov.spec.arrays.layouts import (
     Mask,
     Places,
     Requests,
-    Told,
     checks_hold,
     constants_hold,
     data_sizes,
+    frame_sizes,
     in_range,
     number_values,
     part_values,
+    require_arrays,
     require_narrow,
-    size_by_byte,
 )
 from bilprov.spec.arrays.states import StateTables
 from bilprov.spec.data import DataSpec
@@ -64,18 +64,7 @@ class RequestTables:
         require_narrow(layout)
         for spec in self.specs:
             _require_numbers(spec.data)
-        # The size of a frame by the byte at a place in it, 0 where it takes more to tell.
-        self._place = identity.offset
-        self._sizes: tuple[int, ...] = (0,) * 256
-        self._counted: dict[int, Told | InstructionSpec] = {}  # those by the byte of the ID
-        told = size_by_byte(layout, None)
-        by_id = identity.size == 1 and layout.part("length") is None
-        self._by_byte = by_id or isinstance(told, Told)
-        if by_id:
-            self._sizes = tuple(map(self._by_id_byte, range(256)))
-        elif isinstance(told, Told):
-            self._place, self._sizes = told
-        self._size_of = np.array(self._sizes, np.int64)
+            require_arrays(spec.data)
         self._ids = np.array([spec.id for spec in self.specs], np.int64)
         answered = protocol.answers[Outcome.VALID] is not NO_ANSWER
         self._answered = np.array(
@@ -85,6 +74,7 @@ class RequestTables:
         self._verdict = np.zeros(0, np.uint8)  # by kind, of frames with one header byte
         # Of these the instructions with more than one data byte, which are judged field by field.
         self._long: dict[int, InstructionSpec] = {}
+        self._size_of = np.array([1 + length for length in protocol.lengths], np.int64)
         if protocol.plain:
             self._fill()
             return
@@ -119,17 +109,6 @@ class RequestTables:
         self._verdict[kinds] = OUTCOMES.index(step.judgement.outcome)
         self.states.add(kinds, step.sets)
 
-    def _by_id_byte(self, byte: int) -> int:
-        """The size of the frames with this byte in the place of the ID; 0 if more decides."""
-        spec = self._protocol.by_id.get(self._id.read(bytes(self._id.offset) + bytes([byte])))
-        if spec is None:
-            return 0
-        size = size_by_byte(self.layout, spec.data)
-        if isinstance(size, int):
-            return size
-        self._counted[byte] = size or spec
-        return 0
-
     def cut(self, data: Bytes, begun: int, reads: Places | None = None) -> CutRequests:
         """The requests of `data` from byte `begun` on, as far as they are whole and valid.
 
@@ -139,14 +118,13 @@ class RequestTables:
             offset, end = self.offsets(data, begun)
             size = np.diff(offset, append=end)
             return CutRequests(self._judged(data, offset, size), end, regular=True)
-        raw = data.tobytes()
         bounds = np.array([begun]) if reads is None else self._whole_reads(data, begun, reads)
-        bounds = np.concatenate([bounds[:-1], self._walk(raw, int(bounds[-1]))])
+        bounds = np.concatenate([bounds[:-1], self._walk(data, int(bounds[-1]))])
         offset, size = bounds[:-1], np.diff(bounds)
         kind = self._kinds(data, offset)
         good = self._valid(data, offset, bounds[1:], kind)
         rows = len(good) if good.all() else int(np.argmin(good))
-        regular = rows == len(good) and self._is_open(raw[int(bounds[-1]) :])
+        regular = rows == len(good) and self._is_open(data[bounds[-1] :].tobytes())
         found = Requests(offset, size, kind, np.zeros(len(kind), np.uint8)).rows(slice(rows))
         return CutRequests(found, int(bounds[rows]), regular)
 
@@ -212,47 +190,24 @@ class RequestTables:
         return bounds[: 1 + (len(whole) if whole.all() else int(np.argmin(whole)))]
 
     def _sizes_at(self, data: Bytes, offset: Places) -> Places:
-        """The sizes of the frames at these places; 0 for what only all their fields tell.
+        """The sizes of the frames at these places, 0 for none; see `frame_sizes`."""
+        if self.layout.part("length") is not None:
+            return frame_sizes(self.layout, DataSpec(), data, offset)
+        kinds, found = self._kinds(data, offset), np.zeros(len(offset), np.int64)
+        for place, spec in enumerate(self.specs):
+            rows = np.flatnonzero(kinds == place)
+            if len(rows):
+                found[rows] = frame_sizes(self.layout, spec.data, data, offset[rows])
+        return found
 
-        A size that reaches beyond the data may be wrong.
-        """
-        byte = data.take(offset + self._place, mode="clip")
-        size = self._size_of.take(byte)
-        for known, told in self._counted.items():
-            if isinstance(told, Told):
-                rows = np.flatnonzero(byte == known)
-                size[rows] = told.at(data, offset[rows])
-        return size
-
-    def _walk(self, data: bytes, at: int) -> list[int]:
+    def _walk(self, data: Bytes, at: int) -> list[int]:
         """Where the frames from `at` on begin that are whole, and where the next one begins."""
-        place, sizes = self._place, self._sizes
-        walked, last = [at], len(data) - place
-        while at < last:
-            size = sizes[data[at + place]] or self._size(data, at)
-            if not size:
-                return walked
-            at += size
-            walked.append(at)
-        if at > len(data):
+        places = np.arange(at, len(data))
+        jumps = places - at + self._sizes_at(data, places)
+        walked = _followed(jumps.data, 0, len(jumps))
+        if walked[-1] > len(jumps):
             walked.pop()
-        return walked
-
-    def _size(self, data: bytes, at: int) -> int:
-        """The size of the frame at this place; 0 if it is not known yet, or none."""
-        found = self._counted.get(data[at + self._place])
-        head = self.layout.head
-        if isinstance(found, Told):
-            place = at + found.place
-            return found.sizes[data[place]] if place < len(data) else 0
-        if found is not None:
-            count = found.data.measure(data[at + head : at + head + found.length])
-            return 0 if count is None else head + count + self.layout.tail
-        if self._by_byte:
-            return 0
-        spec = self._protocol.by_id.get(self.layout.id_of(data[at : at + head]) or 0)
-        size = frame_size(self._protocol, data[at : at + head + (spec.length if spec else 0)])
-        return max(0, size or 0)
+        return [at + place for place in walked]
 
     def _is_open(self, rest: bytes) -> bool:
         """Whether bytes are the beginning of a frame that is not complete, or none."""
@@ -299,23 +254,12 @@ class RequestTables:
         rows = np.flatnonzero(good)
         at, size = at[rows], size[rows]
         right = np.ones(len(rows), np.bool_)
-        many = spec.counted
-        if self.layout.part("length") is not None and (many is None or many.how != "rest"):
-            right &= size == data_sizes(spec, data, at, self._measured(spec, data, at, size))
+        if self.layout.part("length") is not None and not spec.takes_rest:
+            right &= size == data_sizes(spec, data, at)
         for part in spec.fields:
             right &= in_range(part, data, at + part.offset, size - part.offset)
         good[rows] = right
         return good
-
-    @staticmethod
-    def _measured(spec: DataSpec, data: Bytes, at: Places, size: Places) -> Callable[[int], int]:
-        """How many bytes the data of a row need."""
-
-        def measured(row: int) -> int:
-            begun = data[at[row] : at[row] + size[row]].tobytes()
-            return spec.measure(begun) or 0
-
-        return measured
 
     def numbers(self, data: Bytes, requests: Requests, kind: int) -> Mapping[str, Places]:
         """The parts and the fields of requests of one kind that are numbers, by name."""
@@ -331,6 +275,11 @@ class RequestTables:
         }
         return {**parts, **fields}
 
+    def numbers_of(self, spec: InstructionSpec) -> list[str]:
+        """The names of those of an instruction."""
+        narrow = [p.name for p in spec.fields if p.number is not None and p.size <= WIDEST]
+        return [*self.layout.told, *narrow]
+
 
 def _require_numbers(spec: DataSpec) -> None:
     """Raise OverflowError for data whose ranges do not fit into 64 bits."""
@@ -344,9 +293,12 @@ _DOUBLINGS = 5
 
 
 def _followed(jumps: memoryview, at: int, end: int) -> list[int]:
-    """Follow `jumps` from `at` until `end` is reached; that last place is in the list too."""
+    """Follow `jumps` from `at` until `end` is reached, or they stand still.
+
+    The last place is in the list too.
+    """
     walked = [at]
-    while at < end:
+    while at < end and jumps[at] > at:
         at = jumps[at]
         walked.append(at)
     return walked
