@@ -20,9 +20,9 @@ from bilprov.analyzer.replay.capture_parts import Chosen
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Line
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol
+from tests.support.captures import write_capture
 
 WALL = 1_790_000_000_123_456_789
 PATIENCE = 60.0  # s
@@ -57,14 +57,7 @@ def capture_of(
         skew=0,
         heard=heard,  # type: ignore[arg-type]
     )
-    path.unlink(missing_ok=True)
-    with CaptureWriter(path, start_wall=WALL, metadata=about | metadata, version="0") as out:
-        for event in events:
-            if isinstance(event, Chunk):
-                out.chunk(event)
-            else:
-                out.write(event, event.t)
-    return path
+    return write_capture(path, events, about | metadata, WALL)
 
 
 def exported(

@@ -15,7 +15,7 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.recorder import Recorder, session_metadata
+from bilprov.analyzer.replay.recorder import Recorder
 from bilprov.analyzer.replay.rotation import Rotation
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import open_pty
@@ -27,6 +27,7 @@ from bilprov.spec.protocol import Protocol
 from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, write
 from tests.support import commands
 from tests.support.attaching import Talk, attached
+from tests.support.captures import about
 from tests.support.robots import until
 from tests.support.wires import PtyRobot, json_lines, served
 
@@ -165,9 +166,7 @@ def test_kill_9_leaves_what_was_said_from_its_begin_on(path: Path, seed: int) ->
 def both(tmp_path_factory: pytest.TempPathFactory, protocol: Protocol) -> tuple[Path, Path]:
     """Two folders with a recording `drive.mcap`: as one file, and in parts."""
     one, several = tmp_path_factory.mktemp("one"), tmp_path_factory.mktemp("several")
-    metadata = session_metadata(
-        protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=("host", "device")
-    )
+    metadata = about(protocol)
     talk = attached(protocol, Talk(faulty=0.1, pause=15 * MS), random.Random(3), 400)
     for folder, rotation in ((one, None), (several, Rotation(age=400 * MS))):
         decoder = StreamDecoder(protocol, timeout=50 * MS, skew=0)

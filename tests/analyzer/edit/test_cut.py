@@ -31,6 +31,7 @@ from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.captures import write_capture
 from tests.support.commands import command
 from tests.support.decoding import Event
 from tests.support.traffic import ACTS, SETTINGS, played
@@ -56,7 +57,6 @@ SHARES = st.none() | st.tuples(st.integers(0, 3000), st.integers(0, 3000))
 
 
 def written(path: Path, events: Sequence[Event], how: dict[str, Any]) -> Path:
-    path.unlink(missing_ok=True)
     metadata = {
         "skew_ms": repr(how["skew"] / MS),
         "attached": "yes" if how["attached"] else "no",
@@ -64,13 +64,7 @@ def written(path: Path, events: Sequence[Event], how: dict[str, Any]) -> Path:
     }
     if how["timeout"] is not None:
         metadata["truncation_timeout_ms"] = repr(how["timeout"] / MS)
-    with CaptureWriter(path, start_wall=START, metadata=metadata, version="1") as writer:
-        for event in events:
-            if isinstance(event, Chunk):
-                writer.chunk(event)
-            else:
-                writer.write(event, event.t)
-    return path
+    return write_capture(path, events, metadata, START)
 
 
 def cut(

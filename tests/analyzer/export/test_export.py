@@ -24,9 +24,9 @@ from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_parts import Chosen
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.captures import write_capture
 from tests.support.commands import command, process
 from tests.support.decoding import Event, capture_session, conversation, decoded
 from tests.support.grammars import undeclared
@@ -54,13 +54,7 @@ def written(
         "skew_ms": str(chosen.get("skew", 0) / MS),
         "truncation_timeout_ms": str(timeout / MS),
     }
-    with CaptureWriter(path, start_wall=start, metadata=metadata, version="0") as writer:
-        for event in events:
-            if isinstance(event, Chunk):
-                writer.chunk(event)
-            else:
-                writer.write(event, event.t)
-    return path
+    return write_capture(path, events, metadata, start)
 
 
 def exported(path: Path, style: str, *more: str) -> bytes:

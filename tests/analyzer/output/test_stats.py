@@ -19,9 +19,9 @@ from bilprov.analyzer.output import capture_stats
 from bilprov.analyzer.replay.capture_totals import capture_totals
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.captures import write_capture
 from tests.support.commands import command, process
 from tests.support.decoding import MS, Event, conversation
 
@@ -32,13 +32,7 @@ EXAMPLES = str(ROOT / "captures" / "samples" / "examples.mcap")
 
 def written(path: Path, events: Sequence[Event], **metadata: str) -> str:
     metadata = {"attached": "no", "heard": "host device", **metadata}
-    with CaptureWriter(path, start_wall=10**18, metadata=metadata, version="1") as writer:
-        for event in events:
-            if isinstance(event, Chunk):
-                writer.chunk(event)
-            else:
-                writer.write(event, event.t)
-    return str(path)
+    return str(write_capture(path, events, metadata))
 
 
 def counted(*arguments: str) -> Any:

@@ -17,11 +17,11 @@ from bilprov.analyzer.decode.records import Record, serious_faults
 from bilprov.analyzer.totals import timeline
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.codec import build, judge
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.captures import write_capture
 from tests.support.chromium import INSTALL, Page, chromium
 from tests.support.commands import command
 from tests.support.decoding import MS, Event, capture_session, decoded, devices, hosts
@@ -37,13 +37,7 @@ Open = Callable[..., Page]
 
 def written(path: Path, events: list[Event]) -> str:
     about = {"attached": "no", "heard": "host device"}
-    with CaptureWriter(path, start_wall=10**18, metadata=about, version="1") as writer:
-        for event in events:
-            if isinstance(event, Chunk):
-                writer.chunk(event)
-            else:
-                writer.write(event, event.t)
-    return str(path)
+    return str(write_capture(path, events, about))
 
 
 def page_of(file: str, *arguments: str) -> str:

@@ -17,16 +17,16 @@ from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.edit.new_capture import decoded_metadata, new_capture, write_decoded
-from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, session_metadata
+from bilprov.analyzer.replay.recorder import Recorder, RecordWriter
 from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Message, open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.captures import about, write_capture
 from tests.support.commands import Done, command
 from tests.support.recordings import attachments_of
 from tests.support.traffic import records_of
@@ -54,12 +54,6 @@ def by_topic(path: Path) -> dict[str, list[tuple[int, object]]]:
     return found
 
 
-def metadata(protocol: Protocol) -> dict[str, str]:
-    return session_metadata(
-        protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=("host", "device")
-    )
-
-
 def recorded(path: Path) -> dict[str, Any]:
     """The messages by topic, but for checkpoints, which an older kit did not make."""
     return {topic: held for topic, held in by_topic(path).items() if topic != "/checkpoint"}
@@ -76,8 +70,8 @@ def heavy(protocol: Protocol, path: Path, frames: int, decoded: bool = True) -> 
     ok = bytes([protocol.responses[0].code])
     session = Session(protocol, timeout=50 * MS, skew=0)
     with (
-        Recorder(path, START, metadata(protocol)) as live,
-        RecordWriter(whole, START, metadata(protocol)) as run,
+        Recorder(path, START, about(protocol)) as live,
+        RecordWriter(whole, START, about(protocol)) as run,
     ):
         for n in range(frames // 50):
             t = n * 10 * MS
@@ -111,13 +105,8 @@ def test_a_sample_has_the_topics_that_it_had(sample: str, tmp_path: Path) -> Non
 def test_raw_bytes_alone_become_a_full_capture(tmp_path: Path) -> None:
     raw = tmp_path / "raw.mcap"
     sample = open_capture(SAMPLES / "examples.mcap")
-    about = {key: text for key, text in sample.metadata.items() if key != topics.START_KEY}
-    with CaptureWriter(raw, start_wall=sample.start, metadata=about, version="1") as writer:
-        for event in sample.events():
-            if isinstance(event, Chunk):
-                writer.chunk(event)
-            else:
-                writer.write(event, event.t)
+    said = {key: text for key, text in sample.metadata.items() if key != topics.START_KEY}
+    write_capture(raw, sample.events(), said, sample.start)
     assert not by_topic(raw)["/host/instructions"]
     new, _ = converted(raw)
     assert recorded(new) == recorded(SAMPLES / "examples.mcap")

@@ -17,28 +17,22 @@ from bilprov.analyzer.replay.recorder import (
     CHECKPOINT_STATE,
     Recorder,
     RecordWriter,
-    session_metadata,
 )
 from bilprov.analyzer.replay.throttle import RESUMED, SECOND, STOPPED, Throttle
 from bilprov.captures.reader import Message, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol
+from tests.support.captures import about
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
 
 START = 1_790_000_000_000_000_000
 
 
-def metadata(protocol: Protocol) -> dict[str, str]:
-    return session_metadata(
-        protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=("host", "device")
-    )
-
-
 @pytest.fixture
 def recorder(protocol: Protocol, tmp_path: Path) -> Iterator[Recorder]:
-    with Recorder(tmp_path / "a.mcap", START, metadata(protocol)) as recorder:
+    with Recorder(tmp_path / "a.mcap", START, about(protocol)) as recorder:
         yield recorder
 
 
@@ -104,7 +98,7 @@ def test_while_the_topics_are_stopped_the_raw_bytes_alone_are_written_and_faults
         asked.append(t)
         return records_of(protocol, frames, t)
 
-    with Recorder(tmp_path / "a.mcap", START, metadata(protocol)) as recorder:
+    with Recorder(tmp_path / "a.mcap", START, about(protocol)) as recorder:
         for at, frames in [(1, 3), (2, 2_500), (3, 5), (1_100, 0), (7_000, 4)]:
             t = at * MS
             recorder.events([Chunk(t, "host", b"x" * frames), Line(t, "modem", "host", str(at))])
@@ -221,8 +215,8 @@ def test_below_the_limit_it_writes_what_is_written_of_a_run(
     events.insert(100, Line(events[100].t, "gap"))
     live, whole = Session(protocol, timeout=50 * MS), Session(protocol, timeout=50 * MS)
     with (
-        Recorder(tmp_path / "live.mcap", START, metadata(protocol)) as recorder,
-        RecordWriter(tmp_path / "run.mcap", START, metadata(protocol)) as run,
+        Recorder(tmp_path / "live.mcap", START, about(protocol)) as recorder,
+        RecordWriter(tmp_path / "run.mcap", START, about(protocol)) as run,
     ):
         for event in events:
             recorder.events([event])

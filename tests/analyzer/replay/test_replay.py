@@ -23,11 +23,11 @@ from bilprov.analyzer.replay.comparison import (
 from bilprov.analyzer.replay.playback import paced
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol, load
 from bilprov.spec.replies import build_reply
 from tests.support import ROOT, commands
+from tests.support.captures import write_capture
 from tests.support.decoding import MS, Event, conversation
 from tests.support.framed_traffic import FRAMED
 from tests.support.robots import until
@@ -50,14 +50,7 @@ Write = Callable[..., Path]
 @pytest.fixture
 def capture(tmp_path: Path) -> Write:
     def write(events: Iterable[Event], metadata: dict[str, str] | None = None) -> Path:
-        path = tmp_path / "given.mcap"
-        with CaptureWriter(path, start_wall=START, metadata=metadata or {}, version="0") as writer:
-            for event in events:
-                if isinstance(event, Chunk):
-                    writer.chunk(event)
-                else:
-                    writer.write(event, event.t)
-        return path
+        return write_capture(tmp_path / "given.mcap", events, metadata, START)
 
     return write
 

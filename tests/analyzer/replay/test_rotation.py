@@ -35,6 +35,7 @@ from bilprov.captures.reader import (
 from bilprov.captures.schemas import MS, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached
+from tests.support.captures import about
 from tests.support.commands import PATIENCE
 from tests.support.decoding import Event
 from tests.support.robots import until
@@ -253,9 +254,7 @@ def test_an_idle_line_ends_the_part_with_its_traffic_and_makes_no_empty_ones(
     protocol: Protocol, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.mcap"
-    metadata = session_metadata(
-        protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=["host"]
-    )
+    metadata = about(protocol, "host")
     with Recorder(path, START, metadata, Rotation(age=SECOND)) as recorder:
         pipeline = Pipeline(StreamDecoder(protocol), Statistics(), Shown(NoOutput()), recorder)
         pipeline.events([Line(0, "open"), Chunk(MS, "host", b"\x20")])
@@ -277,9 +276,7 @@ def test_an_idle_line_ends_the_part_with_its_traffic_and_makes_no_empty_ones(
 @pytest.mark.waits
 def test_a_part_ends_soon_after_its_size(protocol: Protocol, tmp_path: Path) -> None:
     path, draw = tmp_path / "a.mcap", random.Random(1)
-    metadata = session_metadata(
-        protocol, ports={}, line="", timeout=50 * MS, skew=0, heard=["host"]
-    )
+    metadata = about(protocol, "host")
     said = b""
     with Recorder(path, START, metadata, Rotation(size=60_000)) as recorder:
         for t in range(24):
