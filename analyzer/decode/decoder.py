@@ -29,7 +29,7 @@ from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.spec.codec import FRAMING_FAULTS, Judgement
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind, frame_size
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import NO_ANSWER, Protocol
 from bilprov.spec.state import State, after
 from bilprov.spec.steps import Steps
 
@@ -412,7 +412,7 @@ class Decoder:
             state = self._state = self._bus.after(judgement.address, step.sets)
         note = self._note(kind, judgement) if judgement.framed else ""
         out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state, note))
-        if self._paired and judgement.answer_due:
+        if self._paired and judgement.response is not NO_ANSWER:
             pairing = self._pairing
             waiting = pairing.wait(sequence, end, judgement)
             if pairing.held:

@@ -129,7 +129,7 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
                     "device",
                     "response",
                     _HEX[record.byte] if reply is None else record.hex,
-                    record.name,
+                    record.name if reply or not record.answer else record.answer.name,
                     NO_FIELDS if reply is None else plain_values(reply.told),
                     answered.expected if answered else None,
                     record.reason if record.faults else "",
