@@ -19,6 +19,7 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -174,11 +175,12 @@ JUDGING = {
     "replay, jsonl": Judging("replay {runs}/{robot}.mcap --rate 0 --judge --format jsonl"),
     "compare": Judging("capture diff {runs}/good.mcap {runs}/{robot}.mcap --json {new}/a.json"),
     "compare, json": Judging("capture diff {runs}/good.mcap {runs}/{robot}.mcap --json -"),
+    "learn": Judging("lab learn sim {fault} --json {new}/a.json"),
 }
 
 
 def words(name: str, robot: str, runs: Path, new: Path) -> list[str]:
-    template = (JUDGING | LEARNING)[name].words
+    template = JUDGING[name].words
     return template.format(runs=runs, new=new, robot=robot, fault=FAULTS[robot]).split()
 
 
@@ -195,26 +197,13 @@ def whole(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str
     def ended(name: str, robot: str) -> Ended:
         new = tmp_path_factory.mktemp("whole")
         result = command(*words(name, robot, runs, new))
-        assert result.returncode == getattr((JUDGING | LEARNING)[name], robot), result
+        assert result.returncode == getattr(JUDGING[name], robot), result
         return Ended(result.returncode, result.stdout, result.stderr, written(new))
 
     return ended
 
 
-LEARNING = {"learn": Judging("lab learn sim {fault} --json {new}/a.json")}  # seconds each
-ROWS, SLOW_ROWS = (
-    [
-        (name, robot, stream, how)
-        for name in commands
-        for robot in robots
-        for stream in STREAMS
-        for how in breaks
-    ]
-    for commands, breaks, robots in (
-        (JUDGING, BREAKS, FAULTS),
-        (LEARNING, ("unread", "full"), ("good",)),
-    )
-)
+ROWS = list(product(JUDGING, FAULTS, STREAMS, BREAKS))
 
 
 @pytest.mark.sample(8)
@@ -241,22 +230,6 @@ def test_a_verdict_is_given_only_where_everything_was_shown_and_written(
         assert sentence(result).startswith("bilprov: standard output")
     if stream == "stderr":
         assert timeless(result.stdout) == timeless(kept.out)
-
-
-@pytest.mark.sample(0)
-@pytest.mark.parametrize(("name", "robot", "stream", "how"), SLOW_ROWS)
-def test_what_is_learned_is_a_verdict_too(
-    name: str,
-    robot: str,
-    stream: str,
-    how: str,
-    runs: Path,
-    whole: Callable[[str, str], Ended],
-    tmp_path: Path,
-) -> None:
-    test_a_verdict_is_given_only_where_everything_was_shown_and_written(
-        name, robot, stream, how, runs, whole, tmp_path
-    )
 
 
 # -- robots that move ------------------------------------------------------------------------------
