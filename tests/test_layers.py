@@ -100,7 +100,7 @@ HOMES = {
         "analyzer/screen/",
         "conformance/causes/learner.py",
     ),
-    "pyarrow": ("analyzer/export/parquet.py",),
+    "pyarrow": ("analyzer/export/rows.py",),
     "aalpy": ("conformance/learning/learner.py",),
     "textual": ("analyzer/screen/",),
     "rich": ("analyzer/", "conformance/", FRONT_DOOR),

@@ -110,14 +110,14 @@ def _writer(style: str) -> Callable[..., None]:
     It is called with what is Chosen, a binary stream, and `rows` if it has a choice of columns.
     """
     if style == "parquet":
-        from bilprov.analyzer.export.parquet import write_parquet
+        from bilprov.analyzer.export.rows import write_parquet
 
         return write_parquet
     if style == "pcapng":
         from bilprov.analyzer.export.pcapng import write_pcapng
 
         return write_pcapng
-    from bilprov.analyzer.export.text import write_csv, write_jsonl
+    from bilprov.analyzer.export.rows import write_csv, write_jsonl
 
     return write_csv if style == "csv" else write_jsonl
 

@@ -67,8 +67,7 @@ def ports(options: PortsOptions) -> int:
             raise click.UsageError("--ask asks one device: name its PORT")
         _list(as_json=as_json)
         return 0
-    from bilprov.analyzer.doctor.asking import longest_time, rates_of
-    from bilprov.analyzer.doctor.examination import of_line, of_system
+    from bilprov.analyzer.doctor.examination import longest_time, of_line, of_system, rates_of
     from bilprov.analyzer.doctor.finding import usable
     from bilprov.analyzer.taps.sources import require_two_lines
     from bilprov.analyzer.transport.signals import Stopper

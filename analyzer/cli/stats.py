@@ -46,10 +46,9 @@ def stats(options: StatsOptions) -> None:
     the last.
     """
     from bilprov.analyzer.output.capture_stats import file_stats, stats_of
-    from bilprov.analyzer.output.charts import ASCII, BLOCKS
     from bilprov.analyzer.output.console import can_show, show
     from bilprov.analyzer.output.stats_csv import stats_csv
-    from bilprov.analyzer.output.stats_tables import drawn
+    from bilprov.analyzer.output.stats_tables import ASCII, BLOCKS, drawn
     from bilprov.analyzer.replay.capture_session import capture_line
     from bilprov.analyzer.replay.capture_totals import capture_totals
     from bilprov.analyzer.totals.totals import Totals

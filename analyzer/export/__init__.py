@@ -1,1 +1,1 @@
-"""Captures written for other programs, a module for each format; memory does not grow with them."""
+"""Captures written for other programs; memory does not grow with them."""

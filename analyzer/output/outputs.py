@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
+from bilprov.analyzer.decode.json_lines import encode_lines, json_lines
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.console import can_show
-from bilprov.analyzer.output.json_text import JsonText
 from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer, hex_width
 from bilprov.spec import protocol as spec
 
@@ -23,6 +23,15 @@ if TYPE_CHECKING:
     from bilprov.analyzer.decode.batch import Batch, Selection
     from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.row_columns import RowStyle
+
+
+class JsonText:
+    """Renders records as JSON lines, each with its newline; see `json_lines`."""
+
+    def text(self, records: Iterable[Record]) -> str:
+        """The lines of the records; a record without a line gives none."""
+        return encode_lines(json_lines(records)).decode()
+
 
 Format = Literal["live", "lines", "jsonl", "csv"]
 

@@ -27,7 +27,7 @@ from bilprov.analyzer.edit.cut import write_selected, write_window
 from bilprov.analyzer.edit.join import Joined, write_joined
 from bilprov.analyzer.edit.new_capture import cut_metadata, edited_metadata, new_capture
 from bilprov.analyzer.export.pcapng import write_pcapng
-from bilprov.analyzer.export.text import write_csv, write_jsonl
+from bilprov.analyzer.export.rows import write_csv, write_jsonl
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.capture_info import summarized

@@ -19,10 +19,8 @@ from hypothesis import HealthCheck, given, settings
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.export.parquet import NoPyarrow, write_parquet
-from bilprov.analyzer.export.text import write_csv, write_jsonl
-from bilprov.analyzer.output.json_text import JsonText
-from bilprov.analyzer.output.outputs import Shown, StreamOutput, stream_output
+from bilprov.analyzer.export.rows import NoPyarrow, write_csv, write_jsonl, write_parquet
+from bilprov.analyzer.output.outputs import JsonText, Shown, StreamOutput, stream_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_parts import decoded_batches

@@ -12,8 +12,7 @@ from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.output.json_text import JsonText
-from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window
+from bilprov.analyzer.output.outputs import JsonText, Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.spec.protocol import Protocol

@@ -26,7 +26,7 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.csv_text import CsvText, usual_columns
-from bilprov.analyzer.output.json_text import JsonText
+from bilprov.analyzer.output.outputs import JsonText
 from bilprov.analyzer.output.row_columns import Times
 from bilprov.analyzer.output.text_lines import LineRenderer
 from bilprov.analyzer.replay import target as of_target

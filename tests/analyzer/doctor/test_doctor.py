@@ -20,10 +20,8 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.client.operations import Listen, Operation, Received, Send
-from bilprov.analyzer.doctor.asking import RATES, Reply, asked, rates_of, told
-from bilprov.analyzer.doctor.examination import of_line
+from bilprov.analyzer.doctor.examination import RATES, Reply, asked, heard, of_line, rates_of, told
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
-from bilprov.analyzer.doctor.listening import heard
 from bilprov.analyzer.doctor.system import Subject, examined, notes, subject
 from bilprov.analyzer.transport.errors import NO_BRAILLE, LinkError, denied
 from bilprov.analyzer.transport.line_settings import line_settings

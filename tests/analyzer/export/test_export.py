@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from bilprov.analyzer.cli.export import FORMATS
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.export.text import write_csv, write_jsonl
+from bilprov.analyzer.export.rows import write_csv, write_jsonl
 from bilprov.analyzer.output.csv_text import plain
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_parts import Chosen
@@ -109,7 +109,7 @@ def test_each_format_has_the_records_of_a_session_one_by_one(
     each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any]
 ) -> None:
     pytest.importorskip("pyarrow", reason="pip install 'bilprov[parquet]'")
-    from bilprov.analyzer.export.parquet import write_parquet
+    from bilprov.analyzer.export.rows import write_parquet
 
     with tempfile.TemporaryDirectory() as folder:
         events = played(each_protocol, [act for act in acts if act.pause >= 0])

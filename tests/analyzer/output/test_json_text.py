@@ -12,7 +12,7 @@ from hypothesis import given
 from bilprov.analyzer.decode.json_lines import JsonLine
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.json_text import JsonText
+from bilprov.analyzer.output.outputs import JsonText
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import conversation, decoded
 from tests.support.traffic import ACTS, SETTINGS, Act, played

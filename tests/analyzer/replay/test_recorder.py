@@ -15,10 +15,13 @@ from bilprov.analyzer.replay.recorder import (
     CHECKPOINT_AFTER,
     CHECKPOINT_BYTES,
     CHECKPOINT_STATE,
+    RESUMED,
+    SECOND,
+    STOPPED,
     Recorder,
     RecordWriter,
+    Throttle,
 )
-from bilprov.analyzer.replay.throttle import RESUMED, SECOND, STOPPED, Throttle
 from bilprov.captures.reader import Message, open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import all_data, raw_frame

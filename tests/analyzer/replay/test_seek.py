@@ -10,8 +10,7 @@ import pytest
 
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
-from bilprov.analyzer.output.json_text import JsonText
-from bilprov.analyzer.output.outputs import NoOutput, Shown, StreamOutput, Window
+from bilprov.analyzer.output.outputs import JsonText, NoOutput, Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata

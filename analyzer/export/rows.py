@@ -1,10 +1,10 @@
-"""Writes the rows of a capture as an Apache Parquet file, for pandas, DuckDB and their like.
+"""Writes the rows of a capture: as CSV, as JSON lines, or as an Apache Parquet file.
 
-The columns have the names and values of CSV, with types: `t` and `latency` are seconds (double),
-`t_ns` and `latency_ns` whole nanoseconds, `time` is the wall clock in UTC to the nanosecond,
-`bytes` are the bytes of `hex`, `faults` a list. Words that come again and again are a dictionary;
-a field or state that 64 bits cannot hold is a decimal of 38 digits. pyarrow, which writes it, is an
-extra of the kit.
+Parquet is for pandas, DuckDB and their like. The columns have the names and values of CSV, with
+types: `t` and `latency` are seconds (double), `t_ns` and `latency_ns` whole nanoseconds, `time` is
+the wall clock in UTC to the nanosecond, `bytes` are the bytes of `hex`, `faults` a list. Words that
+come again and again are a dictionary; a field or state that 64 bits cannot hold is a decimal of 38
+digits. pyarrow, which writes it, is an extra of the kit.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from typing import Any, BinaryIO
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.filters.fields import Kind, fields_of
-from bilprov.analyzer.output.csv_text import usual_columns
+from bilprov.analyzer.output.csv_text import CsvText, usual_columns
+from bilprov.analyzer.output.outputs import JsonText, TextForm
 from bilprov.analyzer.output.row_columns import (
     AS_USUAL,
     COLUMNS,
@@ -29,6 +30,28 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import escape_controls, printable
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
+
+
+def write_csv(chosen: Chosen, stream: BinaryIO, rows: RowStyle = AS_USUAL) -> None:
+    """Write the chosen rows as CSV in UTF-8; see `csv_text`.
+
+    Raises OSError if the stream cannot be written, CaptureError if the capture cannot be read.
+    """
+    columns = rows.columns or usual_columns(chosen.protocol, time=rows.time is not None)
+    form = CsvText(columns, rows.times(chosen.capture.start))
+    stream.write(form.header.encode())
+    _write_text(chosen, stream, form)
+
+
+def write_jsonl(chosen: Chosen, stream: BinaryIO) -> None:
+    """Write the chosen rows as JSON lines in UTF-8; see `json_lines`. Raises as `write_csv`."""
+    _write_text(chosen, stream, JsonText())
+
+
+def _write_text(chosen: Chosen, stream: BinaryIO, form: TextForm) -> None:
+    for batch in chosen.batches():
+        stream.write(form.text(batch.records()).encode("utf-8", "backslashreplace"))
+
 
 ROWS = 1 << 16
 """Rows of a row group at most, which is what a reader holds in memory."""
