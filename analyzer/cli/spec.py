@@ -148,7 +148,7 @@ def c(options: EmitOption) -> None:
     """
     from bilprov.spec.emit.c import c_header
 
-    options.write(c_header(family_protocol("the C header", drives=False)))
+    options.write(c_header(protocol_in_use()))
 
 
 @command(EmitOption)

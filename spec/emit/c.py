@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 
-from bilprov.spec.data import FieldSpec
-from bilprov.spec.fields import OF_HEADERS
+from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.fields import OF_HEADERS, Outcome
+from bilprov.spec.layout import Check, Layout, Part
+from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import InstructionSpec, Protocol
+
+_WIDEST = 4  # bytes of a number that C90 has for sure
 
 Line = tuple[str, str, str]
 """A constant: its name, its value and its description."""
@@ -19,14 +24,16 @@ def c_header(protocol: Protocol) -> str:
     if not prefix[:1].isalpha():
         prefix = f"P_{prefix}"
     taken: set[str] = set()
+    named = protocol.registers.items()
+    due = {one: protocol.answers[one].code for one in (OF_HEADERS if protocol.plain else Outcome)}
     parts = [
-        ("The frame", _frame(protocol)),
+        *([("The frame", _frame(protocol))] if protocol.plain else _layouts(protocol)),
         *(
             (f"{spec.id}: {spec.name}", _instruction(protocol, spec))
             for spec in protocol.instructions
         ),
         (
-            "Answers, one byte each",
+            "Answers, one byte each" if protocol.plain else "Codes of answers",
             (
                 (f"ANSWER_{_word(one.name)}", _hex(one.code), one.prose)
                 for one in protocol.responses
@@ -34,8 +41,9 @@ def c_header(protocol: Protocol) -> str:
         ),
         (
             "Which answer is due",
-            ((f"ON_{one.name}", _hex(protocol.answers[one].code), "") for one in OF_HEADERS),
+            ((f"ON_{one.name}", _hex(code), "") for one, code in due.items() if code >= 0),
         ),
+        *((f"Named cells of {name}", _registers(cells)) for name, cells in named),
         ("Times in ms, and the line", _times(protocol)),
     ]
     lines = [
@@ -67,24 +75,108 @@ def _frame(protocol: Protocol) -> Iterator[Line]:
     yield "FILLER", _hex(protocol.pad_byte), "the only byte that is safe to pad with: it stops"
 
 
+def _layouts(protocol: Protocol) -> Iterator[tuple[str, Iterator[Line]]]:
+    """Yield the frames of any layout: titles with the lines of each."""
+    yield "A request", _layout("FRAME", protocol.layout)
+    yield "An answer", _layout("REPLY", protocol.reply)
+    if protocol.acknowledgement != protocol.reply:
+        yield "An answer without data", _layout("ACK", protocol.acknowledgement)
+    for at, layout in enumerate(protocol.errors):
+        yield "An error", _layout(f"ERROR{at or ''}", layout)
+
+
+def _layout(what: str, layout: Layout) -> Iterator[Line]:
+    yield f"{what}_HEAD", str(layout.head), "bytes in front of the data"
+    yield f"{what}_TAIL", str(layout.tail), "bytes behind the data"
+    for part in layout.parts:
+        yield from _part(f"{what}_{_word(part.name) or 'CONSTANT'}", part)
+    if layout.check:
+        yield from _check(f"{what}_CHECK", layout.check)
+
+
+def _part(name: str, part: Part) -> Iterator[Line]:
+    place = "OFFSET" if part.offset >= 0 else "FROM_END"
+    yield f"{name}_{place}", str(abs(part.offset)), part.prose
+    if part.constant:
+        yield f"{name}_BYTES", _bytes(part.constant), ""
+        return
+    yield from _number(name, part.number)
+    if part.width:
+        yield f"{name}_SHIFT", str(part.shift), ""
+        yield f"{name}_MASK", _hex((1 << part.width) - 1 << part.shift), ""
+    if part.role == "address" and not part.same:
+        yield f"{name}_MIN", str(part.low), ""
+        yield f"{name}_MAX", str(part.high), ""
+        if part.broadcast is not None:
+            yield f"{name}_BROADCAST", str(part.broadcast), ""
+    if part.also:
+        yield f"{name}_ALSO", str(part.also), "bytes that it counts besides the data"
+    if part.plus:
+        yield f"{name}_PLUS", _hex(part.plus), f"added to {part.same} of the request"
+
+
+def _number(name: str, number: Number) -> Iterator[Line]:
+    if number.size != 1:
+        yield f"{name}_SIZE", str(number.size), "bytes"
+        yield f"{name}_LITTLE_ENDIAN", str(int(number.order == "little")), ""
+    if number.signed:
+        yield f"{name}_SIGNED", "1", ""
+
+
+def _check(name: str, check: Check) -> Iterator[Line]:
+    yield f"{name}_FIRST", str(check.first), "the first byte that it counts"
+    yield f"{name}_LAST", str(check.last), "bytes at the end of the frame that it does not count"
+    if check.asked:
+        yield f"{name}_ASKED", "1", "what the request's counts stands before them"
+    for word, value in asdict(check.function).items():
+        yield f"{name}_{type(check.function).__name__.upper()}_{word.upper()}", _hex(value), ""
+
+
 def _instruction(protocol: Protocol, spec: InstructionSpec) -> Iterator[Line]:
     name = _word(spec.name)
     yield f"{name}_ID", str(spec.id), spec.prose
-    yield f"{name}_LENGTH", str(spec.length), "data bytes"
-    yield name, _hex(protocol.header_bytes[spec.id, spec.length]), "header byte"
+    at_least = " at least" if spec.data.counted else ""
+    yield f"{name}_LENGTH", str(spec.length), f"data bytes{at_least}"
+    if protocol.plain:
+        yield name, _hex(protocol.header_bytes[spec.id, spec.length]), "header byte"
     for field in spec.fields:
         yield from _field(name, field)
+    for field in (spec.answer or DataSpec()).fields:
+        yield from _field(f"{name}_ANSWER", field)
 
 
-def _field(instruction: str, field: FieldSpec) -> Iterator[Line]:
-    name = f"{instruction}_{_word(field.name)}"
+def _field(owner: str, field: FieldSpec) -> Iterator[Line]:
+    name = f"{owner}_{_word(field.name) or 'CONSTANT'}"
     yield f"{name}_OFFSET", str(field.offset), field.prose
-    if field.size != 1:
-        yield f"{name}_SIZE", str(field.size), "bytes"
-    yield f"{name}_MIN", str(field.low), ""
-    yield f"{name}_MAX", str(field.high), ""
+    if field.constant is not None:
+        yield f"{name}_BYTES", _bytes(field.constant), ""
+    if field.many:
+        yield f"{name}_ELEMENT", str(field.many.width), "bytes of each element"
+    if field.many and field.many.prefix:
+        counted = field.many.how.split()[0]
+        yield f"{name}_COUNT_SIZE", str(field.many.prefix.size), f"in front, counts {counted}"
+    yield from _values(name, field)
+
+
+def _values(name: str, field: FieldSpec) -> Iterator[Line]:
+    """Yield how a number is written, its range and its names."""
+    if field.number is None:
+        return
+    yield from _number(name, field.number)
+    if field.size <= _WIDEST:
+        yield f"{name}_MIN", _decimal(field.low), ""
+        yield f"{name}_MAX", _decimal(field.high), ""
+    for word, value in (*field.names, *field.flags):
+        yield f"{name}_{_word(word)}", _hex(value), ""
     for place, bit in enumerate(reversed(field.bits)):
         yield f"{name}_{_word(bit)}", _hex(1 << place), ""
+
+
+def _registers(cells: Mapping[int, FieldSpec]) -> Iterator[Line]:
+    for place, cell in cells.items():
+        name = f"REGISTER_{_word(cell.name)}"
+        yield name, str(place), cell.prose
+        yield from _values(name, cell)
 
 
 def _times(protocol: Protocol) -> Iterator[Line]:
@@ -104,6 +196,18 @@ def _word(name: str) -> str:
 
 def _hex(value: int) -> str:
     return f"0x{value:02x}"
+
+
+def _decimal(value: int) -> str:
+    """A number that is one in C90: the lowest long has no literal, and large ones are unsigned."""
+    if value == -(1 << 31):
+        return f"({value + 1} - 1)"
+    return str(value) if value < 1 << 31 else _hex(value)
+
+
+def _bytes(raw: bytes) -> str:
+    """Bytes as they initialise an array of C."""
+    return f"{{ {', '.join(map(_hex, raw))} }}"
 
 
 def _plain(text: str) -> str:

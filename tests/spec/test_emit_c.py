@@ -8,8 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.spec.codec import build
 from bilprov.spec.emit.c import c_header
 from bilprov.spec.protocol import Protocol, load
+from tests.support import ROOT
+from tests.support.drawn_layouts import drawn_layout
 from tests.support.firmware import needs
 from tests.vectors import HEADERS, LINE, LONGEST_FRAME, RESPONSES, TIMING
 
@@ -57,6 +61,140 @@ def test_prose_cannot_end_its_comment(grammar_text: str) -> None:
     assert hostile != grammar_text
     assert "*/ int" not in text
     assert constants(text)["STOP"] == 0
+
+
+def framed(name: str) -> Protocol:
+    return load_protocol(name if "." not in name else str(ROOT / "examples" / name))
+
+
+FRAMED = ["modbus-rtu", "stk500v1", "dynamixel1", "feetech.py", "relay_board.py", "roboclaw.py"]
+GCC = needs("gcc", package="gcc libc6-dev")
+
+
+def compiled(folder: Path, text: str, *options: str) -> list[str]:
+    """The command that a C file compiles to, without a warning."""
+    source, program = folder / "use.c", folder / "use"
+    source.write_text(text, encoding="utf-8")
+    words = ["gcc", "-std=c89", "-pedantic", "-Wall", "-Wextra", "-Werror", *options]
+    done = subprocess.run([*words, "-o", program, source], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    return [str(program)]
+
+
+@GCC
+@pytest.mark.parametrize("name", FRAMED)
+def test_every_constant_of_a_framed_grammar_is_one_of_c(name: str, tmp_path: Path) -> None:
+    text = c_header(framed(name))
+    names = re.findall(r"^#define (\w+) (.*?)(?: /\*.*)?$", text, re.MULTILINE)[0:]
+    uses = [
+        f"static const unsigned char b{at}[] = {name};" if "{" in value else f"long n{at} = {name};"
+        for at, (name, value) in enumerate(names)
+    ]
+    size = "".join(f"+ sizeof b{at}" for at, (_, value) in enumerate(names) if "{" in value)
+    (tmp_path / "protocol.h").write_text(text, encoding="utf-8")
+    main = f"int main(void) {{ return (0 {size}) > 255; }}"
+    compiled(tmp_path, "\n".join(['#include "protocol.h"', *uses, main]))
+
+
+@GCC
+@pytest.mark.parametrize("seed", range(0, 200, 10))
+def test_the_header_of_any_layout_compiles(seed: int, tmp_path: Path) -> None:
+    (tmp_path / "protocol.h").write_text(c_header(drawn_layout(seed).protocol), encoding="utf-8")
+    compiled(tmp_path, '#include "protocol.h"\nint main(void) { return 0; }\n')
+
+
+WRITING_A_REGISTER = """
+#include <stdio.h>
+#include "protocol.h"
+
+static unsigned crc(const unsigned char *data, int size) {
+    unsigned value = MODBUS_RTU_FRAME_CHECK_CRC_INIT, poly = 0;
+    int bit, at;
+    for (bit = 0; bit < MODBUS_RTU_FRAME_CHECK_CRC_WIDTH; bit++)
+        if (MODBUS_RTU_FRAME_CHECK_CRC_POLY >> bit & 1)
+            poly |= 1u << (MODBUS_RTU_FRAME_CHECK_CRC_WIDTH - 1 - bit);
+    for (at = 0; at < size; at++) {
+        value ^= data[at];
+        for (bit = 0; bit < 8; bit++) value = value >> 1 ^ (value & 1 ? poly : 0);
+    }
+    return value ^ MODBUS_RTU_FRAME_CHECK_CRC_XOROUT;
+}
+
+static void put(unsigned char *at, unsigned value, int little) {
+    at[little ? 0 : 1] = value & 0xff;
+    at[little ? 1 : 0] = value >> 8;
+}
+
+int main(void) {
+    unsigned char frame[64];
+    unsigned char *data = frame + MODBUS_RTU_FRAME_HEAD;
+    int at, end = MODBUS_RTU_FRAME_HEAD + MODBUS_RTU_WRITE_SINGLE_REGISTER_LENGTH
+        + MODBUS_RTU_FRAME_TAIL;
+    frame[MODBUS_RTU_FRAME_ADDRESS_OFFSET] = 17;
+    frame[MODBUS_RTU_FRAME_ID_OFFSET] = MODBUS_RTU_WRITE_SINGLE_REGISTER_ID;
+    put(data + MODBUS_RTU_WRITE_SINGLE_REGISTER_REGISTER_OFFSET, 1,
+        MODBUS_RTU_WRITE_SINGLE_REGISTER_REGISTER_LITTLE_ENDIAN);
+    put(data + MODBUS_RTU_WRITE_SINGLE_REGISTER_VALUE_OFFSET, 3,
+        MODBUS_RTU_WRITE_SINGLE_REGISTER_VALUE_LITTLE_ENDIAN);
+    put(frame + end - MODBUS_RTU_FRAME_CRC_FROM_END,
+        crc(frame + MODBUS_RTU_FRAME_CHECK_FIRST,
+            end - MODBUS_RTU_FRAME_CHECK_LAST - MODBUS_RTU_FRAME_CHECK_FIRST),
+        MODBUS_RTU_FRAME_CRC_LITTLE_ENDIAN);
+    for (at = 0; at < end; at++) printf("%02x", frame[at]);
+    return 0;
+}
+"""
+MOVING_A_SERVO = """
+#include <stdio.h>
+#include <string.h>
+#include "protocol.h"
+#define S(word) FEETECH_STS3215_##word
+
+int main(void) {
+    static const unsigned char sync[] = S(FRAME_SYNC_BYTES);
+    unsigned char frame[32];
+    unsigned char *data = frame + S(FRAME_HEAD), *cell = data + S(WRITE_VALUES_OFFSET);
+    int size = S(WRITE_LENGTH) + S(REGISTER_GOAL_POSITION_SIZE), goal = 512, at;
+    int end = S(FRAME_HEAD) + size + S(FRAME_TAIL);
+    unsigned sum = 0;
+    memcpy(frame + S(FRAME_SYNC_OFFSET), sync, sizeof sync);
+    frame[S(FRAME_ADDRESS_OFFSET)] = 1;
+    frame[S(FRAME_LENGTH_OFFSET)] = (unsigned char)(size + S(FRAME_LENGTH_ALSO));
+    frame[S(FRAME_ID_OFFSET)] = S(WRITE_ID);
+    data[S(WRITE_REGISTER_OFFSET)] = S(REGISTER_GOAL_POSITION);
+    cell[S(REGISTER_GOAL_POSITION_LITTLE_ENDIAN) ? 0 : 1] = (unsigned char)(goal & 0xff);
+    cell[S(REGISTER_GOAL_POSITION_LITTLE_ENDIAN) ? 1 : 0] = (unsigned char)(goal >> 8);
+    for (at = S(FRAME_CHECK_FIRST); at < end - S(FRAME_CHECK_LAST); at++) sum += frame[at];
+    if (S(FRAME_CHECK_SUM_COMPLEMENT) == 1) sum = ~sum;
+    frame[end - S(FRAME_SUM_FROM_END)] = (unsigned char)sum;
+    for (at = 0; at < end; at++) printf("%02x", frame[at]);
+    return 0;
+}
+"""
+
+
+@GCC
+@pytest.mark.parametrize(
+    ("grammar", "program", "request_", "values"),
+    [
+        (
+            "modbus-rtu",
+            WRITING_A_REGISTER,
+            "WriteSingleRegister",
+            {"address": 17, "register": 1, "value": 3},
+        ),
+        ("feetech.py", MOVING_A_SERVO, "Write", {"address": 1, "goal_position": 512}),
+    ],
+)
+def test_a_program_builds_a_request_from_the_header_alone(
+    grammar: str, program: str, request_: str, values: dict[str, int], tmp_path: Path
+) -> None:
+    protocol = framed(grammar)
+    (tmp_path / "protocol.h").write_text(c_header(protocol), encoding="utf-8")
+
+    told = subprocess.run(compiled(tmp_path, program), capture_output=True, check=True).stdout
+
+    assert told.decode() == build(protocol, request_, values).hex()
 
 
 @needs("avr-gcc", package="gcc-avr")
