@@ -40,7 +40,8 @@ class _Line(Input):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", show=False)]
 
     def __init__(self, submit: Callable[[], None]) -> None:
-        super().__init__(compact=True, id="line")
+        # Keys may have been typed by the time that the focus arrives.
+        super().__init__(compact=True, select_on_focus=False, id="line")
         self.complete: Callable[[str, int], list[Completion]] = lambda text, at: []
         self._submit = submit
 
@@ -88,7 +89,6 @@ class Prompt(Vertical):
         self.line.complete = question.completions
         self.line.value = text
         self.line.cursor_position = len(text)
-        self.line.select_on_focus = replaced
         self.screen.set_focus(self.line)
         if replaced:
             self.line.action_select_all()
