@@ -115,31 +115,3 @@ def test_a_grammar_that_captures_cannot_carry_is_told(tmp_path: Path) -> None:
         'declare: there is b"\\x33\\x3c" + b"\\x00\\x00\\x00" in line '
         f"{line}\n"
     )
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("nono", "11"), "there is no grammar nono"),
-        (("modbus-rtu", "zz"), "'zz' is not hex"),
-        (("modbus-rtu", "README.md"), "is neither a capture nor JSON lines"),
-        (("modbus-rtu", "no.jsonl"), "line 1 of no.jsonl cannot be read"),
-        (("modbus-rtu", "hex.jsonl"), "line 2 of hex.jsonl cannot be read"),
-        (("modbus-rtu", "raw.bin"), "raw.bin cannot be read: it is not text"),
-        (("modbus-rtu", "none.jsonl"), "none.jsonl"),
-    ],
-)
-def test_wrong_input_is_told_in_a_sentence(
-    words: tuple[str, ...], said: str, tmp_path: Path
-) -> None:
-    (tmp_path / "README.md").write_text("# no bytes", encoding="utf-8")
-    (tmp_path / "no.jsonl").write_text('{"t": 1}', encoding="utf-8")
-    line = '{"t": 1, "dir": "host", "hex": "%s"}\n'
-    (tmp_path / "hex.jsonl").write_text(line % "00" + line % "0", encoding="utf-8")
-    (tmp_path / "raw.bin").write_bytes(b"\xff\xfe")
-
-    result = command("spec", "check", *words, cwd=tmp_path)
-
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert said in result.stderr.decode()
-    assert result.stderr.count(b"\n") == 1

@@ -14,7 +14,6 @@ from bilprov.analyzer.transport.machine import Process
 from bilprov.analyzer.transport.ports import PortInfo
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
-from tests.support import ROOT
 from tests.support.commands import command, process
 
 
@@ -101,56 +100,3 @@ def test_info_makes_foreign_text_harmless(tmp_path: Path) -> None:
     shown = text("capture", "info", str(file))
     assert all(line.isprintable() for line in shown.splitlines())
     assert "[/red]" in shown
-
-
-@pytest.mark.parametrize(
-    ("grammar", "words", "sent"),
-    [
-        ("dynamixel1", "Ping address=1", "ff ff 01 02 01 fb"),
-        ("dynamixel1", "Write 30 0x0 address=0", "'0x0', allowed are bytes in hex"),
-        ("dynamixel1", "Write 0x1e 00020002 address=0", "ff ff 00 07 03 1e 00 02 00 02 d3"),
-        ("dynamixel1", "Ping", "Ping needs address=0..253"),
-        ("dynamixel1", "Read 1 2 addres=1", "did you mean address?; it takes register=0..255 size"),
-        ("modbus-rtu", "WriteSingleCoil 172 on address=17", "11 05 00 ac ff 00 4e 8b"),
-        ("modbus-rtu", "WriteSingleCoil 172 up address=17", "allowed are 0 (off), 65280 (on)"),
-        (
-            "modbus-rtu",
-            "WriteMultipleRegisters 1 2 10,0x102 address=17",
-            "11 10 00 01 00 02 04 00 0a 01 02 c6 f0",
-        ),
-        ("stk500v1", "ProgPage 2 eeprom a1b2", "64 00 02 45 a1 b2 20"),
-        ("stk500v1", "ProgPage 3 eeprom a1b2", "the fields before it ask for 6 data bytes"),
-    ],
-)
-def test_fields_of_every_kind_are_typed(grammar: str, words: str, sent: str) -> None:
-    result = command("encode", *words.split(), "--grammar", grammar)
-
-    assert (result.returncode, bool(result.stderr)) in ((0, False), (2, True))
-    assert sent in (result.stdout + result.stderr).decode()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("On", "3"), "On takes address=1..4; got 3, write address=3\n"),
-        (
-            ("On", "--", "--grammar"),
-            "--grammar stands behind --, where all words are values; put it",
-        ),
-        (("On", "--gramar", "x"), "no such option '--gramar', did you mean --grammar?"),
-    ],
-)
-def test_what_was_meant_is_said(words: tuple[str, ...], said: str) -> None:
-    relay = str(ROOT / "examples" / "relay_board.py")
-    result = command("--grammar", relay, "encode", *words)
-
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert said in result.stderr.decode()
-
-
-@pytest.mark.parametrize("name", [".", "nosuch.py"])
-def test_a_grammar_that_is_no_file_is_told_with_the_names_that_there_are(name: str) -> None:
-    result = command("encode", "Stop", "--grammar", name)
-
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert b"name a FILE.py or one of robot-car, modbus-rtu" in result.stderr

@@ -74,30 +74,6 @@ def test_a_file_of_answers_is_decoded_with_the_requests(tmp_path: Path) -> None:
     assert [line.split()[-1] for line in lines] == ["OK", "value=3"]
 
 
-@pytest.mark.parametrize("name", ["decode", "explain"])
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--request", "41 81 20"), "--request is what an answer is to: give --from device too"),
-        (("--from", "device", "--request", "41 81"), "41 81 is not answered: GetParameter: 2 by"),
-        (("--from", "device", "--request", "4x"), "'4x' is not hex"),
-    ],
-)
-def test_what_is_no_request_is_refused_in_one_sentence(
-    name: str, words: tuple[str, ...], sentence: str
-) -> None:
-    done = command(name, "14 03 10", "--grammar", "stk500v1", *words)
-    assert done.returncode != 0
-    assert sentence in done.stderr.decode()
-    assert done.stderr.count(b"\n") == 1
-
-
-def test_a_capture_has_the_requests_itself() -> None:
-    capture = str(ROOT / "captures" / "samples" / "examples.mcap")
-    done = command("decode", capture, "--from", "device", "--request", "81 05")
-    assert b"captures have the requests: leave out --request" in done.stderr
-
-
 @pytest.mark.parametrize(("grammar", "answer", "asked", "alone", "known"), ANSWERS)
 def test_each_bit_of_an_answer_is_explained_once(
     grammar: str, answer: str, asked: str, alone: str, known: str
