@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import load
 from bilprov.spec.replies import build_reply
-from tests.support.commands import command
+from tests.support.commands import command, process
 from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
 
 READERS = (
@@ -81,3 +82,22 @@ def test_an_answer_with_other_data_is_another_answer(tmp_path: Path) -> None:
 
     assert done.returncode == 1
     assert b"voltage=123 (" in done.stdout
+
+
+@pytest.mark.waits
+def test_the_arrays_of_a_capture_get_the_memory_of_those_before() -> None:
+    """Memory that is new each time comes page by page, which takes longer than to fill it."""
+    code = """
+import resource, sys, numpy
+from bilprov.__main__ import _run
+
+_run(["stats", sys.argv[1]])
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for batch in range(25):
+    [numpy.ones(1_000_000) for array in range(4)]
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before, file=sys.stderr)
+"""
+    done = process("captures/samples/examples.mcap", code=code)
+
+    pages = 8_000_000 // resource.getpagesize()
+    assert int(done.stderr.splitlines()[-1]) < 10 * pages  # of 100 arrays
