@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 
@@ -66,6 +66,18 @@ def escape_all_controls(value: Any) -> Any:
 def quantity(count: int, noun: str, plural: str = "") -> str:
     """A count with its noun: `1 answer`, `2 answers`; `plural` is for what takes no plain s."""
     return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
+
+
+def near(word: str, names: Iterable[str], alike: float = 0.6) -> str:
+    """The name that is meant by a word with a slip in it, in any case; "" if there is none.
+
+    `alike` is how alike they must be, of 1.
+    """
+    from difflib import get_close_matches
+
+    by_folded = {name.casefold(): name for name in reversed([*names])}
+    close = get_close_matches(word.casefold(), by_folded, 1, alike)
+    return by_folded[close[0]] if close else ""
 
 
 PRINTABLE_CHARACTERS = 200

@@ -15,7 +15,7 @@ import click
 from click.core import ParameterSource
 
 from bilprov.analyzer.former_names import former_name
-from bilprov.captures.text import printable
+from bilprov.captures.text import near, printable
 from bilprov.spec.errors import UserError
 
 if TYPE_CHECKING:
@@ -106,10 +106,8 @@ def unknown(words: Iterable[str], known: Iterable[str], what: str) -> str:
     """What is wrong with the first word that is not known, "" if all are."""
     for word in words:
         if word not in known:
-            from difflib import get_close_matches
-
-            near = get_close_matches(word, list(known), n=1)
-            meant = f", did you mean {near[0]}?" if near else f"; there are {', '.join(known)}"
+            close = near(word, known)
+            meant = f", did you mean {close}?" if close else f"; there are {', '.join(known)}"
             return f"{printable(word)} is not {what}{meant}"
     return ""
 

@@ -40,7 +40,7 @@ from bilprov.analyzer.cli.options import (
 )
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.decode.records import shapes_of
-from bilprov.analyzer.decode.session import BOTH, SKEW
+from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.grammar_file import not_carried
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
@@ -186,18 +186,15 @@ def sniff(options: SniffOptions) -> int:
         timeout = above_latency(timeout, *source.names.values())
         if path and source.start_wall in (EARLIEST, LATEST):
             note("the clock of this computer is set to before 1970 or after 2262: set it right")
-        skew = 0 if source.one_clock else SKEW
+        decoding: SessionSettings = {
+            "timeout": timeout,
+            "heard": source.heard,
+            "skew": 0 if source.one_clock else SKEW,
+            "attached": source.attached,
+        }
         if test:
             test = test.started(source.start_wall)
-        metadata = session_metadata(
-            protocol,
-            ports=source.names,
-            line=str(settings),
-            timeout=timeout,
-            skew=skew,
-            heard=source.heard,
-            attached=source.attached,
-        )
+        metadata = session_metadata(protocol, ports=source.names, line=str(settings), **decoding)
         if path:
             note_each([not_carried(protocol)])
         recorder: Recorder | None = None
@@ -217,9 +214,7 @@ def sniff(options: SniffOptions) -> int:
         if source.served:
             note(source.served)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
-        decoder = StreamDecoder(
-            protocol, timeout=timeout, heard=source.heard, skew=skew, attached=source.attached
-        )
+        decoder = StreamDecoder(protocol, **decoding)
 
         def listened(shown: Shown, tell: Callable[[str], object]) -> Lost:
             """Listen to the end, and finish the capture; `tell` is told at once what is lost."""

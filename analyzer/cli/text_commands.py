@@ -11,6 +11,7 @@ import click
 from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
 from bilprov.analyzer.cli.options import request_option, sender_option, text_format_option
 from bilprov.analyzer.output.console import show_as
+from bilprov.captures.text import near
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,6 @@ def encode(options: EncodeOptions) -> None:
 
     INSTRUCTION is a name in the grammar, FIELD one of its fields.
     """
-    from difflib import get_close_matches
-
     from bilprov.analyzer.cli.typed_input import encoded
     from bilprov.spec.codec import spaced
 
@@ -88,7 +87,7 @@ def encode(options: EncodeOptions) -> None:
                 raise click.UsageError(
                     f"{word} stands behind --, where all words are values; put it before --"
                 )
-            raise click.NoSuchOption(word, possibilities=get_close_matches(word, known) or known)
+            raise click.NoSuchOption(word, possibilities=[near(word, known) or known[0]])
     frame = _or_sentence(encoded, protocol_in_use(), options.name, options.values)
     if options.raw:
         sys.stdout.buffer.write(frame)

@@ -18,7 +18,7 @@ from bilprov.analyzer.files import read_bounded
 from bilprov.analyzer.foreign import from_json
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
-from bilprov.captures.text import printable
+from bilprov.captures.text import near, printable
 from bilprov.spec.codec import Judgement, build, free_parts
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.layout import Part
@@ -169,11 +169,8 @@ def fields_in_words(spec: InstructionSpec) -> str:
 
 def meant(word: str, names: Iterable[str]) -> str:
     """A question after the name that `word` may stand for, in any case; "" if there is none."""
-    from difflib import get_close_matches
-
-    by_lower = {name.lower(): name for name in names}
-    close = get_close_matches(word.lower(), by_lower, n=1)
-    return f", did you mean {by_lower[close[0]]}?" if close else ""
+    found = near(word, names)
+    return f", did you mean {found}?" if found else ""
 
 
 def file_or_bytes(words: Sequence[str]) -> Path | bytes:

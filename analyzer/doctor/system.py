@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from shlex import quote
-from typing import NamedTuple
 
 from bilprov.analyzer.doctor.finding import Finding, Grade, refused
 from bilprov.analyzer.transport.errors import (
@@ -44,18 +43,6 @@ class Subject:
 def subject(name: str, machine: Machine, ports_here: Sequence[str]) -> Subject:
     """The port of that name as the machine has it now."""
     return Subject(name, machine, ports_here, machine.held(name)[name])
-
-
-class Check(NamedTuple):
-    """A check, and the name under which its finding is told.
-
-    The function gives None where there is nothing to look at. If the check is `first`, no others
-    are made after a finding that blocks.
-    """
-
-    name: str
-    look: Callable[[Subject], Finding | None]
-    first: bool = False
 
 
 def _there(port: Subject) -> Finding | None:
@@ -169,17 +156,19 @@ def _latency_timer(port: Subject) -> Finding | None:
     return Finding("latency timer", Grade.ADVICE, sentence, f"echo 1 | sudo tee {file}")
 
 
+FIRST = (_there, _terminal)
+"""The checks after which no others are made where their finding blocks."""
+
 CHECKS = (
-    Check("there", _there, first=True),
-    Check("serial port", _terminal, first=True),
-    Check("pty", _pty),
-    Check("permission", _permission),
-    Check("holder", _holder),
-    Check("lock file", _lock_file),
-    Check("console", _console),
-    Check("ModemManager", _modem_manager),
-    Check("brltty", _brltty),
-    Check("latency timer", _latency_timer),
+    *FIRST,
+    _pty,
+    _permission,
+    _holder,
+    _lock_file,
+    _console,
+    _modem_manager,
+    _brltty,
+    _latency_timer,
 )
 
 
@@ -198,10 +187,10 @@ _IN_USE = (_shared, _modem_manager, _brltty, _latency_timer)
 def examined(port: Subject) -> Iterator[Finding]:
     """Make every check of a port, in their order; nothing is opened or changed."""
     for check in CHECKS:
-        finding = check.look(port)
+        finding = check(port)
         if finding is not None:
             yield finding
-            if check.first and finding.grade is Grade.BLOCKS:
+            if check in FIRST and finding.grade is Grade.BLOCKS:
                 return
 
 

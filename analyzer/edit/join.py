@@ -26,7 +26,6 @@ from bilprov.analyzer.edit.new_capture import (
     Timed,
     batched,
     copy_batch,
-    decoding_metadata,
     parted,
     said_of,
     size_of,
@@ -34,7 +33,12 @@ from bilprov.analyzer.edit.new_capture import (
 )
 from bilprov.analyzer.replay.capture_parts import Progress
 from bilprov.analyzer.replay.capture_session import capture_settings
-from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter, grammar_metadata
+from bilprov.analyzer.replay.recorder import (
+    Checkpoints,
+    RecordWriter,
+    decoding_metadata,
+    grammar_metadata,
+)
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError

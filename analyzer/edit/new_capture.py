@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from bilprov.analyzer.decode.checkpoint import DecoderState, encoded, encoded_or_none
 from bilprov.analyzer.decode.records import shapes_of
-from bilprov.analyzer.decode.session import Session, SessionSettings
+from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.files import replaced_whole
 from bilprov.analyzer.replay.capture_parts import Progress
@@ -23,13 +23,14 @@ from bilprov.analyzer.replay.recorder import (
     CHECKPOINT_STATE,
     Checkpoints,
     RecordWriter,
+    decoding_metadata,
     grammar_metadata,
 )
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import MS, Checkpoint, Chunk, Line, Recorded, Resumption, look_class
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Recorded, Resumption, look_class
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -195,16 +196,6 @@ def cut_metadata(
     return about
 
 
-def decoding_metadata(settings: SessionSettings) -> dict[str, str]:
-    """Settings of a Session as the metadata of a capture says them, without loss."""
-    return {
-        "truncation_timeout_ms": _milliseconds(settings["timeout"] or 0),
-        "skew_ms": _milliseconds(settings["skew"]),
-        "heard": " ".join(sorted(settings["heard"])),
-        "attached": "yes" if settings["attached"] else "no",
-    }
-
-
 def write_resumption(
     out: RecordWriter, protocol: Protocol, state: DecoderState, t: int, gap: Line | None = None
 ) -> None:
@@ -224,11 +215,6 @@ def write_resumption(
 def said_of(name: Path) -> str:
     """A file's name as it stands in a history: without its folder, safe to show."""
     return re.sub(r"\s+", " ", printable(name.name))
-
-
-def _milliseconds(t: int) -> str:
-    short = f"{t / MS:g}"
-    return short if float(short) * MS == t else repr(t / MS)
 
 
 def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:

@@ -167,12 +167,7 @@ def _words_compared(left: Words, compare: Callable[[Any, Any], Any], right: Word
 
 def _equal(column: Octets, part: NDArray[np.uint8]) -> Mask:
     """In which rows the bytes are these."""
-    rows = np.flatnonzero(column.size == len(part))
-    for place, byte in enumerate(part.tolist()):
-        rows = rows[column.data.take(column.start[rows] + place) == byte]
-    true = np.zeros(len(column.size), np.bool_)
-    true[rows] = True
-    return true
+    return np.asarray(column.size == len(part)) & _containing(column, part)
 
 
 def _containing(column: Octets, part: NDArray[np.uint8]) -> Mask:

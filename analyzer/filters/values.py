@@ -6,13 +6,13 @@ A value that the name can never have is a mistake, and so is a unit that does no
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import NoReturn
 
 from bilprov.analyzer.filters import moments
 from bilprov.analyzer.filters.fields import Field, Kind, Value, fields_of, find, folded
 from bilprov.analyzer.filters.syntax import FilterError, Part, octets_of
-from bilprov.captures.text import printable
+from bilprov.captures.text import near, printable
 from bilprov.spec.protocol import Protocol
 
 UNITS: Mapping[str, int] = {"us": -6, "ms": -3, "s": 0, "µs": -6, "μs": -6}  # both letters mu
@@ -59,7 +59,7 @@ def word(protocol: Protocol, part: Part, field: Field) -> Value:
         return known
     if part.kind not in TEXTS or not field.words:
         refuse_kind(protocol, part, field)
-    meant = close(part.text, field.words)
+    meant = near(part.text, field.words)
     others = owners(protocol, part.text)
     if others and not meant:
         known_of = " and ".join(others[:2])
@@ -180,9 +180,9 @@ def refuse_unknown(protocol: Protocol, part: Part) -> NoReturn:
     known_of = owners(protocol, part.text)
     if known_of:
         refuse_part(part, f"is a value of {known_of[0]}, which does not fit here")
-    near = close(part.text, [*fields, *(w for field in fields.values() for w in field.words)])
+    meant = near(part.text, [*fields, *(w for field in fields.values() for w in field.words)])
     names = dict.fromkeys(name if "." not in name else f"{name.split('.')[0]}.*" for name in fields)
-    hint = f"did you mean {near}?" if near else f"there are {', '.join(names)}"
+    hint = f"did you mean {meant}?" if meant else f"there are {', '.join(names)}"
     refuse_part(part, f"is not a name here: {hint}")
 
 
@@ -214,17 +214,6 @@ def listed(field: Field) -> str:
     words = list(field.words)
     more = f" and {len(words) - _MOST_LISTED} more" if len(words) > _MOST_LISTED else ""
     return ", ".join(words[:_MOST_LISTED]) + more
-
-
-def close(text: str, names: Iterable[str]) -> str:
-    """The name that is meant by a word with a slip in it, or empty."""
-    from difflib import get_close_matches
-
-    by_folded: dict[str, str] = {}
-    for name in names:
-        by_folded.setdefault(folded(name), name)
-    near = get_close_matches(folded(text), by_folded, n=1)
-    return by_folded[near[0]] if near else ""
 
 
 def shown(part: Part) -> str:

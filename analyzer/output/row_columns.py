@@ -20,7 +20,7 @@ from msgspec import UNSET
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record, severity_of
 from bilprov.analyzer.output.text_lines import painted
-from bilprov.captures.text import printable
+from bilprov.captures.text import near, printable
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
@@ -330,10 +330,8 @@ def chosen_columns(names: str, protocol: Protocol) -> tuple[Column, ...]:
 
 
 def _no_column(name: str, known: Mapping[str, Column]) -> str:
-    from difflib import get_close_matches
-
-    close = get_close_matches(name.lower(), known, n=1)
-    hint = f", did you mean {close[0]}?" if close else f"; there are {', '.join(known)}"
+    close = near(name, known)
+    hint = f", did you mean {close}?" if close else f"; there are {', '.join(known)}"
     return f"there is no column {printable(name)!r}{hint}"
 
 

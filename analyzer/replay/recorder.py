@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, Severity
+from bilprov.analyzer.decode.session import SessionSettings
 from bilprov.analyzer.replay.rotation import Rotation
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
@@ -86,7 +87,7 @@ def session_metadata(
     *,
     ports: Mapping[str, str],
     line: str,
-    timeout: int,
+    timeout: int | None,
     skew: int,
     heard: Iterable[Direction],
     attached: bool = False,
@@ -104,11 +105,25 @@ def session_metadata(
         **{f"port_{part}": name for part, name in ports.items()},
         "line": line,
         "clock": "monotonic; log_time = wall clock at start + monotonic",
-        "truncation_timeout_ms": f"{timeout / MS:g}",
-        "skew_ms": f"{skew / MS:g}",
-        "heard": " ".join(sorted(heard)),
-        "attached": "yes" if attached else "no",
+        **decoding_metadata(
+            {"timeout": timeout, "skew": skew, "heard": frozenset(heard), "attached": attached}
+        ),
     }
+
+
+def decoding_metadata(settings: SessionSettings) -> dict[str, str]:
+    """Settings of a Session as the metadata of a capture says them, without loss."""
+    return {
+        "truncation_timeout_ms": _milliseconds(settings["timeout"] or 0),
+        "skew_ms": _milliseconds(settings["skew"]),
+        "heard": " ".join(sorted(settings["heard"])),
+        "attached": "yes" if settings["attached"] else "no",
+    }
+
+
+def _milliseconds(t: int) -> str:
+    short = f"{t / MS:g}"
+    return short if float(short) * MS == t else repr(t / MS)
 
 
 def grammar_metadata(protocol: Protocol) -> dict[str, str]:

@@ -10,6 +10,7 @@ from shlex import quote
 from urllib.parse import urlsplit
 
 from bilprov.analyzer.transport.machine import Held, Machine, Process
+from bilprov.captures.text import near
 from bilprov.spec.errors import UserError, one_line
 
 SIM = "sim"  # a target that is no port
@@ -82,11 +83,9 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
             f"{name} is not a port of this machine; did you mean socket://{address}, a device that "
             "is served over TCP?"
         )
-    from difflib import get_close_matches
-
-    titles = {Path(path).name.lower(): path for path in ports_here}
-    near = get_close_matches(Path(name).name.lower(), titles, n=1, cutoff=_NEAR)
-    advice = f"did you mean {titles[near[0]]}?" if near else "see `bilprov ports`"
+    titles = {Path(path).name: path for path in ports_here}
+    meant = near(Path(name).name, titles, _NEAR)
+    advice = f"did you mean {titles[meant]}?" if meant else "see `bilprov ports`"
     listed = ", ".join(ports_here) or "none"
     return LinkError(f"there is no {name}; ports here: {listed}; {advice}")
 

@@ -65,8 +65,8 @@ def test_every_port_of_a_command_may_be_a_named_device() -> None:
         if isinstance(param.type, PortName)
     ]
     assert " ".join(f"{name}:{param}" for name, param in found) == (
-        "sniff:host sniff:device sniff:bridge replay:port ports:names send:target conform:target "
-        "lab learn:target lab line:a lab line:b"
+        "sniff:host sniff:device sniff:bridge sniff:half_duplex replay:port ports:names "
+        "send:target conform:target lab learn:target lab line:a lab line:b"
     )
 
 
