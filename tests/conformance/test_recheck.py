@@ -515,6 +515,7 @@ def test_options_may_be_anything(faulty: Path, tmp_path: Path, options: dict[str
         assert recheck(str(file)).exit == 1
 
 
+@pytest.mark.sample(6)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "values",

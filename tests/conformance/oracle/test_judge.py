@@ -660,6 +660,7 @@ def run(protocol: Protocol, chosen: Choice) -> Report:
     return conform(Simulator(protocol, chosen.fault), grammar=protocol, options=options)
 
 
+@pytest.mark.sample(12)
 @pytest.mark.slow
 @pytest.mark.parametrize("chosen", CHOICES, ids=lambda c: c.name)
 def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(

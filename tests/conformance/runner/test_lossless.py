@@ -34,6 +34,7 @@ def once(number: int) -> Fault:
     return Fault("x", "test", "", react=when(every(faulty, at_count("faults", number)), twice))
 
 
+@pytest.mark.sample(5)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "condition",

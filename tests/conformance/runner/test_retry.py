@@ -229,6 +229,7 @@ def test_a_device_that_hangs_while_it_is_tried_again_fails_there_and_the_rest_is
         assert at_rest(device)
 
 
+@pytest.mark.sample(8)
 @pytest.mark.slow
 @pytest.mark.parametrize("asks", [*range(0, 420, 30), *range(420, 700, 17)])
 def test_an_interrupt_while_it_is_tried_again_is_never_a_pass(

@@ -165,7 +165,7 @@ def failed(report: Report) -> list[tuple[str, str]]:
     return [(r.id, r.reason) for r in report.results if r.verdict is Verdict.FAIL]
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("jitter", JITTERS)
 @pytest.mark.parametrize("name", GOOD)
