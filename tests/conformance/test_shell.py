@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cli.shell.prompt import candidates
 from bilprov.conformance.dut.fault import Fault
@@ -418,3 +419,18 @@ def test_words_and_pauses_complete_and_an_instruction_goes_before_a_word(
     assert found["Stop"] == protocol.by_name["Stop"].prose
     assert [one.text for one in candidates(protocol, words, "pa")] == ["pause="]
     assert list(candidates(protocol, words, "81 ")) == []
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("WriteSingleC", ["WriteSingleCoil"]),
+        ("WriteSingleCoil ", ["coil=", "value=", "address="]),
+        ("WriteSingleCoil value=", ["off", "on"]),
+        ("WriteSingleCoil address=", ["1", "247"]),
+        ("WriteMultipleCoils coils=", []),
+    ],
+)
+def test_fields_names_and_the_address_are_completed(typed: str, offered: list[str]) -> None:
+    found = candidates(load_protocol("modbus-rtu"), {}, typed)
+    assert [one.text for one in found] == offered

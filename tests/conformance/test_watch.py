@@ -20,7 +20,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.reports import a_case, a_run
-from tests.support.robots import PATIENCE, plugged, sentence, served_here, simulate
+from tests.support.robots import PATIENCE, plugged, simulate
 from tests.support.wires import Running, running
 
 FAULTY = ("--fault", "ok-to-bad-data")  # it stops, so that it is judged soon
@@ -130,26 +130,6 @@ def test_a_changed_file_begins_a_run_and_the_exit_code_is_the_last_ones(
         assert f"{stamp} has changed\n" in until_it_waits(watching)
         assert report.exists()
         assert watching.end(how)[0] == 1
-
-
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (("sim", "--watch"), "sim cannot be seen to come back"),
-        (("PTY", "--watch"), "cannot be seen to come back"),
-        (("sim", "--watch-file", "x", "--record", "run.mcap"), "--record is for one run"),
-    ],
-)
-@pytest.mark.waits
-def test_what_cannot_be_watched_is_refused_in_a_sentence(
-    words: tuple[str, ...], why: str, protocol: Protocol, tmp_path: Path
-) -> None:
-    with served_here(Simulator(protocol), pty=True) as (port, _):
-        typed = [port if word == "PTY" else word for word in words]
-        result = command("conform", *typed, "--yes", cwd=tmp_path)
-
-    assert result.returncode == 2
-    assert why in sentence(result)
 
 
 def test_of_an_emulated_board_the_firmware_is_watched(protocol: Protocol) -> None:
