@@ -15,8 +15,13 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import Grammar, given_protocol, load_protocol
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded
-from bilprov.analyzer.replay.capture_session import capture_decoder, capture_protocol, said_of_other
+from bilprov.analyzer.replay.capture_decoding import (
+    TEXT_BATCH,
+    capture_decoder,
+    capture_protocol,
+    decoded,
+    said_of_other,
+)
 from bilprov.analyzer.taps.sources import open_taps
 from bilprov.analyzer.transport.line_settings import (
     LineSettings,

@@ -16,7 +16,7 @@ import msgspec
 
 from bilprov.analyzer.foreign import from_json, safe
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.replay.capture_session import capture_protocol
+from bilprov.analyzer.replay.capture_decoding import capture_protocol
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError

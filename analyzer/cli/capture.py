@@ -32,7 +32,7 @@ from bilprov.analyzer.cli.reading import opened_captures, protocol_of, reading
 from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.replay.capture_parts import Progress
+    from bilprov.analyzer.replay.capture_decoding import Progress
     from bilprov.analyzer.replay.recorder import RecordWriter
     from bilprov.captures.reader import Capture
     from bilprov.spec.protocol import Protocol
@@ -124,8 +124,7 @@ def cut(options: CutOptions) -> None:
     """
     from bilprov.analyzer.edit.cut import write_selected, write_window
     from bilprov.analyzer.edit.new_capture import cut_metadata
-    from bilprov.analyzer.replay.capture_session import require_begun, said_about
-    from bilprov.analyzer.replay.seek import opened_at
+    from bilprov.analyzer.replay.capture_decoding import opened_at, require_begun, said_about
     from bilprov.captures.reader import open_quickly
 
     path, new = options.path, options.new
@@ -174,8 +173,7 @@ def repair(options: RepairOptions) -> None:
     from bilprov.analyzer.edit.cut import write_window
     from bilprov.analyzer.edit.new_capture import edited_metadata
     from bilprov.analyzer.output.outputs import Window
-    from bilprov.analyzer.replay.capture_session import said_about
-    from bilprov.analyzer.replay.seek import opened_at
+    from bilprov.analyzer.replay.capture_decoding import opened_at, said_about
     from bilprov.captures.reader import open_capture
 
     path, new = options.path, options.new
@@ -224,7 +222,7 @@ def join(options: JoinOptions) -> None:
     leaves no OUT.
     """
     from bilprov.analyzer.edit.join import Joined, write_joined
-    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.analyzer.replay.capture_decoding import said_about
     from bilprov.captures.reader import open_capture
 
     if len(options.paths) < 2:

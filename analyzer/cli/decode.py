@@ -124,8 +124,7 @@ def _decoded(path: Path | None, options: DecodeOptions) -> tuple[Iterator[Batch]
     if kind == "JSON lines":
         protocol = protocol_in_use()
         return _of_lines(path, options.sender, protocol), 0, protocol
-    from bilprov.analyzer.replay.capture_parts import decoded
-    from bilprov.analyzer.replay.capture_session import capture_decoder
+    from bilprov.analyzer.replay.capture_decoding import capture_decoder, decoded
 
     (capture,), protocol = opened_captures([path])
     batches = decoded(capture_decoder(capture, protocol), capture.batches())

@@ -74,8 +74,7 @@ def export(options: ExportOptions) -> None:
     event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not grow
     with the capture. OUT appears when it is complete.
     """
-    from bilprov.analyzer.replay.capture_parts import Chosen
-    from bilprov.analyzer.replay.capture_session import require_begun
+    from bilprov.analyzer.replay.capture_decoding import Chosen, require_begun
 
     path, output = options.path, options.output
     if path is None or output is None:

@@ -14,7 +14,7 @@ from bilprov.analyzer.cli.command import protocol_in_use, typed_protocol
 from bilprov.analyzer.cli.options import note, note_each
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.replay.capture_parts import Progress
+    from bilprov.analyzer.replay.capture_decoding import Progress
     from bilprov.captures.reader import Capture
     from bilprov.spec.protocol import Protocol
 
@@ -30,7 +30,7 @@ def opened_captures(
 
     `copied` is as in `protocol_of`. Raises CaptureError, and GrammarError as that does.
     """
-    from bilprov.analyzer.replay.capture_session import said_about
+    from bilprov.analyzer.replay.capture_decoding import said_about
     from bilprov.captures.reader import open_capture
 
     _keep_memory()
@@ -59,7 +59,7 @@ def protocol_of(*captures: Capture, copied: bool = False) -> Protocol:
 
     Where a capture is `copied` and its grammar is not known, there is none. Raises GrammarError.
     """
-    from bilprov.analyzer.replay.capture_session import capture_protocol, require_known
+    from bilprov.analyzer.replay.capture_decoding import capture_protocol, require_known
 
     typed = typed_protocol()
     protocol = typed or capture_protocol(captures, protocol_in_use())

@@ -36,17 +36,19 @@ from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.outputs import Format, Shown, Window, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, decoded
-from bilprov.analyzer.replay.capture_session import (
+from bilprov.analyzer.replay.capture_decoding import (
+    TEXT_BATCH,
+    Opened,
     capture_decoder,
     capture_line,
     capture_timeout,
+    decoded,
     heard,
+    opened_at,
     require_begun,
     said_about,
 )
 from bilprov.analyzer.replay.playback import interruptible, paced
-from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line, Look

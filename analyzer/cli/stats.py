@@ -49,8 +49,7 @@ def stats(options: StatsOptions) -> None:
     from bilprov.analyzer.output.console import can_show, show
     from bilprov.analyzer.output.stats_csv import stats_csv
     from bilprov.analyzer.output.stats_tables import ASCII, BLOCKS, drawn
-    from bilprov.analyzer.replay.capture_session import capture_line
-    from bilprov.analyzer.replay.capture_totals import capture_totals
+    from bilprov.analyzer.replay.capture_decoding import capture_line, capture_totals
     from bilprov.analyzer.totals.totals import Totals
 
     named = {"--json": options.json_file, "--csv": options.csv_file}
@@ -99,8 +98,7 @@ def plot(options: PlotOptions) -> None:
     """
     from bilprov.analyzer.output.capture_stats import file_stats
     from bilprov.analyzer.plot.page import plot_page
-    from bilprov.analyzer.replay.capture_parts import decoded_batches
-    from bilprov.analyzer.replay.capture_session import capture_line
+    from bilprov.analyzer.replay.capture_decoding import capture_line, decoded_batches
     from bilprov.analyzer.totals.timeline import Timeline
     from bilprov.analyzer.totals.totals import Totals
     from bilprov.analyzer.version import kit_version

@@ -26,8 +26,7 @@ from bilprov.analyzer.decode.records import (
     Record,
 )
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.replay.capture_parts import Progress, decoded_batches
-from bilprov.analyzer.replay.capture_session import heard
+from bilprov.analyzer.replay.capture_decoding import Progress, decoded_batches, heard
 from bilprov.analyzer.totals.latencies import Latencies, Spread
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS

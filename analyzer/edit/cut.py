@@ -38,11 +38,15 @@ from bilprov.analyzer.edit.new_capture import (
     write_resumption,
 )
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Progress, decoded
-from bilprov.analyzer.replay.capture_session import capture_settings
+from bilprov.analyzer.replay.capture_decoding import (
+    TEXT_BATCH,
+    Opened,
+    Progress,
+    capture_settings,
+    decoded,
+)
 from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.analyzer.replay.recorder import Checkpoints, RecordWriter
-from bilprov.analyzer.replay.seek import Opened
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
 

@@ -31,8 +31,7 @@ from bilprov.analyzer.edit.new_capture import (
     size_of,
     timed,
 )
-from bilprov.analyzer.replay.capture_parts import Progress
-from bilprov.analyzer.replay.capture_session import capture_settings
+from bilprov.analyzer.replay.capture_decoding import Progress, capture_settings
 from bilprov.analyzer.replay.recorder import (
     Checkpoints,
     RecordWriter,

@@ -17,8 +17,7 @@ from bilprov.analyzer.decode.records import shapes_of
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.files import replaced_whole
-from bilprov.analyzer.replay.capture_parts import Progress
-from bilprov.analyzer.replay.capture_session import capture_settings
+from bilprov.analyzer.replay.capture_decoding import Progress, capture_settings
 from bilprov.analyzer.replay.recorder import (
     CHECKPOINT_STATE,
     Checkpoints,

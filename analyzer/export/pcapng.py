@@ -32,8 +32,14 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.capture_parts import TEXT_BATCH, Chosen, event_batches
-from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, heard
+from bilprov.analyzer.replay.capture_decoding import (
+    TEXT_BATCH,
+    Chosen,
+    capture_decoder,
+    capture_line,
+    event_batches,
+    heard,
+)
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Line

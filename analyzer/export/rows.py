@@ -25,7 +25,7 @@ from bilprov.analyzer.output.row_columns import (
     Value,
     converted,
 )
-from bilprov.analyzer.replay.capture_parts import Chosen
+from bilprov.analyzer.replay.capture_decoding import Chosen
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import escape_controls, printable
 from bilprov.spec.errors import UserError

@@ -34,10 +34,15 @@ from bilprov.analyzer.output.capture_info import summarized
 from bilprov.analyzer.output.capture_stats import file_stats
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.plot.page import plot_page
-from bilprov.analyzer.replay.capture_parts import Chosen, decoded_batches
-from bilprov.analyzer.replay.capture_session import capture_decoder, capture_line, capture_settings
+from bilprov.analyzer.replay.capture_decoding import (
+    Chosen,
+    capture_decoder,
+    capture_line,
+    capture_settings,
+    decoded_batches,
+    opened_at,
+)
 from bilprov.analyzer.replay.recorder import RecordWriter
-from bilprov.analyzer.replay.seek import opened_at
 from bilprov.analyzer.totals.timeline import Timeline
 from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.errors import CaptureError

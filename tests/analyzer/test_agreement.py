@@ -23,13 +23,13 @@ from bilprov.analyzer.export.rows import NoPyarrow, write_csv, write_jsonl, writ
 from bilprov.analyzer.output.outputs import JsonText, Shown, StreamOutput, stream_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.capture_parts import decoded_batches
-from bilprov.analyzer.replay.capture_session import (
+from bilprov.analyzer.replay.capture_decoding import (
+    Opened,
     capture_decoder,
     capture_settings,
+    capture_totals,
+    decoded_batches,
 )
-from bilprov.analyzer.replay.capture_totals import capture_totals
-from bilprov.analyzer.replay.seek import Opened
 from bilprov.analyzer.screen.feeds import capture_feed
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.spec.protocol import Protocol

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.capture_session import capture_settings
+from bilprov.analyzer.replay.capture_decoding import capture_settings
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol

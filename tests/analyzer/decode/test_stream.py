@@ -19,7 +19,7 @@ from bilprov.analyzer.decode.batch import Batch, Kinds, Records
 from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.replay.capture_session import capture_decoder
+from bilprov.analyzer.replay.capture_decoding import capture_decoder
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge

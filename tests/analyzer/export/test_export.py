@@ -21,7 +21,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.export.rows import write_csv, write_jsonl
 from bilprov.analyzer.output.csv_text import plain
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.capture_parts import Chosen
+from bilprov.analyzer.replay.capture_decoding import Chosen
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.output import capture_stats
-from bilprov.analyzer.replay.capture_totals import capture_totals
+from bilprov.analyzer.replay.capture_decoding import capture_totals
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol

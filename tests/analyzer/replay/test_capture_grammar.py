@@ -12,7 +12,7 @@ import pytest
 from bilprov import read_capture
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
-from bilprov.analyzer.replay.capture_session import capture_protocol
+from bilprov.analyzer.replay.capture_decoding import capture_protocol
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, session_metadata
 from bilprov.analyzer.replay.rotation import Rotation
 from bilprov.captures import topics

@@ -17,8 +17,8 @@ from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.edit.new_capture import decoded_metadata, new_capture, write_decoded
+from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter
-from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Message, open_capture, open_quickly

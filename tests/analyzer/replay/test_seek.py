@@ -13,8 +13,8 @@ from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.outputs import JsonText, NoOutput, Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
-from bilprov.analyzer.replay.seek import opened_at
 from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.topics import CHECKPOINT

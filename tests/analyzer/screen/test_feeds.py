@@ -18,9 +18,8 @@ from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.output.statistics import Statistics
-from bilprov.analyzer.replay.capture_session import capture_decoder
+from bilprov.analyzer.replay.capture_decoding import Opened, capture_decoder, opened_at
 from bilprov.analyzer.replay.recorder import session_metadata
-from bilprov.analyzer.replay.seek import Opened, opened_at
 from bilprov.analyzer.replay.spool import PARTS, Spool
 from bilprov.analyzer.screen.bars import status_line
 from bilprov.analyzer.screen.car import picture

@@ -1,20 +1,35 @@
-"""Sets up the decoding of a capture, with the recorded settings where the file has them."""
+"""Decodes captures as they were recorded, from the beginning or a moment on, in batches.
+
+The settings of the recording session hold where the file has them. From a moment on decoding begins
+at the last checkpoint before it, where there is one. Memory does not grow with a capture.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
+from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
+from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
+from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
-from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import MS, Direction
+from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture
+from bilprov.captures.schemas import MS, Chunk, Direction, Line, Recorded, look_class
 from bilprov.captures.text import printable
-from bilprov.captures.topics import CUT_START, DEVICE_RAW, GRAMMAR_HASH, HOST_RAW
+from bilprov.captures.topics import CHECKPOINT, CUT_START, DEVICE_RAW, GRAMMAR_HASH, HOST_RAW
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import GrammarError, Protocol, grammar_hash
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
+    from bilprov.analyzer.filters.filter import Filter
+    from bilprov.analyzer.totals.totals import Totals
+    from bilprov.captures.events import Events
+
 
 _LONGEST = 60_000.0  # ms that a file may ask for
 
@@ -167,3 +182,169 @@ def _nanoseconds(capture: Capture, key: str) -> int | None:
     if not math.isfinite(value) or not 0 <= value <= _LONGEST:
         return None
     return round(value * MS)
+
+
+class Opened(NamedTuple):
+    """A capture, and a decoder that stands at its beginning or at a checkpoint.
+
+    `note` is a sentence for the user, "" if there is none. `after` is the checkpoint that the
+    decoder has gone on from, None at the beginning.
+    """
+
+    capture: Capture
+    decoder: StreamDecoder
+    note: str = ""
+    after: StoredCheckpoint | None = None
+
+    def events(self) -> Iterator[Chunk | Line]:
+        """The events from there on, one by one."""
+        return self.capture.events(self.after)
+
+    def batches(self) -> Iterator[Events]:
+        """The events from there on, as arrays."""
+        return self.capture.batches(self.after)
+
+    def recorded(self, protocol: Protocol) -> Iterator[Recorded]:
+        """All that was recorded from there on and not decoded from the bytes."""
+        return self.capture.recorded(self.after, look_class(protocol.state_type))
+
+
+def opened_at(
+    capture: Capture, protocol: Protocol, start: int, timeout: int | None = None
+) -> Opened:
+    """Prepare to decode what comes from `start` (ns since the capture's start) on.
+
+    Only a capture that was opened by its index has checkpoints to go on from; without a fitting
+    one it is opened again, as a whole. `timeout` is as in `capture_timeout`. A checkpoint that does
+    not fit this protocol or these settings is not used. Raises CaptureError as `open_capture` does.
+    """
+    if capture.indexes:
+        opened = _from_checkpoint(capture, protocol, start, timeout)
+        if opened is not None:
+            return opened
+        capture = open_capture(capture.path)
+    note = ""
+    if not capture.contents.counts.get(CHECKPOINT):
+        note = (
+            f"{printable(capture.path)} has no checkpoints, so all of it is decoded up to --start, "
+            "which is slow in a long capture"
+        )
+    return Opened(capture, capture_decoder(capture, protocol, timeout), note)
+
+
+def _from_checkpoint(
+    capture: Capture, protocol: Protocol, start: int, timeout: int | None
+) -> Opened | None:
+    stored = capture.checkpoint_before(start, protocol.sha256)
+    if stored is None:
+        return None
+    state = checkpoint.decoded(stored.value.decoder, protocol)
+    if state is None or state.time > stored.value.t:
+        return None
+    decoder = capture_decoder(capture, protocol, timeout)
+    try:
+        decoder.resume(state)
+    except ValueError:  # it was saved with other settings
+        return None
+    return Opened(capture, decoder, after=stored)
+
+
+TEXT_BATCH = 1 << 14
+"""Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
+
+BATCH_BYTES = 1 << 18
+_BYTES_A_READ = 4  # as many reads as there would be of so many bytes come at once at most
+_FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
+
+WHOLE = Window()
+
+Progress = Callable[[int], object]
+"""Gets how many bytes of the line were read more; what it raises ends the work."""
+
+
+class Chosen(NamedTuple):
+    """What of a capture is exported: the rows in a window that pass a filter (None: all)."""
+
+    capture: Capture
+    protocol: Protocol
+    test: Filter | None
+    window: Window
+    progress: Progress
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield the rows. Raises CaptureError if the capture cannot be read."""
+        shown = Shown(NoOutput(), self.test, window=self.window)
+        batches = decoded_batches(
+            self.capture, self.protocol, self.progress, self.window, TEXT_BATCH
+        )
+        return map(shown.show, batches)
+
+
+def event_batches(
+    events: Iterable[Events],
+    progress: Progress,
+    window: Window = WHOLE,
+    largest: int = BATCH_BYTES,
+) -> Iterator[Events]:
+    """Yield those events of a capture that decoding a window needs, about `largest` bytes at once.
+
+    Raises CaptureError as `Capture.batches` does.
+    """
+    most = min(_FIRST_BATCH, largest)
+    for read in events:
+        at = 0
+        while at < len(read):
+            done = int(read.end[at - 1]) if at else 0
+            stop = int(read.end.searchsorted(done + most, "right"))
+            stop = max(at + 1, min(stop, at + most // _BYTES_A_READ))
+            batch, at, most = read.part(at, stop), stop, min(2 * most, largest)
+            if window.after is not None:
+                late = batch.t > window.after + AFTERMATH
+                if late.any():
+                    yield batch.part(0, int(late.argmax()))
+                    return
+            yield batch
+            progress(len(batch.data))
+
+
+def decoded(
+    decoder: StreamDecoder,
+    events: Iterable[Events],
+    progress: Progress = lambda size: None,
+    window: Window = WHOLE,
+    largest: int = BATCH_BYTES,
+) -> Iterator[Batch]:
+    """Yield all that is decoded from these events, also outside the window."""
+    for batch in event_batches(events, progress, window, largest):
+        yield from decoder.decode(batch)
+    yield from decoder.finish()
+
+
+def decoded_batches(
+    capture: Capture,
+    protocol: Protocol,
+    progress: Progress,
+    window: Window = WHOLE,
+    largest: int = BATCH_BYTES,
+) -> Iterator[Batch]:
+    """Yield all that is decoded from a capture, as `decoded` does."""
+    decoder = capture_decoder(capture, protocol)
+    return decoded(decoder, capture.batches(), progress, window, largest)
+
+
+def capture_totals(
+    capture: Capture,
+    protocol: Protocol,
+    progress: Progress = lambda size: None,
+    test: Filter | None = None,
+) -> Totals:
+    """Decode a capture as `replay` does, and count what passes the filter.
+
+    `progress` is given the number of bytes of each batch. Raises CaptureError as `Capture.events`.
+    """
+    from bilprov.analyzer.totals.totals import Totals
+
+    totals = Totals(protocol)
+    for batch in decoded_batches(capture, protocol, progress):
+        totals.add(batch, None if test is None else test.selection(batch))
+    return totals
