@@ -175,18 +175,18 @@ class HostRows:
         return sliced(self.data, start, start + self.size[rows])
 
 
-class WideAnswers(NamedTuple):
-    """Answers of any number of bytes: each has `size` bytes of `data` from `offset` on.
+class AnswerBytes(NamedTuple):
+    """The bytes of answers: each has `size` bytes of `data` from `offset` on.
 
-    `name` is the place of its name in `names`; an answer that is damaged has none (None). The
-    fields of its data are in `fields_size` bytes from `fields_at` on; -1 where it has no fields.
-    `address` is whose it is, -1 if not known.
+    `name` is the place of its name in `names`; an answer that is damaged has none (None), nor has
+    an unused byte, whose place is the byte itself. The fields of its data are in `fields_size`
+    bytes from `fields_at` on; -1 where it has no fields. `address` is whose it is, -1 if not known.
     """
 
     data: NDArray[np.uint8]
     offset: NDArray[np.int64]
     size: NDArray[np.int64]
-    name: NDArray[np.int64]
+    name: Integers
     names: Sequence[str | None]
     fields_at: NDArray[np.int64]
     fields_size: NDArray[np.int64]
@@ -198,11 +198,11 @@ class DeviceRows:
     """The device's rows, one an answer: when it came (`t`, ns), and which instruction it answers.
 
     That one's number (`sequence`, -1 where it answers none), key (`header`) and verdict. `byte` is
-    the answer's one byte, or its code where `wide` has its bytes (-1: it has none). `latency` (ns)
-    is from the instruction's last byte on, and `agrees` 1 where the answer is the expected one, 0
-    where not, -1 where nothing is expected. `odd` rows have an anomaly: `samples` gives records of
-    some of them (with a state that may be another), and `sort` numbers, which are equal where the
-    kinds of the anomalies are.
+    the answer's code (-1: it has none), and `answers` has its bytes. `latency` (ns) is from the
+    instruction's last byte on, and `agrees` 1 where the answer is the expected one, 0 where not, -1
+    where nothing is expected. `odd` rows have an anomaly: `samples` gives records of some of them
+    (with a state that may be another), and `sort` numbers, which are equal where the kinds of the
+    anomalies are.
     """
 
     t: NDArray[np.int64]
@@ -216,7 +216,7 @@ class DeviceRows:
     states: StateColumns
     samples: Callable[[NDArray[np.int64]], Sequence[DeviceRecord]]
     sort: Callable[[NDArray[np.int64]], Integers]
-    wide: WideAnswers | None = None
+    answers: AnswerBytes
 
     def __len__(self) -> int:
         return len(self.t)
@@ -416,7 +416,7 @@ class Records(Batch):
             states=_states_of(listed),
             samples=lambda rows: [listed[row] for row in rows.tolist()],
             sort=lambda rows: rows,
-            wide=_wide(listed),
+            answers=_answer_bytes(listed),
         )
 
     @cached_property
@@ -490,24 +490,30 @@ def _states_of(records: Sequence[HostRecord] | Sequence[DeviceRecord]) -> StateC
     return StateColumns(kind, len(records), made)
 
 
-def _wide(records: Sequence[DeviceRecord]) -> WideAnswers | None:
-    """The bytes and names of answers; None where each is one byte."""
-    if not any(record.reply for record in records):
-        return None
+def _answer_bytes(records: Sequence[DeviceRecord]) -> AnswerBytes:
+    """The bytes and names of answers."""
     data = [record.data for record in records]
     size = np.array([len(part) for part in data], np.int64)
     offset = np.cumsum(size) - size
+    # The place of a single byte is the byte; that of other answers counts their names.
+    single = any(record.reply is None for record in records)
+    names: list[str | None] = [None] * 256 if single else []
+    name = [record.byte for record in records]
     places: dict[str | None, int] = {}
-    name = [places.setdefault(record.name, len(places)) for record in records]
+    for row, record in enumerate(records):
+        if single:
+            names[record.byte] = record.name
+        else:
+            name[row] = places.setdefault(record.name, len(places))
     around = [(one.reply.head, one.reply.tail) if one.reply else (0, 0) for one in records]
     head, tail = np.array(around, np.int64).reshape(-1, 2).T
     has_fields = np.array([bool(one.reply and one.reply.fields) for one in records], np.bool_)
-    return WideAnswers(
+    return AnswerBytes(
         data=np.frombuffer(b"".join(data), np.uint8),
         offset=offset,
         size=size,
         name=np.array(name, np.int64),
-        names=list(places),
+        names=names or list(places),
         fields_at=offset + head,
         fields_size=np.where(has_fields, size - head - tail, -1),
         address=_numbers([one.reply.address if one.reply else None for one in records]),

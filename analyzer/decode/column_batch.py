@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.batch import (
     INSTRUCTION,
+    AnswerBytes,
     Batch,
     DeviceRows,
     HostRows,
     OtherRows,
     Selection,
     StateColumns,
-    WideAnswers,
     repeated,
     sliced,
 )
@@ -142,14 +142,14 @@ class ColumnBatch(Batch):
             ),
             samples=alone._samples,
             sort=sort,
-            wide=None if plain else self._wide,
+            answers=self._answer_bytes,
         )
 
     @property
-    def _wide(self) -> WideAnswers:
+    def _answer_bytes(self) -> AnswerBytes:
         answers, tables = self.answers, self.decoding.answers
         fields_at, fields_size = tables.fields(self.asked.kind, answers)
-        return WideAnswers(
+        return AnswerBytes(
             data=self.heard,
             offset=answers.offset,
             size=answers.size,

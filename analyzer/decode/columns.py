@@ -35,14 +35,10 @@ from bilprov.spec.steps import Steps
 
 
 class Heard(NamedTuple):
-    """How many bytes of one side there are at some times, and when the newest read came.
-
-    `t` is its time (ns), and `event` its place among the events, -1 for one of batches before.
-    """
+    """How many bytes of one side there are at some times, and when (ns) the newest read came."""
 
     bytes: Places
     t: Places
-    event: Places
 
 
 class Reads(NamedTuple):
@@ -74,8 +70,11 @@ class Reads(NamedTuple):
     def after(self, events: int) -> Heard:
         """What there is after 0, 1, 2 ... of the events."""
         count = _counted(self.event, events)
-        columns = ((0, self.upto), (0, self.t), (-1, self.event))
-        return Heard(*(np.append(before, column).take(count) for before, column in columns))
+        return Heard(np.append(0, self.upto).take(count), np.append(0, self.t).take(count))
+
+    def newest(self, events: int) -> Places:
+        """The event of the newest read after 0, 1, 2 ... of the events, -1 if it is before them."""
+        return np.append(-1, self.event).take(_counted(self.event, events))
 
     def event_of(self, byte: int) -> int:
         """The event of a byte, 0 for one of batches before."""
@@ -284,9 +283,9 @@ class ColumnDecoder:
         paired = np.maximum(whole, asked_come[pairs])
 
         # What there is after 0, 1, 2 ... events; what falls due before the next event ends it.
-        frames, asked_by, answered = (
-            _counted(each, len(events)) for each in (come, asked_come, paired)
-        )
+        frames, answered = (_counted(each, len(events)) for each in (come, paired))
+        every = len(asked_come) == len(before.end) + len(come)
+        asked_by = frames + len(before.end) if every else _counted(asked_come, len(events))
         said, told = host.after(len(events)), device.after(len(events))
         taken = np.append(before.begun, ends).take(frames)
         heard = np.append(0, answers.end).take(answered)
@@ -299,7 +298,8 @@ class ColumnDecoder:
             if early.any():
                 falls_due |= self._given_up(device, told, heard, t)
                 # An answer within an open frame may end that: see `Decoder`.
-                within = early & (said.bytes > taken) & (told.event > said.event)
+                within = early & (said.bytes > taken)
+                within &= device.newest(len(events)) > host.newest(len(events))
             # A late answer that is wrong may be to the next request: see `Pairing.passes_over`.
             late = np.flatnonzero(answer_t - asked_end[pairs] > self._decoding.late)
             wrong = late[~self._answers.agree(asked.rows(late), answers.rows(late))]

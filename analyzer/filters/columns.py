@@ -67,8 +67,6 @@ class Octets(NamedTuple):
     size: NDArray[np.int64]
 
 
-NO_DATA = np.zeros(0, np.uint8)
-
 Column: TypeAlias = Numbers | Words | Octets
 
 
@@ -151,21 +149,16 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
 
 def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> Columns:
     """The columns of the device's rows."""
+    answers = rows.answers
 
     def name() -> Column:
-        if rows.wide:
-            return Words(rows.wide.name, rows.wide.names)
-        codes = [protocol.codes.get(byte) for byte in range(256)]
-        return Words(rows.byte, [code.name if code else None for code in codes])
+        return Words(answers.name, answers.names)
 
     def address() -> Column:
-        return Numbers(rows.wide.address, rows.wide.address >= 0) if rows.wide else NOTHING
+        return Numbers(answers.address, answers.address >= 0)
 
     def octets() -> Column:
-        if rows.wide:
-            return Octets(rows.wide.data, rows.wide.offset, rows.wide.size)
-        one = np.ones(len(rows), np.int64)
-        return Octets(rows.byte.astype(np.uint8), np.arange(len(rows)), one)
+        return Octets(answers.data, answers.offset, answers.size)
 
     def faulty() -> Column:
         return _truth(rows.answering & (rows.verdict != VALID) | rows.faults.serious)
@@ -194,11 +187,10 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
         replies = (record.reply for record in rows.samples(found))
         return _told(name, (one.told if one else () for one in replies), found, len(rows))
 
-    data = rows.wide.data if rows.wide else NO_DATA
-    fields = _of_fields(protocol, partial(_answers, protocol, rows), data, len(rows))
+    fields = _of_fields(protocol, partial(_answers, protocol, rows), answers.data, len(rows))
     fields = {**fields, **_of_registers(protocol, register)}
     both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
-    return Columns(len(rows), makers, fields if rows.wide else {}, *both)
+    return Columns(len(rows), makers, fields, *both)
 
 
 def line_columns(lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | None) -> Columns:
@@ -300,13 +292,11 @@ def _requests(protocol: Protocol, rows: HostRows) -> Iterator[tuple[DataSpec, _C
 
 def _answers(protocol: Protocol, rows: DeviceRows) -> Iterator[tuple[DataSpec, _Carried]]:
     """The data of the answers to each instruction, and the rows with them."""
-    if rows.wide is None:
-        return
-    there = rows.answering & (rows.wide.fields_size >= 0)
+    there = rows.answering & (rows.answers.fields_size >= 0)
     for spec in protocol.instructions:
         if spec.answer and spec.answer.fields:
             found = np.flatnonzero(there & (rows.header == protocol.key_of(spec.id)))
-            at, size = rows.wide.fields_at[found], rows.wide.fields_size[found]
+            at, size = rows.answers.fields_at[found], rows.answers.fields_size[found]
             yield spec.answer, _Carried(found, at, size)
 
 

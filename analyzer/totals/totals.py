@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import NamedTuple
 
@@ -232,17 +232,16 @@ class Totals:
         t, agrees = devices.t[rows], devices.agrees[rows]
         if not len(t):
             return []
-        if devices.wide:
-            size = devices.wide.size[rows]
-            self.device_bytes += int(size.sum())
-            self.rates.count("device_bytes", t, size)
-        else:
-            self.device_bytes += len(t)
-            self.rates.count("device_bytes", t)
+        size = devices.answers.size[rows]
+        self.device_bytes += int(size.sum())
+        self.rates.count("device_bytes", t, size)
         self.agreeing += int(np.count_nonzero(agrees == 1))
         self.disagreeing += int(np.count_nonzero(agrees == 0))
-        name, names = self._named(devices)
-        name = name[rows]
+        name = devices.answers.name[rows]
+        names = [
+            name or (f"unused {place}" if self._protocol.plain else DAMAGED)
+            for place, name in enumerate(devices.answers.names)
+        ]
         given = np.bincount(name)
         for place in np.flatnonzero(given).tolist():
             self._answers[names[place]] += int(given[place])
@@ -257,14 +256,6 @@ class Totals:
             self._paired[int(self._ids[key]), names[place]] += int(counts[pair])
         self.latencies.add(latency, self._groups.take(header))
         return [int(t.min()), int(t.max())]
-
-    def _named(self, devices: DeviceRows) -> tuple[NDArray[np.integer], Sequence[str]]:
-        """The name of each answer, as its place in some names."""
-        if devices.wide:
-            return devices.wide.name, [name or DAMAGED for name in devices.wide.names]
-        codes = self._protocol.codes
-        named = [codes[byte].name if byte in codes else f"unused {byte}" for byte in range(256)]
-        return devices.byte, named
 
     def _add_others(self, others: OtherRows, mask: Mask | None) -> None:
         for place, record in enumerate(others.listed):

@@ -168,6 +168,8 @@ class AnswerTables:
 
         The size is -1 where an answer has no fields.
         """
+        if self._protocol.plain:
+            return answers.offset, np.broadcast_to(np.int64(-1), len(kind))
         around = np.array([(layout.head, layout.tail) for layout, _ in self._ways], np.int64)
         least = [spec.length if spec.fields else -1 for _, spec in self._ways]
         head, tail = around.take(kind, axis=0).T
@@ -179,10 +181,11 @@ class AnswerTables:
 
     def addresses(self, kind: Places, data: Bytes, answers: Answers) -> Places:
         """Whose the answers in `data` to requests of these kinds are; -1 where they do not say."""
-        found = np.full(len(kind), -1, np.int64)
+        found = np.broadcast_to(np.int64(-1), len(kind))
         for layout, kinds in self._layouts:
             part = layout.part("address")
             if part is not None:
+                found = found if found.flags.writeable else found.copy()
                 rows = np.flatnonzero(kinds.take(kind))
                 found[rows] = part_values(part, data, answers.offset[rows], answers.end[rows])
         return found
