@@ -200,7 +200,7 @@ def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
     """
     layout = protocol.layout
     begun = len(frame) >= layout.head
-    identity = layout.id_of(frame) if begun else None
+    identity = layout.value("id", frame) if begun else None
     spec = protocol.by_id.get(identity) if identity is not None else None
     size = layout.size(frame, spec.data if spec else None) or 0
     whole = begun and len(frame) >= layout.head + layout.tail and (size <= len(frame) or not spec)
@@ -210,7 +210,7 @@ def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
     fields: tuple[tuple[str, Any], ...] = ()
     if whole and spec and outcome in (Outcome.VALID, Outcome.BAD_DATA):
         fields = tuple(spec.decode(data).items())
-    address = layout.address_of(frame) if begun else None
+    address = layout.value("address", frame) if begun else None
     valid = outcome is Outcome.VALID
     heard = whole or layout.check is None  # what is cut short has no right check
     return Judgement(
@@ -314,7 +314,7 @@ def _fault(
         used = ", ".join(map(str, protocol.by_id))
         return (
             Outcome.UNKNOWN_ID,
-            f"no instruction has ID {layout.id_of(frame)}, used are {used}",
+            f"no instruction has ID {layout.value('id', frame)}, used are {used}",
             "",
         )
     needed = spec.data.measure(data)

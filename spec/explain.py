@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, repeat
 
 from bilprov.spec.codec import Judgement, judge, nearest, spaced
@@ -205,7 +206,7 @@ def _frame(
     return FrameExplanation(
         offset=offset,
         judgement=judgement,
-        groups=bit_groups(protocol, judgement),
+        groups=tuple(_groups(protocol, judgement)),
         missing=max(0, due - size) if judgement.truncated else 0,
         answer=_answer(protocol, judgement),
         device=protocol.device,
@@ -279,15 +280,9 @@ def _differences(judgement: Judgement, meant: Judgement, following: bytes) -> It
         yield f"{spaced(added)} is {'taken from ' if where != 'added' else ''}{where}"
 
 
-def bit_groups(protocol: Protocol, judgement: Judgement) -> tuple[BitGroup, ...]:
-    """Return groups that hold every bit of the frame exactly once, in order."""
-    return tuple(_groups(protocol, judgement))
-
-
 def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
-    def meaning(part: Part, raw: bytes) -> tuple[str, bool]:
-        return _part_meaning(protocol.layout, judgement, part, raw)
-
+    """Groups that hold every bit of a frame once, in order."""
+    meaning = partial(_part_meaning, protocol, protocol.layout, judgement, None)
     spec = judgement.instruction
     read = judgement.outcome in (Outcome.VALID, Outcome.BAD_DATA)
     data = spec.data if spec and read else None
@@ -297,9 +292,8 @@ def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
 def _reply_groups(
     protocol: Protocol, reply: Reply, way: Way, asked: Judgement | None
 ) -> Iterator[BitGroup]:
-    def meaning(part: Part, raw: bytes) -> tuple[str, bool]:
-        return _reply_part_meaning(protocol, reply, way.layout, asked, part, raw)
-
+    """Groups that hold every bit of an answer once, in order."""
+    meaning = partial(_part_meaning, protocol, way.layout, reply, asked)
     data = way.data if reply.fields else None
     open_data = "the answer is damaged" if reply.reason else "means nothing"
     if way.data is None and asked is None:
@@ -388,54 +382,49 @@ def _fixed_bytes(
         yield _byte_group(frame, place, part.name, meaning, wrong)
 
 
-def _part_meaning(layout: Layout, judgement: Judgement, part: Part, raw: bytes) -> tuple[str, bool]:
-    """What a part means in a frame, and whether it is wrong."""
-    spec = judgement.instruction
-    if part.role == "id":
-        return (_instruction(spec) if spec else "unused: no instruction has it"), spec is None
-    if part.role == "length":
-        announced = max(0, part.read(judgement.frame))
-        meaning = f"{_bytes(announced)} announced"
-        if judgement.framed or spec is None:
-            wrong = judgement.outcome in (Outcome.TOO_MANY, Outcome.TOO_FEW)
-            return meaning, wrong and not judgement.truncated
-        takes = f"; {spec.name} takes {_bytes(spec.length)}"
-        return (meaning + takes, True) if announced != spec.length else (meaning, False)
-    if part.role == "check" and layout.check:
-        right = layout.check.right(judgement.frame)
-        return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
-    if part.role == "address":
-        everybody = part.broadcast is not None and judgement.address == part.broadcast
-        wrong = judgement.address is not None and not part.reaches(judgement.address)
-        told = ", all of them" if everybody else f"; allowed are {part.allowed}" if wrong else ""
-        return f"{part.prose or 'who is meant'}{told}", wrong
-    return part.prose or "a number", False
-
-
-def _reply_part_meaning(
+def _part_meaning(
     protocol: Protocol,
-    reply: Reply,
     layout: Layout,
+    one: Judgement | Reply,
     asked: Judgement | None,
     part: Part,
     raw: bytes,
 ) -> tuple[str, bool]:
-    """What a part of an answer means, and whether it is wrong."""
+    """What a part of a frame, or of an answer to `asked`, means, and whether it is wrong."""
+    request = isinstance(one, Judgement)
     if part.role == "id":
-        spec = protocol.by_id.get((part.read(reply.frame) - part.plus) & part.most)
+        spec = protocol.by_id.get((part.read(one.frame) - part.plus) & part.most)
         marked = f", marked by {part.plus:02x}: an error" if part.plus else ""
-        return (_instruction(spec) if spec else "unused: no instruction has it") + marked, False
+        known = _instruction(spec) if spec else "unused: no instruction has it"
+        return known + marked, request and spec is None
     if part.role == "length":
-        return f"{_bytes(max(0, part.read(reply.frame)))} announced", False
-    if part.role == "code":
-        return " ".join(reply.names) or "unused", reply.response is None
+        return _announced(one, max(0, part.read(one.frame)))
+    if isinstance(one, Reply) and part.role == "code":
+        return " ".join(one.names) or "unused", one.response is None
     if part.role == "check" and layout.check:
-        if asked is None and layout.check.asked:
+        if layout.check.asked and asked is None:
             return "counts the request too", False
-        before = covered(protocol, asked.frame) if asked else b""
-        right = layout.check.right(reply.frame, before)
+        right = layout.check.right(one.frame, covered(protocol, asked.frame) if asked else b"")
         return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
+    if request and part.role == "address":
+        everybody = part.broadcast is not None and one.address == part.broadcast
+        wrong = one.address is not None and not part.reaches(one.address)
+        told = ", all of them" if everybody else f"; allowed are {part.allowed}" if wrong else ""
+        return f"{part.prose or 'who is meant'}{told}", wrong
     return part.prose or ("who answers" if part.role == "address" else "a number"), False
+
+
+def _announced(one: Judgement | Reply, count: int) -> tuple[str, bool]:
+    """What a length means that announces so many data bytes, and whether it is wrong."""
+    meaning = f"{_bytes(count)} announced"
+    if isinstance(one, Reply):
+        return meaning, False
+    spec = one.instruction
+    if one.framed or spec is None:
+        wrong = one.outcome in (Outcome.TOO_MANY, Outcome.TOO_FEW)
+        return meaning, wrong and not one.truncated
+    takes = f"; {spec.name} takes {_bytes(spec.length)}"
+    return (meaning + takes, True) if count != spec.length else (meaning, False)
 
 
 def _data_groups(judgement: Judgement | Reply, data: DataSpec) -> Iterator[BitGroup]:

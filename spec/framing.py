@@ -168,7 +168,7 @@ class Framer:
         layout = self._protocol.layout
         if layout.part("length") or len(self._held) < layout.head + layout.tail:
             return False
-        return layout.id_of(bytes(self._held)) not in self._protocol.by_id
+        return layout.value("id", bytes(self._held)) not in self._protocol.by_id
 
     def _misread(self, check: Check, held: bytes, at: int, size: int) -> bool:
         """Whether the frame that seems to be there is wrong, and a right one begins within it."""
@@ -212,7 +212,7 @@ def frame_size(protocol: Protocol, held: bytes) -> int | None:
     layout = protocol.layout
     if len(held) < layout.head:
         return None if layout.begins(held) else -1
-    identity = layout.id_of(held)
+    identity = layout.value("id", held)
     spec = protocol.by_id.get(identity) if identity is not None else None
     if spec is None and layout.part("length") is None:
         return _unknown_size(layout, held) if layout.begins(held) else -1

@@ -198,23 +198,8 @@ class Layout:
         """The offset and the bytes of each constant."""
         return tuple((part.offset, part.constant) for part in self.parts if part.constant)
 
-    def id_of(self, frame: bytes) -> int | None:
-        """The ID in a frame; None where it has none."""
-        return self._value("id", frame)
-
-    def length_of(self, frame: bytes) -> int | None:
-        """The number of data bytes that a frame announces; None where it announces none."""
-        return self._value("length", frame)
-
-    def address_of(self, frame: bytes) -> int | None:
-        """The address in a frame; None where it has none."""
-        return self._value("address", frame)
-
-    def code_of(self, frame: bytes) -> int | None:
-        """The code in an answer; None where it has none."""
-        return self._value("code", frame)
-
-    def _value(self, role: Role, frame: bytes) -> int | None:
+    def value(self, role: Role, frame: bytes) -> int | None:
+        """The value of the part of that role in a frame; None where it has no such part."""
         part = self._by_role.get(role)
         return part.read(frame) if part else None
 
@@ -278,7 +263,7 @@ class Layout:
             return -1
         if len(held) < self.head:
             return None
-        announced = self.length_of(held)
+        announced = self.value("length", held)
         if announced is not None:
             return self.head + announced + self.tail if 0 <= announced <= _MOST_DATA else -1
         if not self.has_data or data is None:

@@ -291,7 +291,9 @@ class Protocol:
         if not self.plain:
             return ()
         frames = [bytes([byte]) for byte in range(256)]
-        read = [(self.layout.id_of(frame), self.layout.length_of(frame)) for frame in frames]
+        read = [
+            (self.layout.value("id", frame), self.layout.value("length", frame)) for frame in frames
+        ]
         return tuple((i, n) for i, n in read if i is not None and n is not None)
 
     @cached_property
@@ -313,11 +315,6 @@ class Protocol:
     @cached_property
     def _key_of(self) -> Mapping[int | None, int]:
         return {identity: key for key, identity in enumerate(self.keys) if identity >= 0}
-
-    @cached_property
-    def header_bits(self) -> tuple[tuple[str, int, str], ...]:
-        """The name, width in bits and prose of each part of the header byte."""
-        return tuple((part.name, part.width, part.prose) for part in self.layout.parts)
 
     @cached_property
     def header_bytes(self) -> Mapping[tuple[int, int], int]:
@@ -371,13 +368,6 @@ class Protocol:
                 elif value and isinstance(value, int):
                     found.setdefault(variable, []).append(value)
         return {variable: (min(ends), max(ends)) for variable, ends in found.items()}
-
-    @cached_property
-    def bounds(self) -> Mapping[str, tuple[int, int]]:
-        """The smallest and largest value that each state variable with a number can ever have."""
-        return {
-            name: (spec.low, spec.high) for name, spec in self.variables.items() if not spec.words
-        }
 
     def stops(self, effect: Effect) -> bool:
         """Whether an effect brings the device to rest, whatever its state was.

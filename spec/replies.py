@@ -138,7 +138,7 @@ def read_as(
     """
     values = asked_values(protocol, asked) if asked else {}
     layout = way.layout
-    names, response = meaning(protocol, layout.code_of(frame))
+    names, response = meaning(protocol, layout.value("code", frame))
     fields: tuple[tuple[str, Any], ...] = ()
     registers: Registers = ()
     specs: tuple[FieldSpec, ...] = ()
@@ -159,7 +159,7 @@ def read_as(
         response,
         names,
         fields,
-        layout.address_of(frame),
+        layout.value("address", frame),
         reason,
         layout.head,
         layout.tail,
@@ -300,7 +300,7 @@ def _size(
     if asked is None and not layout.may_repeat(held):
         return -1
     whole = len(held) >= layout.head
-    if asked is None and not layout.has_data and whole and layout.length_of(held):
+    if asked is None and not layout.has_data and whole and layout.value("length", held):
         return -1  # it has data
     if layout.has_data and layout.part("length") is None and way.data is None:
         check = layout.check
@@ -327,7 +327,7 @@ def _is_right(protocol: Protocol, way: Way, frame: bytes, asked: Judgement | Non
     layout = way.layout
     if layout.wrong_constant(frame):
         return False
-    code = layout.code_of(frame)
+    code = layout.value("code", frame)
     if code is not None and meaning(protocol, code)[1] is None:
         return False
     if asked is None and layout.check and layout.check.asked:

@@ -290,7 +290,7 @@ def require_usable_or_said(text: str) -> bool:
         assert 0 < len(protocol) < 400, text
         return False
     parts: list[Any] = [protocol.name, protocol.version, protocol.document, protocol.origin]
-    parts += [protocol.instructions, protocol.responses, protocol.clauses, protocol.header_bits]
+    parts += [protocol.instructions, protocol.responses, protocol.clauses, protocol.layout.parts]
     require_safe([plain(part) for part in parts])
     use(protocol, range(0, 256, 37))
     return True

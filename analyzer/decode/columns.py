@@ -109,9 +109,6 @@ class Reads(NamedTuple):
                 yield Chunk(t, direction, self.data[begin:end].tobytes())  # type: ignore[arg-type]
 
 
-NOTHING_READ = Reads(np.zeros(0, np.uint8), *(np.zeros(0, np.int64) for _ in range(3)))
-
-
 class Carry(NamedTuple):
     """What one batch leaves to the next.
 

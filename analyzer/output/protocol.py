@@ -157,7 +157,7 @@ def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
 
 def _header(protocol: Protocol) -> Iterator[RenderableType]:
     yield from _titled(f"Header, one byte ({protocol.clauses.header})")
-    rows = [(str(width), name, prose) for name, width, prose in protocol.header_bits]
+    rows = [(str(part.width), part.name, part.prose) for part in protocol.layout.parts]
     yield table(("bits", "name", "meaning"), rows, right="bits")
 
 
@@ -254,8 +254,9 @@ def protocol_json(protocol: Protocol) -> dict[str, Any]:
 def _frames_json(protocol: Protocol) -> dict[str, Any]:
     """How frames are laid out: the parts of the header byte, or of each layout."""
     if protocol.plain:
-        parts = protocol.header_bits
-        return {"header": [{"name": name, "bits": n, "meaning": prose} for name, n, prose in parts]}
+        parts = protocol.layout.parts
+        bits = [{"name": one.name, "bits": one.width, "meaning": one.prose} for one in parts]
+        return {"header": bits}
     layouts = {name: layout_json(layout) for name, layout in layouts_of(protocol).items()}
     registers = {
         memory: [

@@ -157,13 +157,13 @@ def _about_frames(protocol: Protocol) -> tuple[Column, Column, Column]:
 
     def identity(line: JsonLine) -> Value:
         frame = _frame(line)
-        return None if frame is None or len(frame) < layout.head else layout.id_of(frame)
+        return None if frame is None or len(frame) < layout.head else layout.value("id", frame)
 
     def length(line: JsonLine) -> Value:
         data, frame = data_of(line), _frame(line)
         if data is None or frame is None:
             return None
-        return layout.length_of(frame) if protocol.plain else len(data)
+        return layout.value("length", frame) if protocol.plain else len(data)
 
     def data(line: JsonLine) -> Value:
         found = data_of(line)

@@ -60,15 +60,15 @@ def plot_data(protocol: Protocol, timeline: Timeline) -> dict[str, Any]:
     """What the page's script draws. Times are in ns; those of a list each from the one before."""
     states, latencies, (marks, _) = timeline.states(), timeline.latencies(), timeline.marks()
     exact = not states.step
-    word = word_of(protocol)
-    words = protocol.variables[word].words if word else ()
+    word, variables = word_of(protocol), protocol.variables
+    words = variables[word].words if word else ()
     return {
         "begin": timeline.begin,
         "end": timeline.end,
         "folds": [(first, last, _long(last - first)) for first, last in _folds(timeline)],
         "word": word,
         "motions": [one.replace("_", " ") for one in words],
-        "bounds": {name: protocol.bounds[name] for name in states.ranges},
+        "bounds": {name: (variables[name].low, variables[name].high) for name in states.ranges},
         "states": {
             "t": _deltas(states.t),
             "motion": states.motion,

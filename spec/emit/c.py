@@ -65,11 +65,9 @@ def c_header(protocol: Protocol) -> str:
 
 
 def _frame(protocol: Protocol) -> Iterator[Line]:
-    shift = 8
-    for name, width, prose in protocol.header_bits:
-        shift -= width
-        yield f"{_word(name)}_SHIFT", str(shift), prose
-        yield f"{_word(name)}_MASK", _hex(((1 << width) - 1) << shift), ""
+    for part in protocol.layout.parts:
+        yield f"{_word(part.name)}_SHIFT", str(part.shift), part.prose
+        yield f"{_word(part.name)}_MASK", _hex(((1 << part.width) - 1) << part.shift), ""
     yield "MAX_DATA", str(max(protocol.lengths)), "data bytes that a header can announce"
     yield "MAX_FRAME", str(protocol.longest_frame), "bytes of the longest frame"
     yield "FILLER", _hex(protocol.pad_byte), "the only byte that is safe to pad with: it stops"

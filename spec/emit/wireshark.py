@@ -91,13 +91,10 @@ def _header(protocol: Protocol) -> Iterator[dict[str, Any]]:
     """Yield the parts of the header byte in order; a part is `header / unit % size`."""
     known = {identity: spec.name for identity, spec in protocol.by_id.items()}
     names = {"id": {"names": dict.fromkeys(protocol.ids, "unused") | known}}
-    unit = 256
-    for name, width, prose in protocol.header_bits:
-        size = 1 << width
-        unit //= size
-        mask = (size - 1) * unit
-        more = names.get(name, {})
-        yield _row("UINT8", name, name, prose=prose, unit=unit, size=size, mask=mask, **more)
+    for part in protocol.layout.parts:
+        size, unit, more = 1 << part.width, 1 << part.shift, names.get(part.name, {})
+        numbers = {"unit": unit, "size": size, "mask": (size - 1) * unit}
+        yield _row("UINT8", part.name, part.name, prose=part.prose, **numbers, **more)
 
 
 def _instruction(word: str, spec: InstructionSpec) -> dict[str, Any]:

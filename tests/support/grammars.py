@@ -122,7 +122,7 @@ def use(protocol: Protocol, headers: Iterable[int]) -> None:
             if judgement.valid and judgement.instruction:
                 effect = judgement.instruction.effect
                 assert effect.apply(protocol.power_on, dict(judgement.fields)).moving in (0, 1)
-    assert protocol.bounds
+    assert protocol.variables
     assert protocol.longest_frame > 0
 
 

@@ -131,7 +131,7 @@ def test_a_long_recording_is_reduced_and_says_so(tmp_path: Path, protocol: Proto
     data = data_of(text)
     assert min(data["steps"]) > 0
     assert "The recording is long: states are reduced" in text
-    assert max(data["states"]["speed"]["high"]) == protocol.bounds["speed"][1]
+    assert max(data["states"]["speed"]["high"]) == protocol.variables["speed"].high
     assert sum(data["latencies"]["count"]) == 3000
     faults = [f for r in records_of(file, protocol) for f in serious_faults(r)]
     assert sum(data["marks"]["n"]) == len(faults) > len(data["marks"]["n"])
