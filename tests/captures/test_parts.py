@@ -86,38 +86,6 @@ def test_a_name_that_cannot_be_looked_for_has_no_parts() -> None:
         assert part_paths(Path(name)) == {}
 
 
-def test_parts_are_read_as_one_capture_and_each_as_one_by_itself(tmp_path: Path) -> None:
-    path = parts(tmp_path, 3)
-    indexed = open_indexed(path)
-    assert indexed
-    for capture in (open_capture(path), indexed):
-        assert list(capture) == chunks([1, 2, 3])
-        assert (capture.damage, capture.unfinished, capture.in_parts) == ((), False, True)
-        assert (capture.start, capture.path) == (START, path)
-        assert capture.contents.counts["/host/raw"] == 3 * EVENTS
-        assert capture.contents.last == START + (3 * EVENTS - 1) * SECOND
-        assert topics.PART not in capture.metadata
-        # Checkpoints at the seams are for those who read a part alone.
-        assert [message.sequence for message in capture.messages()] == [
-            *range(40),
-            *range(41, 81),
-            *range(82, 122),
-        ]
-        assert list(capture.losses()) == []
-    assert open_capture(path).left_out == 0
-    found = indexed.checkpoint_before(60 * SECOND)
-    assert found
-    assert (found.value, found.volume) == (state(40 * SECOND), 1)
-    assert list(indexed.events(found)) == chunks([2, 3])
-    assert indexed.checkpoint_before(40 * SECOND) is None
-    for number in (1, 2, 3):
-        for capture in both_ways(part_path(path, number)):
-            resumed, *_ = capture.events()
-            assert isinstance(resumed, Resumption) == (number > 1)
-            assert list(capture)[number > 1 :] == chunks([number])
-            assert (capture.in_parts, capture.metadata[topics.PART]) == (False, str(number))
-
-
 def test_a_file_of_the_name_comes_before_parts_of_the_name(tmp_path: Path) -> None:
     path = parts(tmp_path, 2)
     part_path(path, 2).rename(path)

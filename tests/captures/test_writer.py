@@ -365,29 +365,6 @@ def test_a_disk_with_no_room_for_the_end_of_a_file_keeps_all_before_it(tmp_path:
         assert (open_capture(path).damage, open_capture(path).unfinished) == ((), True)
 
 
-def test_the_official_reader_reads_all_with_checksums_on(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with writer(path, grammar="g") as capture:
-        for t in range(300):
-            capture.chunk(Chunk(t, "host", bytes([t & 255])))
-            capture.write(ONE_OF_EACH[t % len(ONE_OF_EACH)], t)
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        rows = list(reader.iter_messages())
-        (metadata,) = reader.iter_metadata()
-        header = reader.get_header()
-    assert (header.profile, header.library) == ("", "bilprov 0.1.0")
-    assert (metadata.name, metadata.metadata["grammar"]) == ("bilprov", "g")
-    assert [message.sequence for _, _, message in rows] == list(range(600))
-    table = {topic.name: topic for topic in topics.TOPICS}
-    for schema, channel, message in rows:
-        topic = table[channel.topic]
-        assert (channel.id, channel.message_encoding) == (topic.channel, topic.encoding)
-        assert (schema.name if schema else "") == topic.schema
-        assert (schema.encoding if schema else "jsonschema") == "jsonschema"
-        assert message.log_time == message.publish_time == START + message.sequence // 2
-
-
 def test_the_summary_and_the_indexes_say_what_is_in_the_file(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     times = [5, 3, 9, 4_000, 7]  # in file order, which need not be the order of times

@@ -16,7 +16,6 @@ from bilprov.spec.codec import (
     judge,
     nearest,
     raw_frame,
-    spaced,
 )
 from bilprov.spec.fields import Outcome
 from bilprov.spec.grammar import FRAME
@@ -172,28 +171,6 @@ def test_a_header_may_lie_about_its_data_but_carries_no_more_than_its_bits(
     for identity, length in ((16, 0), (0, 16), (-1, 0), (0, -1)):
         with pytest.raises(ValueError, match=f"^no header carries ID {identity} with length"):
             raw_frame(protocol, identity, length)
-
-
-@pytest.mark.parametrize(
-    ("frame", "following", "meant"),
-    [
-        ("40", "ff", "41 ff"),  # E3
-        ("91 02", "", "81 02"),  # E5
-        ("a0", "", "20"),
-        ("40", "", "41 00"),
-        ("12 ff 00", "", "11 ff"),
-        ("21 07", "", "20"),
-        ("81 0a", "", "81 02"),
-        ("81 ff", "", "81 07"),
-        ("00", "11", "00"),
-    ],
-)
-def test_the_nearest_valid_frame_is_what_was_most_likely_meant(
-    protocol: Protocol, frame: str, following: str, meant: str
-) -> None:
-    found = nearest(protocol, bytes.fromhex(frame), bytes.fromhex(following))
-
-    assert spaced(found) == meant
 
 
 def test_the_nearest_value_of_named_bits_is_in_their_range(grammar_text: str) -> None:

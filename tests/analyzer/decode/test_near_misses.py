@@ -7,7 +7,6 @@ import pytest
 from bilprov.analyzer.decode.near_misses import Checked, declared, fitting_check, near_miss
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.checks import Crc, Sum
-from tests.vectors_modbus_rtu import REQUESTS
 
 
 @pytest.mark.parametrize(
@@ -48,28 +47,6 @@ def test_the_nearest_instruction_is_told_with_what_is_wrong(
 def test_a_valid_frame_is_no_near_miss() -> None:
     assert near_miss(load_protocol("dynamixel1"), bytes.fromhex("FFFF 01 02 01 FB")) is None
     assert near_miss(load_protocol("dynamixel1"), bytes.fromhex("123456789ABC")) is None
-
-
-@pytest.mark.parametrize(
-    ("used", "said"),
-    [
-        (
-            lambda body: Crc(16, 0x8005, 0xFFFF, reflected=True)(body).to_bytes(2, "big"),
-            '"crc" / Checksum(Int16ub, Crc(16, 0x8005, 0xFFFF, reflected=True), this.covered.data)',
-        ),
-        (
-            lambda body: Crc(16, 0x1021)(body[1:]).to_bytes(2, "little"),
-            '"crc" / Checksum(Int16ul, Crc(16, 0x1021, 0x0000), this.covered.data), '
-            'with "covered" beginning at "id"',
-        ),
-        (lambda body: b"\1\2", ""),
-    ],
-)
-def test_a_usual_check_that_fits_is_found(used, said: str) -> None:  # type: ignore[no-untyped-def]
-    bodies = [one.frame[:-2] for one in REQUESTS if one.outcome == "valid"]
-    frames = [Checked(body + used(body)) for body in bodies]
-
-    assert fitting_check(load_protocol("modbus-rtu").layout, frames) == said
 
 
 def test_one_frame_says_little_of_a_check_of_one_byte() -> None:

@@ -104,29 +104,6 @@ def test_a_tap_of_each_side_gives_frames_with_their_answers(
     assert (metadata["port_host"], metadata["port_device"]) == ("/dev/host", "/dev/device")
 
 
-def test_recordings_one_after_the_other_have_a_gap_between_them(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    first = written(tmp_path / "1.mcap", protocol, [Chunk(MS, "host", b"\x81")], line="9600 8N1")
-    second = written(
-        tmp_path / "2.mcap",
-        protocol,
-        [Chunk(900 * MS, "host", b"\x05")],
-        start=START + 800 * MS,
-        line="115200 8N1",
-    )
-    joined(second, first)
-    out = open_capture(tmp_path / "joined.mcap")
-    assert list(out.events()) == [
-        Chunk(MS, "host", b"\x81"),
-        Line(800 * MS, "gap", "", "2.mcap begins here"),
-        Chunk(900 * MS, "host", b"\x05"),
-    ]
-    assert (out.metadata["1.line"], out.metadata["2.line"]) == ("9600 8N1", "115200 8N1")
-    assert (out.metadata["1.file"], out.metadata["2.file"]) == ("1.mcap", "2.mcap")
-    assert "join 1.mcap 2.mcap" in out.metadata["history"]
-
-
 @pytest.mark.parametrize("at", ["0.3", "0.5", "0.719500", "1.5285"])
 def test_parts_that_were_cut_apart_are_decoded_as_the_whole_again(tmp_path: Path, at: str) -> None:
     parts = tmp_path / "1.mcap", tmp_path / "2.mcap"

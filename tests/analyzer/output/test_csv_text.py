@@ -46,29 +46,6 @@ def test_any_text_is_harmless_in_a_cell_and_comes_back(text: str) -> None:
     assert read == cell
 
 
-@pytest.mark.parametrize(
-    ("value", "cell"),
-    [
-        ("=1+1", "'=1+1"),
-        ("@x", "'@x"),
-        ("-1", "'-1"),
-        ("'x", "''x"),
-        ("\t=1", "\\t=1"),
-        ("\r\n", "\\r\\n"),
-        ("\x1b[2J\u202e", "\\x1b[2J\\u202e"),
-        ("C:\\x1b", "C:\\\\x1b"),
-        ('say "a", b', '"say ""a"", b"'),
-        (-64, "-64"),
-        (-0.001, "-0.001"),
-        (True, "true"),
-        (None, ""),
-        ("", ""),
-    ],
-)
-def test_what_is_no_number_never_begins_a_formula(value: Any, cell: str) -> None:
-    assert csv_cell(value) == cell
-
-
 def test_hostile_words_of_a_capture_are_one_row(protocol: Protocol) -> None:
     event = Line(0, "break", "host", '=HYPERLINK("http://x")\r\n,\x1b[2J')
     columns = [columns_of(protocol)["reason"]]

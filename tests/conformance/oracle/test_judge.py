@@ -371,36 +371,6 @@ def test_a_state_gets_the_verdict_of_the_choice_that_the_device_has_shown(
 
 
 @pytest.mark.parametrize(
-    ("done", "before", "shown", "look", "reading"),
-    [
-        (done, before, shown, look, reading)
-        for done, before, shown, look, verdict, reading in STATES
-        if verdict in (INFORMATIONAL, NON_STRICT) and len(shown) == 1
-    ],
-)
-def test_a_device_that_has_shown_one_choice_fails_with_the_other_by_its_reading(
-    protocol: Protocol, done: str, before: State, shown: Shown, look: Look, reading: str
-) -> None:
-    name, *values = done.split()
-    act = frame_effect(protocol, name, *map(int, values))
-    asked = ExpectedState(before)
-    seen = [(choosing(protocol, {}), look)]
-    if "next-motion" not in shown.values() and "curve" not in shown.values():
-        reference = choosing(protocol, {}).after(asked, act)
-        seen.append((choosing(protocol, shown), told(reference.state)))
-
-    for model, other in seen:
-        axis = judge_state(model, model.after(asked, act), other)
-        named, why = contradiction(model, asked, act, other)
-        if other.speed == 90:
-            assert axis.verdict is PASS  # what the reference shows too
-            continue
-        assert axis.verdict is FAIL
-        assert named == reading
-        assert "a device keeps to one choice" in why
-
-
-@pytest.mark.parametrize(
     ("motion", "left", "right", "verdict"),
     [
         ("rotate_left", -9, 9, FAIL),

@@ -45,11 +45,6 @@ def model_of(protocol: Protocol, *shown: tuple[str, str]) -> Model:
     return Model(protocol, choices)
 
 
-def other_word(point: str) -> str:
-    (other,) = (choice.word for choice in POINTS[point].choices[1:])
-    return other
-
-
 # -- by default -----------------------------------------------------------------------------------
 
 
@@ -110,31 +105,6 @@ BEFORE = (DRIVING, TURNING, RESTED, STANDING)
 
 def test_every_point_about_the_state_is_held_here() -> None:
     assert set(STATE_POINTS) == {*CHANGES, "R-speed-moving", "R-steer-rotating"}
-
-
-@pytest.mark.parametrize("before", BEFORE, ids=str)
-@pytest.mark.parametrize("point", CHANGES)
-def test_another_choice_changes_what_it_says_and_nothing_else(
-    protocol: Protocol, point: str, before: State
-) -> None:
-    shows, difference = CHANGES[point]
-    model, reference = model_of(protocol, (point, other_word(point))), model_of(protocol)
-
-    for name, *values in ACTS:
-        frame_effect = done(protocol, str(name), *map(int, values))
-        default = reference.after(ExpectedState(before), frame_effect)
-        expected_state = model.after(ExpectedState(before), frame_effect)
-        if name not in shows:
-            assert expected_state == default, name
-            continue
-        changed = default.state.but(**difference)
-        assert expected_state.state == changed, name
-        rests_on = {point} if changed != default.state else set()
-        assert (expected_state.rests_on, expected_state.unknown, expected_state.pending_speed) == (
-            rests_on,
-            frozenset(),
-            None,
-        ), name
 
 
 @pytest.mark.parametrize("before", BEFORE, ids=str)
