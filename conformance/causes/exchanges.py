@@ -11,18 +11,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from bilprov.analyzer.client.operations import Observation, Received, Send
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.steps import Step, step_of
-from bilprov.conformance.causes.trace import (
-    Begun,
-    Concluded,
-    Event,
-    Heard,
-    PoweredOn,
-    Seen,
-    Sent,
-    Silent,
-)
+from bilprov.conformance.causes.trace import Done, Event, Mark
 from bilprov.conformance.oracle.judge import differences, facets_of_motion
 from bilprov.conformance.oracle.sight import facets_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
@@ -177,29 +169,29 @@ class Exchanges:
         self._unseen: dict[str, list[Exchange]] = {}
 
     def _take(self, event: Event) -> None:
-        if isinstance(event, Sent):
-            self._sent(event.t, event.data)
-        elif isinstance(event, Heard):
-            self._silent_until(event.t)
-            if self._burst:  # else nothing has asked for it
-                self._answers.append((event.t, event.code))
-        elif isinstance(event, Seen):
-            self._silent_until(event.t)
-            self._looks.append((event.t, event.look))
-        elif isinstance(event, Silent):
-            self._silent_until(event.t)
-        elif isinstance(event, PoweredOn):
-            self._close()
-            self._power_on()
-            power_on = self._model.protocol.power_on
-            self._expected = ExpectedState(power_on)
-        elif isinstance(event, Begun):
-            self._begin(event.ident)
-        elif isinstance(event, Concluded):
-            self._close()
-            for exchange in self.all[self._first :]:
-                exchange.case = exchange.case or event.ident
-            self._begin("" if self._case == event.ident else self._case)
+        match event:
+            case Done(Send(data), int(t)):
+                self._sent(t, data)
+            case Done(_, Received(answers, now)):
+                for t, code in answers:
+                    self._silent_until(t)
+                    if self._burst:  # else nothing has asked for it
+                        self._answers.append((t, code))
+                self._silent_until(now)
+            case Done(_, Observation(asked, _, look)):
+                self._silent_until(asked)
+                self._looks.append((asked, look))
+            case Done():  # switched off and on, or its port was lost and found again
+                self._close()
+                self._power_on()
+                self._expected = ExpectedState(self._model.protocol.power_on)
+            case Mark(ident, False):
+                self._begin(ident)
+            case Mark(ident, True):
+                self._close()
+                for exchange in self.all[self._first :]:
+                    exchange.case = exchange.case or ident
+                self._begin("" if self._case == ident else self._case)
 
     def _begin(self, ident: str) -> None:
         """Begin a case, "" for what is between two; one concluded without a beginning claims it."""
