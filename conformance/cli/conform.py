@@ -381,9 +381,9 @@ def _tested(
             stopper.stop()
         listeners: list[RunListener] = []
         if record is not None:
-            from bilprov.conformance.runner.listeners.recorder import open_recorder
+            from bilprov.conformance.runner.listeners.recorder import RunRecorder
 
-            recorder = open_recorder(record, target, suite.truncation_timeout)
+            recorder = RunRecorder(record, target, suite.truncation_timeout)
             listeners.append(stack.enter_context(recorder))
         progress = Progress(count, shown=not asks)
         listeners.append(stack.enter_context(progress))

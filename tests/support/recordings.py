@@ -17,8 +17,6 @@ from bilprov.analyzer.client.operations import (
     Operation,
     Received,
 )
-from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures import topics
 from bilprov.captures.reader import Message, open_capture
 from bilprov.captures.schemas import Chunk
@@ -31,7 +29,7 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.spec.protocol import Protocol, grammar_hash
-from tests.support.robots import BYTE_TIME, MS
+from tests.support.robots import BYTE_TIME
 
 WALL = 1_790_000_000_000_000_000
 
@@ -63,11 +61,6 @@ def recorded(
 ) -> Report:
     """Record a run in virtual time into a new file; gives what came out of it."""
     device = device or Simulator(protocol)
-    timeout = 50 * MS
-    about = session_metadata(
-        protocol, ports={}, line="115200 8N1", timeout=timeout, skew=0, heard=("host", "device")
-    )
-    session = Session(protocol, timeout=timeout, skew=0)
     environment = Environment(
         virtual=True,
         observability=observability or Observability(hasattr(device, "look")),
@@ -80,8 +73,8 @@ def recorded(
     def connect(listener: LinkListener | None) -> Link:
         return BreakingLink(VirtualLink(device, BYTE_TIME, listener), broken or {})
 
-    with RunRecorder(str(path), session, WALL, about) as recorder:
-        target = Target(protocol, environment, connect, interrupted)
+    target = Target(protocol, environment, connect, interrupted)
+    with RunRecorder(str(path), target, start_wall=WALL) as recorder:
         return run_suite(target, options or Options(only=only), [recorder])
 
 

@@ -8,7 +8,7 @@ environment (`run.json`); at the end: what was measured (`profile.json`) and the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 import msgspec
 
@@ -26,7 +26,6 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.version import kit_version
-from bilprov.captures import topics
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Asked, CaseMark, Chunk, Line, Look
@@ -43,32 +42,13 @@ RUN, PROFILE, VERDICT = "run.json", "profile.json", "verdict.json"
 """The names of the attachments."""
 
 
-def open_recorder(
-    path: str, target: Target, truncation_timeout: float | None = None
-) -> RunRecorder:
-    """A recorder of runs on that target into a new file, with the time-out in ms.
-
-    Raises CaptureError if the file cannot be made.
-    """
-    protocol = target.protocol
-    timeout = timeout_in_ns(protocol, truncation_timeout)
-    metadata = session_metadata(
-        protocol,
-        ports={"device": target.environment.device},
-        line=str(target.line),
-        timeout=timeout,
-        skew=0,
-        heard=("host", "device"),
-    )
-    session = Session(protocol, timeout=timeout, skew=0)
-    return RunRecorder(path, session, wall_clock(), metadata, shapes_of(protocol))
-
-
 class RunRecorder(Closing, RunListener):
-    """A run listener that writes everything into a capture. Times are ns since the start.
+    """A run listener that writes everything of runs on a target into a new capture.
 
-    Raises CaptureError if the file cannot be made. A later error (a full disk) must not keep the
-    run from stopping the robot: it is kept in `broken`, and nothing more is written.
+    `truncation_timeout` is the time-out in ms, `start_wall` the time of day (ns) at which the run
+    begins, now if None. Times are ns since the start. Raises CaptureError if the file cannot be
+    made. A later error (a full disk) must not keep the run from stopping the robot: it is kept in
+    `broken`, and nothing more is written.
     """
 
     broken: CaptureError | None = None
@@ -76,13 +56,23 @@ class RunRecorder(Closing, RunListener):
     def __init__(
         self,
         path: str,
-        session: Session,
-        start_wall: int,
-        metadata: Mapping[str, str],
-        shapes: topics.Shapes = topics.CAR_SHAPES,
+        target: Target,
+        truncation_timeout: float | None = None,
+        start_wall: int | None = None,
     ) -> None:
-        self._session = session
-        self._file = RecordWriter(path, start_wall, metadata, shapes)
+        protocol = target.protocol
+        timeout = timeout_in_ns(protocol, truncation_timeout)
+        metadata = session_metadata(
+            protocol,
+            ports={"device": target.environment.device},
+            line=str(target.line),
+            timeout=timeout,
+            skew=0,
+            heard=("host", "device"),
+        )
+        self._session = Session(protocol, timeout=timeout, skew=0)
+        start = wall_clock() if start_wall is None else start_wall
+        self._file = RecordWriter(path, start, metadata, shapes_of(protocol))
         self._now = 0
         self._event(Line(0, "open"))
 

@@ -22,7 +22,7 @@ from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.summary import show
-from bilprov.conformance.runner.listeners.recorder import open_recorder
+from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.spec.protocol import Protocol
 
 SMOKE = Options(level="smoke")
@@ -63,7 +63,7 @@ def test_every_form_of_the_report_and_a_recheck_have_the_sentence(
     protocol: Protocol, tmp_path: Path
 ) -> None:
     path, made = str(tmp_path / "run.mcap"), target(protocol, "never-times-out", blind=True)
-    with open_recorder(path, made) as recorder:
+    with RunRecorder(path, made) as recorder:
         report = run_suite(made, SMOKE, [recorder])
     text = Console(file=StringIO(), width=1000)
     show(report, text)

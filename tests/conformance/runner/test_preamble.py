@@ -15,7 +15,7 @@ from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.runner.listeners.recorder import open_recorder
+from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.spec.protocol import Protocol
 
 ONLY = Options(only=("valid/Speed/*", "valid/LED/*"))
@@ -70,7 +70,7 @@ def test_a_recheck_names_the_preamble_too(protocol: Protocol, tmp_path: Path) ->
     path = str(tmp_path / "run.mcap")
     device = Simulator(protocol, EIGHT_BITS)
     target = device_target(protocol, device, name="sim", probe="sim", fault=None)
-    with open_recorder(path, target) as recorder:
+    with RunRecorder(path, target) as recorder:
         report = run_suite(target, Options(only=("valid/Speed/2",)), [recorder])
 
     again = recheck(path)

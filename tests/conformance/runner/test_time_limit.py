@@ -31,7 +31,7 @@ from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
-from bilprov.conformance.runner.listeners.recorder import open_recorder
+from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.conformance.runner.time_limit import TimeLimit
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, BYTE_TIME, MS, SlowProbe
@@ -211,7 +211,7 @@ def test_a_run_that_took_too_long_is_judged_again_as_it_was(
 ) -> None:
     path = str(tmp_path / "run.mcap")
     target = Robot(protocol, look=200 * MS).target
-    with open_recorder(path, target) as recorder:
+    with RunRecorder(path, target) as recorder:
         report = run_suite(target, SMOKE, [recorder])
 
     again = recheck(path)
