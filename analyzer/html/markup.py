@@ -5,6 +5,8 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Iterable
+from pathlib import Path
+from string import Template
 
 from bilprov.captures.text import escape_controls
 
@@ -37,6 +39,12 @@ def tag(name: str, *content: object, **attributes: object) -> Safe:
 def joined(parts: Iterable[object]) -> Safe:
     """Parts one after another."""
     return Safe("".join(text(part) for part in parts))
+
+
+def filled(template: Path, **parts: object) -> Safe:
+    """What a template file holds, each $name replaced by that part; parts not Safe are escaped."""
+    page = Template(template.read_text(encoding="utf-8"))
+    return Safe(page.substitute({name: text(part) for name, part in parts.items()}))
 
 
 def bar(width: int, parts: Iterable[tuple[str, str, str]]) -> Safe:
