@@ -133,28 +133,6 @@ _SOME = {"speed": 3, "led": 1, "steering": 12}
 Rows = TypeVar("Rows")
 AnyRow = TypeVar("AnyRow", bound="Row")
 
-_SEVERAL = {
-    "watched-unknown-id": "unused-id/* recovery/unused-id/*",
-    "watched-bad-data": "bad-data/* recovery/bad-data/*",
-    "watched-too-many": "wrong-length/* recovery/too-many/*",
-    "watched-too-few": "wrong-length/* recovery/too-few/*",
-    "followed": "unused-id/* bad-data/* wrong-length/* truncated/*",
-    "watched": "followed recovery/*",
-    "unknown-id": "watched-unknown-id link/unused-id",
-    "bad-data": "watched-bad-data",
-    "too-many": "watched-too-many",
-    "too-few": "watched-too-few link/too-few",
-    "timed": "timing/truncation-timeout",
-    "truncated": "truncated/* recovery/truncated/* timed",
-    "whole-faults": "unknown-id bad-data too-many too-few",
-    "faulty": "whole-faults truncated",
-}
-"""Words of `caught_by` for several globs of case ids.
-
-In `watched` cases the stop and the state are observed, and valid instructions follow in `followed`
-ones. A word of an outcome, or of truncated frames, has the cases in which their answer shows.
-"""
-
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A fault as data, its texts templates over the protocol's `names`.
@@ -205,6 +183,7 @@ def all_faults(protocol: Protocol) -> Iterator[Fault]:
             )
 
 
+@cache
 def table(name: str, kind: type[Rows]) -> Rows:
     """Return a file of this room as such values."""
     return msgspec.toml.decode(Path(__file__).with_name(name).read_bytes(), type=kind)
@@ -232,9 +211,9 @@ def filled(protocol: Protocol, templates: dict[str, AnyRow]) -> Iterator[tuple[s
 
 def globs(caught_by: str) -> tuple[str, ...]:
     """Return the globs of case ids that the words stand for."""
-    found: dict[str, None] = {}
+    known, found = table("caught_by.toml", dict[str, str]), dict[str, None]()
     for word in caught_by.split():
-        found |= dict.fromkeys(globs(_SEVERAL[word]) if word in _SEVERAL else [word])
+        found |= dict.fromkeys(globs(known[word]) if word in known else [word])
     return tuple(found)
 
 

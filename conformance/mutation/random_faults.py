@@ -16,7 +16,7 @@ from functools import cache
 from typing import Any, NamedTuple, TypeVar
 
 from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.mutation.faults import Row, hooks, names
+from bilprov.conformance.mutation.faults import Row, hooks, names, table
 from bilprov.conformance.mutation.triggers import TRUNCATED, trigger
 from bilprov.spec.by_effect import variable_of
 from bilprov.spec.protocol import InstructionSpec, Protocol
@@ -47,42 +47,11 @@ PREFIX = "random:"
 _LEAST = 32  # a difference of wheels at a smaller speed or strength is none that a suite must see
 _PLACES = ("first-byte", "last-byte", "second-byte")
 
-# Templates: one that stands several times is drawn more often. {...} is drawn from `_pools`, {5 9}
-# is a number from 5 to 9; a template with a pool that the protocol does not have is never drawn.
-_FRAMES = (
-    *5 * ("instruction {instruction}",),
-    *2 * ("outcome {outcome}",),
-    *(TRUNCATED, "id {unused}", "faulty"),
-)
-_FAULTY_FRAMES = (
-    *("{wrong length}", "{wrong length}, id {known}", "{wrong length of an ID}"),
-    "outcome unknown-id, id {unused}, length > 0",
-    "outcome unknown-id, length {data length}",
-    "outcome unknown-id, id {unused}, length {data length}",
-    *("truncated, size {cut}", "truncated, size {cut}, known", "truncated, size {cut}, known 0"),
-)
-_COUNTED = ("", "", "faulty", "instruction {instruction}", "outcome {outcome}")
-_STATES = (
-    *3 * ("moves {motion}",),
-    *2 * ("speed >= {speed}",),
-    *("moves stopped", "{side}", "led & {bit of led}"),
-)
-_SETTINGS = ("speed >= {speed}", *2 * ("led & {bit of led}",), "{side}")
-_HISTORY = (
-    *3 * ("previous {instruction}",),
-    *("row > 0", "frames every {2 40}", "frames >= {5 250}", "faults >= {2 60}"),
-)
-_RIGHT_AFTER = (*2 * ("previous {outcome}",), "previous {instruction}", "after-truncated")
-_TIMING = ("pipelined", "gap >= {gap}")
-_LENGTHS = ("length & 1", "length !& 1", *2 * ("length {length}",))
-_BYTE = (">= {1 255}", "& {bit}")
-_RHYTHM = ("times every {period}", "times every {20 300}")
-_AT_TIMES = ("twice", "silent", "answers-with {code}", "twice 12", "answers-with {own code}")
-_WHEELS = (
-    *("wheels-astray half speed {fast}", "wheels-astray reversed speed {fast}"),
-    *("wheels-astray half steering {strong}", "wheels-astray reversed steering {strong}"),
-)
-_ANSWER = ("answers-with {code}", "twice", "late {late}", "loses-next-byte")
+_DRAWN = {
+    name: tuple(template for template, often in rows.items() for _ in range(often))
+    for name, rows in table("random.toml", dict[str, dict[str, int]]).items()
+}
+"""The templates of each kind; one that stands several times is drawn more often."""
 
 
 def _pools(protocol: Protocol) -> dict[str, Sequence[Any]]:
@@ -168,10 +137,12 @@ class FaultDraw:
 
     def simple(self) -> Drawn:
         """Draw a frame, up to two conditions, and an effect."""
-        frames = self._frames(*_FRAMES)
+        frames = self._frames(*_DRAWN["frames"])
         spec = frames.spec
-        timing = (*_TIMING, "pause > 1") if spec is None or spec.length else _TIMING
-        kinds: list[Sequence[str]] = [_STATES, _STATES, _HISTORY, timing]
+        timing = (
+            (*_DRAWN["timing"], "pause > 1") if spec is None or spec.length else _DRAWN["timing"]
+        )
+        kinds: list[Sequence[str]] = [_DRAWN["states"], _DRAWN["states"], _DRAWN["history"], timing]
         kinds += 3 * [self._data(frames)] if frames.outcome != TRUNCATED else []
         terms = [frames.when]
         for _ in range(self._draw.pick((0, 1, 1, 1, 1, 2))):
@@ -182,10 +153,10 @@ class FaultDraw:
 
     def needle(self) -> Drawn:
         """Draw a value in the data of faulty frames, sometimes in one state only."""
-        frames = self._frames(*_FAULTY_FRAMES)
+        frames = self._frames(*_DRAWN["faulty-frames"])
         terms = [frames.when, self._byte(frames, "{byte}" if frames.narrow else "{0 255}")]
         if not frames.narrow and self._draw.below(3) == 0:
-            terms.append(self._one(*_STATES))
+            terms.append(self._one(*_DRAWN["states"]))
         return Drawn("random needle", terms, self._effect(frames, in_silence=False))
 
     def in_context(self) -> Drawn:
@@ -201,27 +172,27 @@ class FaultDraw:
             values = range(low, high + 1) if in_state or not some else some
             terms = [frames.when, f"value {draw.pick(values)}"]
         else:
-            frames = self._frames(*_FAULTY_FRAMES)
+            frames = self._frames(*_DRAWN["faulty-frames"])
             terms = [frames.when]
             if not frames.narrow:
                 terms.append(self._byte(frames, "{0 255}" if in_state else "{byte}"))
-        terms.append(self._one(*(_STATES if in_state else _RIGHT_AFTER)))
+        terms.append(self._one(*(_DRAWN["states"] if in_state else _DRAWN["right-after"])))
         return Drawn("random context", terms, self._effect(frames, in_silence=False))
 
     def rhythm(self) -> Drawn:
         """Draw every n-th frame, fault, or frame of a class, sometimes in one state."""
-        frames, times = self._frames(*_COUNTED), self._one(*_RHYTHM)
-        states = [self._one(*_STATES)] if self._draw.below(3) == 0 else []
+        frames, times = self._frames(*_DRAWN["counted"]), self._one(*_DRAWN["rhythm"])
+        states = [self._one(*_DRAWN["states"])] if self._draw.below(3) == 0 else []
         # counted in any state, or in this one
         terms = [times, *states] if self._draw.below(2) else [*states, times]
-        effects = [self._one(*_AT_TIMES)] * 5
+        effects = [self._one(*_DRAWN["at-times"])] * 5
         if frames.spec or frames.outcome:
             effects.append(self._effect(frames, in_silence=False))
         return Drawn("random rhythm", [frames.when, *terms], self._draw.pick(effects))
 
     def disobedience(self) -> Drawn:
         """Draw settings in which instructions are answered and not carried out."""
-        settings = [one for one in _SETTINGS if self._can(one)]
+        settings = [one for one in _DRAWN["settings"] if self._can(one)]
         if not settings:
             return self.simple()
         specs = self._protocol.instructions
@@ -233,7 +204,7 @@ class FaultDraw:
 
     def wheels_astray(self) -> Drawn:
         """Draw wheels that turn slower, or backwards, from a speed or a strength on."""
-        some = [one for one in _WHEELS if self._can(one)]
+        some = [one for one in _DRAWN["wheels"] if self._can(one)]
         return Drawn("random wheels", [], self._one(*some)) if some else self.simple()
 
     def _can(self, template: str) -> bool:
@@ -270,7 +241,7 @@ class FaultDraw:
         if frames.outcome == "bad-data":
             return ("value & {bit}",)
         if frames.spec is None:
-            return _LENGTHS
+            return _DRAWN["lengths"]
         for part in frames.spec.fields[:1]:
             bit = 1 << self._draw.below(max(1, part.high.bit_length()))
             span = f"{{{part.low} {part.high}}}"
@@ -281,7 +252,7 @@ class FaultDraw:
         """Draw a data byte and a value, a threshold or a bit of it."""
         one_byte = re.search(r"length 1\b|size 2\b", frames.when)
         place = self._draw.pick(_PLACES[:2] if one_byte else _PLACES)
-        return f"{place} {self._one(*_BYTE, value, value)}"
+        return f"{place} {self._one(*_DRAWN['byte'], value, value)}"
 
     def _effect(self, frames: Frames, *, in_silence: bool = True) -> str:
         """Draw an effect on such frames.
@@ -289,7 +260,7 @@ class FaultDraw:
         Without `in_silence` those are left out that show only where nothing is sent after the
         frame: a trigger that many frames must meet would take a silence after each.
         """
-        found = [*_ANSWER, "answers-again 12" if in_silence else "twice 12"]
+        found = [*_DRAWN["answer"], "answers-again 12" if in_silence else "twice 12"]
         spec, outcome = frames.spec, frames.outcome
         if spec or outcome not in ("", TRUNCATED):  # silence there is legal
             found.append("silent")
