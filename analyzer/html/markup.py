@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from string import Template
 
@@ -43,8 +44,12 @@ def joined(parts: Iterable[object]) -> Safe:
 
 def filled(template: Path, **parts: object) -> Safe:
     """What a template file holds, each $name replaced by that part; parts not Safe are escaped."""
-    page = Template(template.read_text(encoding="utf-8"))
-    return Safe(page.substitute({name: text(part) for name, part in parts.items()}))
+    return Safe(_read(template).substitute({name: text(part) for name, part in parts.items()}))
+
+
+@cache
+def _read(template: Path) -> Template:
+    return Template(template.read_text(encoding="utf-8"))
 
 
 def bar(width: int, parts: Iterable[tuple[str, str, str]]) -> Safe:

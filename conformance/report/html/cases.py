@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
-from bilprov.analyzer.html.markup import Safe, bar, joined, tag
+from bilprov.analyzer.html.markup import Safe, bar, filled, joined, tag
 from bilprov.captures.schemas import MS
 from bilprov.conformance.oracle.judge import code_words
 from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict, WireEvent
@@ -23,6 +24,7 @@ from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
 
+_CASE = Path(__file__).parent / "assets" / "case.html"
 _KINDS = {"sent": 0, "received": 1, "look": 2, "clipped": 3}
 
 
@@ -34,28 +36,21 @@ def case_rows(cases: Sequence[Row]) -> Safe:
 def _row(index: int, row: Row) -> Safe:
     worst = max((result for result in row.results if result), key=lambda r: r.verdict)
     words = worst.reason if worst.verdict is not Verdict.PASS else ""
-    marks = {result.verdict.label if result else "missing" for result in row.results}
-    if row.differs:
-        marks.add("differs")
-    badges = [
-        tag("span", label, class_=f"badge v-{name}")
-        for name, label in ((r.verdict.label, r.verdict.label) if r else ("missing", "not run")
-        for r in row.results)
-    ]  # fmt: skip
-    summary = tag(
-        "summary",
-        tag("span", *badges, class_="badges"),
-        tag("span", row.id, class_="id"),
-        tag("span", words or worst.requirement, class_="why" if words else "why dim"),
-    )
-    return tag(
-        "details",
-        summary,
-        data_i=index,
-        data_id=row.id,
-        data_c=row.clause,
-        data_g=row.group,
-        data_v=" ".join(sorted(marks)),
+    named = [
+        (r.verdict.label, r.verdict.label) if r else ("missing", "not run") for r in row.results
+    ]
+    marks = {name for name, _ in named} | ({"differs"} if row.differs else set())
+    badges = (tag("span", label, class_=f"badge v-{name}") for name, label in named)
+    return filled(
+        _CASE,
+        index=index,
+        id=row.id,
+        clause=row.clause,
+        group=row.group,
+        marks=" ".join(sorted(marks)),
+        badges=joined(badges),
+        dim="" if words else " dim",
+        words=words or worst.requirement,
     )
 
 
