@@ -25,7 +25,7 @@ from bilprov.conformance.cases.levels import (
     reaches,
     single_cases,
 )
-from bilprov.conformance.cases.options import Options
+from bilprov.conformance.cases.options import Options as Options
 from bilprov.conformance.cases.single_frames import opening_cases, truncation_timeout
 from bilprov.conformance.causes.explained import Explainer
 from bilprov.conformance.causes.trace import Trace
@@ -43,18 +43,6 @@ from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol as Grammar
 from bilprov.spec.protocol import require_family
-
-__all__ = [
-    "Options",
-    "conform",
-    "estimated",
-    "estimated_seconds",
-    "opening_and_reading_cases",
-    "planned",
-    "run_suite",
-    "select_cases",
-    "suite_ids",
-]
 
 
 def select_cases(grammar: Grammar, options: Options) -> tuple[AnyCase, ...]:
