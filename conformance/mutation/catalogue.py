@@ -21,9 +21,15 @@ def find_fault(protocol: Protocol, name: str) -> Fault:
         return find_random_fault(protocol, name)
     if name.startswith(MIXTURE) or "=" in name:
         return find_variant(protocol, name)
-    near = [known for known in bank if name and name.split("-")[0] in known][:3]
-    hint = f", perhaps {', '.join(near)}" if near else ""
-    raise ValueError(f"there is no fault {name!r}{hint}; simulate --list-faults names all")
+    near = [known for known in bank if name and name.split("-")[0] in known]
+    raise ValueError(
+        f"there is no fault {name!r}{_perhaps(near)}; simulate --list-faults names all"
+    )
+
+
+def _perhaps(near: list[str]) -> str:
+    """A few names that may be meant, in words."""
+    return f", perhaps {', '.join(near[:3])}" if near else ""
 
 
 def listed_faults(protocol: Protocol) -> str:
@@ -67,9 +73,8 @@ def find_variant(protocol: Protocol, name: str) -> Fault:
         return known[name].fault
     if name.startswith(MIXTURE):
         return find_mixture(protocol, name)
-    near = [one for one in known if name and name.split("=")[0].lower() in one.lower()][:3]
-    hint = f", perhaps {', '.join(near)}" if near else ""
-    raise ValueError(f"there is no variant {name!r}{hint}; see simulate --list-variants")
+    near = [one for one in known if name and name.split("=")[0].lower() in one.lower()]
+    raise ValueError(f"there is no variant {name!r}{_perhaps(near)}; see simulate --list-variants")
 
 
 def find_mixture(protocol: Protocol, name: str) -> Fault:

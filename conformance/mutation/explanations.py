@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import msgspec
@@ -80,31 +80,24 @@ class CauseScore(msgspec.Struct, frozen=True):
             yield f"{both} of {of} pairs have both faults among the first {_FIRST} causes"
 
 
-@dataclass(slots=True)
-class _Marked:
-    """A fault that notes at which times (ns) its reaction differs from that of a right device."""
-
-    fault: Fault
-    acted: dict[int, bool]
-
-
-def _marked(fault: Fault) -> _Marked:
+def _marked(fault: Fault) -> tuple[Fault, dict[int, bool]]:
+    """A fault, and whether its reaction differs from that of a right device, by the time (ns)."""
     inner, acted = fault.react, dict[int, bool]()
     if inner is None:
-        return _Marked(fault, acted)
+        return fault, acted
 
     def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
         changed = inner(device, event, reaction)
         acted[event.now] = changed != reaction
         return changed
 
-    return _Marked(replace(fault, react=react), acted)
+    return replace(fault, react=react), acted
 
 
 def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -> Explained:
     """Run the suite against the device with these faults (one, or two that fit together)."""
-    marked = [_marked(find_fault(protocol, name)) for name in names]
-    fault = marked[0].fault if len(marked) == 1 else both(marked[0].fault, marked[1].fault)
+    faults, acting = zip(*(_marked(find_fault(protocol, name)) for name in names), strict=True)
+    fault = faults[0] if len(faults) == 1 else both(*faults)
     held: list[Explainer] = []
 
     def explainer(run: Run, trace: Trace, byte_time: int) -> Explainer:
@@ -119,8 +112,8 @@ def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -
     if not found or exchanges is None:
         return Explained(name, failed, unexplained=report.unexplained)
     first = found if len(names) == 1 else found[:_FIRST]
-    acting = [one.acted for one in marked if any(one.acted.values())]
-    named = [any(_names(cause, exchanges, acted) for cause in first) for acted in acting]
+    known = [acted for acted in acting if any(acted.values())]
+    named = [any(_names(cause, exchanges, acted) for cause in first) for acted in known]
     return Explained(
         name,
         failed,
