@@ -16,7 +16,7 @@ from benchmarks.setting import Setting, Work
 _END, _HOME, _PAGE_UP, _PAGE_DOWN = b"\x1b[F", b"\x1b[H", b"\x1b[5~", b"\x1b[6~"
 _KEYS = (_END, _PAGE_UP, _HOME, _PAGE_DOWN, b"n", _END, b"N", b"t")
 _FILTER = b"/faulty and latency > 100us\r"
-_STILL = 0.3  # s after which nothing more is drawn
+_STILL = 0.6  # s after which nothing more is drawn: figures are, twice a second
 
 
 def browse(setting: Setting, work: Work) -> Row:

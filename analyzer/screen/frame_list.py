@@ -259,6 +259,8 @@ class FrameList(ScrollView, can_focus=True):
         return fitting
 
     def _room(self, column: Column) -> int:
+        if column is NO:
+            return max(column.width, len(str(self._recording.rows)))
         return self._time_width if column is TIME else column.width
 
     @property
@@ -294,8 +296,8 @@ class FrameList(ScrollView, can_focus=True):
         if isinstance(record, HostRecord | DeviceRecord):
             arrow = TO_DEVICE if isinstance(record, HostRecord) else TO_HOST
             data = record.hex
-        delta = f"{(record.t - previous) / 1e6:.1f}"
-        cells = (str(row + 1), time, delta, arrow, data)
+        delta = (record.t - previous) / 1e6
+        cells = (str(row + 1), time, f"{delta:.{int(abs(delta) < 1e6)}f}", arrow, data)
         return dict(zip(OWN, cells, strict=False))
 
     def _what(self, record: Record, look: Look, room: int) -> Text:

@@ -162,6 +162,17 @@ def test_each_row_has_the_sign_and_the_colour_of_whose_fault_it_is(protocol: Pro
     operated(screen, steps)
 
 
+def test_neither_high_row_numbers_nor_long_pauses_are_cut(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        record = screen.frames.record
+        assert record is not None
+        screen.feed.recording.rows = 12_345_678
+        line = screen.frames._line(12_345_677, record, record.t - 2_000_000 * MS, 80).plain
+        assert line.split()[:3] == ["12345678", "0.0000", "2000000"]
+
+    operated(screen, steps)
+
+
 async def written(pilot: Pilot[Any], screen: Browser, file: str) -> None:
     """Press x, name the file, and wait until it is written."""
     await pilot.press("x")
