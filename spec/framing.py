@@ -219,6 +219,12 @@ def frame_size(protocol: Protocol, held: bytes) -> int | None:
     return layout.size(held, spec.data if spec else None)
 
 
+def is_open(protocol: Protocol, held: bytes) -> bool:
+    """Whether bytes are none, or the beginning of a request that is not complete."""
+    size = frame_size(protocol, held) if held else None
+    return size is None or size > len(held)
+
+
 def _unknown_size(layout: Layout, held: bytes) -> int | None:
     """The size of a frame with an unused ID and no length: as far as its check and end are right.
 

@@ -50,15 +50,16 @@ from bilprov.spec.state import (
     FromField,
     FromOld,
     Request,
-    Setter,
     Source,
     State,
+    Step,
     Unknown,
     Variables,
     VariableSpec,
+    assigned,
     plain,
-    rest_requests,
     state_class,
+    ways_on,
 )
 from bilprov.spec.value_checks import (
     WrongValue,
@@ -445,12 +446,8 @@ class Protocol:
         """
         if self.stop_or_none is not None:
             return ((self.stop_or_none.name, {}),)
-        setters = [
-            Setter(spec.name, spec.fields, spec.effect)
-            for spec in self.instructions
-            if not spec.changes and not spec.writes
-        ]
-        return (self.at_rest and rest_requests(setters, self.at_rest)) or ()
+        setters = [spec for spec in self.instructions if not spec.changes and not spec.writes]
+        return _rest_requests(setters, self.at_rest) if self.at_rest else ()
 
     @property
     def stop(self) -> InstructionSpec:
@@ -468,6 +465,38 @@ class Protocol:
     def pad_byte(self) -> int:
         """The header byte of `stop`, the only safe byte to pad with: read as a header, it stops."""
         return self.header_bytes[self.stop.id, 0]
+
+
+def _rest_requests(setters: Iterable[InstructionSpec], at_rest: Condition) -> tuple[Request, ...]:
+    """Return the fewest requests that bring a device to rest, whatever it did before.
+
+    There are none where no requests do. Of equally few requests those come first that set the
+    fewest other variables.
+    """
+    wanted = at_rest.values
+    ordered = sorted(setters, key=lambda one: len(dict(one.effect.assignments).keys() - wanted))
+    for right, requests in ways_on(frozenset(), [_towards(one, wanted) for one in ordered]):
+        if at_rest.follows({name: wanted[name] for name in right}):
+            return requests
+    return ()
+
+
+def _towards(setter: InstructionSpec, wanted: Mapping[str, int | str]) -> Step[Request]:
+    """The request of an instruction that sets what is wanted as far as its fields can.
+
+    Beside it stand the variables that it sets so, and those that it sets otherwise. A field that
+    sets none of them has its lowest value, and one of several values has none.
+    """
+    parts = {part.name: part for part in setter.fields if part.constant is None}
+    fields: dict[str, Any] = {name: b"" if p.many else p.low for name, p in parts.items()}
+    for variable, source in setter.effect.assignments:
+        if variable in wanted and isinstance(source, FromField):
+            number = source.number(wanted[variable])
+            if number is not None and parts[source.field].in_range(number):
+                fields[source.field] = number
+    given = {name: new for name, new in assigned(setter.effect, fields) if name in wanted}
+    sets = frozenset(name for name, new in given.items() if new == wanted[name])
+    return (setter.name, fields), sets, frozenset(given) - sets
 
 
 def require_family(protocol: Protocol, what: str, *, drives: bool = True) -> None:

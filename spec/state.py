@@ -455,28 +455,6 @@ Step: TypeAlias = tuple[Sent, frozenset[str], frozenset[str]]
 """What is sent, with the variables that are right after it, and those that are wrong."""
 
 
-class Setter(NamedTuple):
-    """An instruction that sets variables: its name, its fields (of FieldSpec), its effect."""
-
-    name: str
-    fields: Sequence[Any]
-    effect: Effect
-
-
-def rest_requests(setters: Iterable[Setter], at_rest: Condition) -> tuple[Request, ...] | None:
-    """Return the fewest requests that bring a device to rest, whatever it did before.
-
-    None where none do. Of equally few requests those come first that set the fewest other
-    variables.
-    """
-    wanted = at_rest.values
-    ordered = sorted(setters, key=lambda one: len(dict(one.effect.assignments).keys() - wanted))
-    for right, requests in ways_on(frozenset(), [_towards(one, wanted) for one in ordered]):
-        if at_rest.follows({name: wanted[name] for name in right}):
-            return requests
-    return None
-
-
 def ways_on(
     right: frozenset[str], steps: Sequence[Step[Sent]]
 ) -> Iterator[tuple[frozenset[str], tuple[Sent, ...]]]:
@@ -494,21 +472,3 @@ def ways_on(
             if reached not in paths:
                 paths[reached] = (*paths[right], sent)
                 ahead.append(reached)
-
-
-def _towards(setter: Setter, wanted: Mapping[str, int | str]) -> Step[Request]:
-    """The request of an instruction that sets what is wanted as far as its fields can.
-
-    Beside it stand the variables that it sets so, and those that it sets otherwise. A field that
-    sets none of them has its lowest value, and one of several values has none.
-    """
-    parts = {part.name: part for part in setter.fields if part.constant is None}
-    fields: dict[str, Any] = {name: b"" if p.many else p.low for name, p in parts.items()}
-    for variable, source in setter.effect.assignments:
-        if variable in wanted and isinstance(source, FromField):
-            number = source.number(wanted[variable])
-            if number is not None and parts[source.field].in_range(number):
-                fields[source.field] = number
-    given = {name: new for name, new in assigned(setter.effect, fields) if name in wanted}
-    sets = frozenset(name for name, new in given.items() if new == wanted[name])
-    return (setter.name, fields), sets, frozenset(given) - sets

@@ -10,7 +10,7 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from bilprov.captures.schemas import MS, Direction
-from bilprov.spec.framing import frame_size
+from bilprov.spec.framing import frame_size, is_open
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
@@ -104,7 +104,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             and all(0 <= byte <= 255 for _, byte in self.held)
             and not (self.held and self.waiting)
             and not (self.away and self.waiting)
-            and _is_open(protocol, self.frame)
+            and is_open(protocol, self.frame)
             and (self.out_of_step is None or self.may_be_out_of_step)
         )
         if not sane:
@@ -118,12 +118,6 @@ def _can_be(protocol: Protocol, state: State) -> bool:
         and all(spec.holds(getattr(state, name)) for name, spec in protocol.variables.items())
         and state == state.of({name: getattr(state, name) for name in state.variables})
     )
-
-
-def _is_open(protocol: Protocol, frame: bytes) -> bool:
-    """Whether bytes are none, or the beginning of a frame that is not complete."""
-    size = frame_size(protocol, frame) if frame else None
-    return size is None or size > len(frame)
 
 
 def shifted(state: DecoderState, by: int) -> DecoderState:

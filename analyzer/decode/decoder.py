@@ -475,14 +475,8 @@ class Decoder:
         self._unpaired(held, anomalies.unsolicited_because(self._sequence, near_loss), out)
 
     def _unpaired(self, held: Held, why: anomalies.Cause, out: list[Record]) -> None:
-        out.append(unpaired_record(self._protocol, held, why, self._state))
-
-
-def unpaired_record(
-    protocol: Protocol, held: Held, why: anomalies.Cause, state: State
-) -> DeviceRecord:
-    """The record of a device byte that answers no instruction; `why` is the cause."""
-    return _record(protocol, held, None, anomalies.of_unpaired(protocol, held, why), state)
+        checked = anomalies.of_unpaired(self._protocol, held, why)
+        out.append(_record(self._protocol, held, None, checked, self._state))
 
 
 def paired_record(

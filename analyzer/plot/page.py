@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
@@ -236,37 +236,36 @@ def _latencies(counts: Counts) -> Safe:
         (name, found.latency) for name, found in counts.by_instruction.items() if found.latency
     ]
     heads = ("instruction", "answers", "min", "median", "95 %", "99 %", "max")
+    spreads = [_latency(name, spread) for name, spread in each]
+    label = "Latency of each instruction"
     return tag(
         "section",
         tag("h2", "Latency"),
         tag("p", "From the last byte of an instruction to its answer.", class_="dim"),
         tag(
             "div",
-            tag(
-                "table",
-                tag("caption", "Histogram", class_="unseen"),
-                tag("thead", _row("th", ("latency", "answers", ""), scope="col")),
-                tag("tbody", *bins),
-                class_="histogram",
-            ),
-            tag(
-                "div",
-                tag(
-                    "table",
-                    tag("caption", "Latency of each instruction", class_="unseen"),
-                    tag("thead", _row("th", heads, scope="col")),
-                    tag("tbody", *(_latency(name, spread) for name, spread in each)),
-                    class_="each",
-                ),
-                class_="scroll",
-                tabindex=0,
-                role="region",
-                aria_label="Latency of each instruction",
-            ),
+            _table("Histogram", ("latency", "answers", ""), bins, class_="histogram"),
+            _scrolled(label, _table(label, heads, spreads, class_="each")),
             class_="two",
         ),
         id="latency",
     )
+
+
+def _table(caption: str, heads: tuple[str, ...], rows: Iterable[Safe], **more: object) -> Safe:
+    """A table whose caption is only read aloud."""
+    return tag(
+        "table",
+        tag("caption", caption, class_="unseen"),
+        tag("thead", _row("th", heads, scope="col")),
+        tag("tbody", *rows),
+        **more,
+    )
+
+
+def _scrolled(label: str, table: Safe) -> Safe:
+    """A table that may be wider or longer than its place."""
+    return tag("div", table, class_="scroll", tabindex=0, role="region", aria_label=label)
 
 
 def _row(cell: str, texts: tuple[str, ...], **attributes: object) -> Safe:
@@ -296,19 +295,9 @@ def _anomalies(marks: list[Mark], step: int, counts: Counts) -> Safe:
         )
         for mark in marks
     )
-    table = tag(
-        "table",
-        tag("caption", "Anomalies in the order of their times", class_="unseen"),
-        tag("thead", _row("th", ("time", "kind", "reason"), scope="col")),
-        tag("tbody", *rows),
-    )
-    return tag(
-        "section",
-        tag("h2", "Anomalies"),
-        said,
-        tag("div", table, class_="scroll", tabindex=0, role="region", aria_label="Anomalies"),
-        id="anomalies",
-    )
+    table = _table("Anomalies in the order of their times", ("time", "kind", "reason"), rows)
+    scrolled = _scrolled("Anomalies", table)
+    return tag("section", tag("h2", "Anomalies"), said, scrolled, id="anomalies")
 
 
 def _more(mark: Mark) -> Iterator[Safe]:

@@ -74,22 +74,6 @@ class CutAnswers(NamedTuple):
     regular: bool
 
 
-class _Pairs(NamedTuple):
-    """Requests in `asked`, and their answers: from `start` to `end` in `data`, with a `code`."""
-
-    asked: Bytes
-    requests: Requests
-    data: Bytes
-    start: Places
-    end: Places
-    code: Places
-
-    def rows(self, rows: slice | Places) -> _Pairs:
-        """Some of the rows."""
-        answers = self.start[rows], self.end[rows], self.code[rows]
-        return _Pairs(self.asked, self.requests.rows(rows), self.data, *answers)
-
-
 class AnswerTables:
     """Cuts answers and reads them. Raises OverflowError for what does not fit into 64 bits."""
 
@@ -142,19 +126,15 @@ class AnswerTables:
         if bounds[-1] < len(data):
             left = requests.rows(slice(len(bounds) - 1, len(bounds) - 1 + len(data)))
             bounds = np.append(bounds[:-1], self._walk(asked, left, data, int(bounds[-1])))
-        offset, end = bounds[:-1], int(bounds[-1])
-        size = np.diff(bounds)
-        given = requests.rows(slice(len(offset)))
-        code = np.full(len(offset), NO_CODE)
-        good = self._right(_Pairs(asked, given, data, offset, offset + size, code))
+        end, code = int(bounds[-1]), np.full(len(bounds) - 1, NO_CODE)
+        found = Answers(bounds[:-1], np.diff(bounds), code)
+        good = self._right(asked, requests.rows(slice(len(code))), data, found)
         rows = len(good) if good.all() else int(np.argmin(good))
         regular = rows == len(good)
-        if regular and end < len(data) and rows < len(requests.offset):
-            regular = self._is_open(
-                data[end:].tobytes(), asked, requests.rows(slice(rows, rows + 1))
-            )
-        found = Answers(offset[:rows], size[:rows], code[:rows])
-        return CutAnswers(found, int(found.end[-1]) if rows else 0, regular)
+        if regular and end < len(data) and rows < len(requests.kind):
+            left = requests.rows(slice(rows, rows + 1))
+            regular = self._is_open(data[end:].tobytes(), asked, left)
+        return CutAnswers(found.rows(slice(rows)), int(bounds[rows]), regular)
 
     def agree(self, requests: Requests, answers: Answers) -> Mask:
         """Which answers are those that a conforming device gives to these requests."""
@@ -237,61 +217,63 @@ class AnswerTables:
             walked.append(at)
         return walked
 
-    def _right(self, pairs: _Pairs) -> Mask:
-        """Which answers are right; writes the codes of those that have one."""
-        good = np.ones(len(pairs.start), np.bool_)
+    def _right(self, asked: Bytes, requests: Requests, data: Bytes, answers: Answers) -> Mask:
+        """Which answers to the requests are right; writes the codes of those that have one."""
+        good = np.ones(len(answers.code), np.bool_)
         for layout, kinds in self._layouts:
-            mask = kinds.take(pairs.requests.kind)
+            mask = kinds.take(requests.kind)
             rows: slice | Places = slice(None) if mask.all() else np.flatnonzero(mask)
-            these = pairs.rows(rows)
-            where = these.data, these.start, these.end
+            these = answers.rows(rows)
+            where = data, these.offset, these.end
             right = constants_hold(layout, *where)
-            right &= checks_hold(layout, *where, self._counted(layout, these))
+            right &= checks_hold(layout, *where, self._counted(layout, asked, requests.rows(rows)))
             part = layout.part("code")
             if part is not None:
                 code = part_values(part, *where)
-                pairs.code[rows] = code
+                answers.code[rows] = code
                 right &= self._known.take(code)
             good[rows] = right
         for kind, (layout, spec) in enumerate(self._ways):
-            rows = np.flatnonzero(good & (pairs.requests.kind == kind))
+            rows = np.flatnonzero(good & (requests.kind == kind))
             if len(rows):
-                these = pairs.rows(rows)
-                good[rows] = self._repeats(layout, these, kind)
-                good[rows] &= self._whole(layout, spec, these, kind)
+                numbers = self._tables.numbers(asked, requests.rows(rows), kind)
+                these = answers.rows(rows)
+                good[rows] = _repeats(layout, numbers, data, these.offset)
+                good[rows] &= self._whole(layout, spec, numbers, data, these)
         return good
 
-    def _counted(self, layout: Layout, pairs: _Pairs) -> Checking | None:
+    def _counted(self, layout: Layout, asked: Bytes, requests: Requests) -> Checking | None:
         """The check of what it covers of the requests, where it does."""
         if layout.check is None or not layout.check.asked:
             return None
-        checking = Checking(layout.check.function, len(pairs.start))
+        checking = Checking(layout.check.function, len(requests.kind))
         check = self._protocol.layout.check
         first, last = (check.first, check.last) if check else (0, 0)
-        checking.take(pairs.asked, pairs.requests.offset + first, pairs.requests.end - last)
+        checking.take(asked, requests.offset + first, requests.end - last)
         return checking
 
-    def _repeats(self, layout: Layout, pairs: _Pairs, kind: int) -> Mask:
-        """Which answers to requests of one kind repeat what they must of them."""
-        found = np.ones(len(pairs.start), np.bool_)
-        parts = [part for part in layout.parts if part.same and part.offset >= 0]
-        numbers = self._tables.numbers(pairs.asked, pairs.requests, kind) if parts else {}
-        for part in parts:
-            expected = numbers.get(part.same, np.int64(-1)) + part.plus
-            found &= part_values(part, pairs.data, pairs.start, pairs.start) == expected
-        return found
-
-    def _whole(self, layout: Layout, spec: DataSpec, pairs: _Pairs, kind: int) -> Mask:
+    def _whole(
+        self, layout: Layout, spec: DataSpec, asked: Numbers, data: Bytes, answers: Answers
+    ) -> Mask:
         """Which answers to requests of one kind have all their data, or fail without any."""
         if not layout.has_data or layout.part("length") is None:
-            return np.ones(len(pairs.start), np.bool_)  # their size is made of their data
-        size = pairs.end - pairs.start - layout.head - layout.tail
+            return np.ones(len(answers.code), np.bool_)  # their size is made of their data
+        size = answers.size - layout.head - layout.tail
         good = size >= spec.length
         if not spec.takes_rest:
-            numbers = self._tables.numbers(pairs.asked, pairs.requests, kind)
-            good &= size == data_sizes(spec, pairs.data, pairs.start + layout.head, numbers)
-        refused: Mask = (size == 0) & self._fails.take(pairs.code)
+            good &= size == data_sizes(spec, data, answers.offset + layout.head, asked)
+        refused: Mask = (size == 0) & self._fails.take(answers.code)
         return good | refused
+
+
+def _repeats(layout: Layout, asked: Numbers, data: Bytes, start: Places) -> Mask:
+    """Which answers that begin there repeat what they must of their requests' numbers."""
+    found = np.ones(len(start), np.bool_)
+    for part in layout.parts:
+        if part.same and part.offset >= 0:
+            expected = asked.get(part.same, np.int64(-1)) + part.plus
+            found &= part_values(part, data, start, start) == expected
+    return found
 
 
 def _by_request(spec: DataSpec, names: Iterable[str]) -> bool:

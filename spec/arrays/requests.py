@@ -33,7 +33,7 @@ from bilprov.spec.arrays.layouts import (
 from bilprov.spec.arrays.states import StateTables
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
-from bilprov.spec.framing import frame_size
+from bilprov.spec.framing import is_open
 from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol
 from bilprov.spec.steps import Step, Steps, data_decide
 
@@ -124,7 +124,7 @@ class RequestTables:
         kind = self._kinds(data, offset)
         good = self._valid(data, offset, bounds[1:], kind)
         rows = len(good) if good.all() else int(np.argmin(good))
-        regular = rows == len(good) and self._is_open(data[bounds[-1] :].tobytes())
+        regular = rows == len(good) and is_open(self._protocol, data[bounds[-1] :].tobytes())
         found = Requests(offset, size, kind, np.zeros(len(kind), np.uint8)).rows(slice(rows))
         return CutRequests(found, int(bounds[rows]), regular)
 
@@ -208,11 +208,6 @@ class RequestTables:
         if walked[-1] > len(jumps):
             walked.pop()
         return [at + place for place in walked]
-
-    def _is_open(self, rest: bytes) -> bool:
-        """Whether bytes are the beginning of a frame that is not complete, or none."""
-        size = frame_size(self._protocol, rest) if rest else None
-        return size is None or size > len(rest)
 
     def _kinds(self, data: Bytes, offset: Places) -> Places:
         """The place of each frame's instruction; -1 for an unused ID."""
