@@ -28,7 +28,7 @@ from rich.progress import track
 
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.taps.impairment import Noise
+from bilprov.analyzer.taps.relay import Noise
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.link import Device

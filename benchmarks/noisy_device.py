@@ -6,7 +6,7 @@ observations and power cycles are not affected.
 
 from __future__ import annotations
 
-from bilprov.analyzer.taps.impairment import ImpairedDirection, LineFaults, Noise
+from bilprov.analyzer.taps.relay import ImpairedDirection, LineFaults, Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.link import Device
 

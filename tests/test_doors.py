@@ -269,7 +269,7 @@ PROBES_SAID = (
 def test_a_look_is_safe_or_refused(data: bytes) -> None:
     for line in (data, *PROBES_SAID):
         try:
-            look = parse_look(line, 1)
+            look, _ = parse_look(line, 1)
         except ProbeError as error:
             require_sentence(error, 1000)
             continue

@@ -11,8 +11,7 @@ import click
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import Finite, LineOptions, note
 from bilprov.analyzer.cli.settings import PortName
-from bilprov.analyzer.taps.impairment import ImpairedDirection, LineFaults, Noise
-from bilprov.analyzer.taps.relay import PTY, join, open_end
+from bilprov.analyzer.taps.relay import PTY, ImpairedDirection, LineFaults, Noise, join, open_end
 from bilprov.analyzer.transport.ports import same_line
 from bilprov.analyzer.transport.pty import PtyPair
 from bilprov.analyzer.transport.signals import Stopper

@@ -91,27 +91,22 @@ def _whole(value: float | None) -> int | None:
     return round(value) or (away if value else 0)
 
 
-def parse_look(line: bytes, now: int, looks: type[Look] = CarLook) -> Look:
-    """A line of JSON as a look of a class. Raises ProbeError unless it has known facets."""
-    return _look(_facets(line, looks), now, looks)
+def parse_look(line: bytes, now: int, looks: type[Look] = CarLook) -> tuple[Look, int | None]:
+    """A line of JSON as a look of a class, and the line's number if it has one.
 
-
-def _facets(line: bytes, looks: type[Look]) -> Any:
+    Raises ProbeError unless it has known facets.
+    """
     try:
-        return from_json(line, _facets_class(looks))
+        facets: Any = from_json(line, _facets_class(looks))
     except ValueError as error:
         raise ProbeError(
-            f"the probe answered {printable(line.decode(errors='replace'))!r}, "
-            "which is not a line of "
-            f'JSON such as {{"moving": true}} ({error})'
+            f"the probe answered {printable(line.decode(errors='replace'))!r}, which is not a line "
+            f'of JSON such as {{"moving": true}} ({error})'
         ) from error
-
-
-def _look(facets: Any, now: int, looks: type[Look]) -> Look:
     told = {name: getattr(facets, name) for name in looks.__struct_fields__[2:]}
     for name, value in told.items():
         told[name] = (value and value[:_LONGEST_NAME]) if name in looks.words else _whole(value)
-    return looks(t=now, moving=facets.moving, **told)
+    return looks(t=now, moving=facets.moving, **told), facets.number
 
 
 class TcpProbe(Probe):
@@ -178,10 +173,10 @@ class TcpProbe(Probe):
         while (line := self._line()) is not None:
             if self._surplus and not self._numbered:
                 return self.looks(t=now, moving=None)
-            facets = _facets(line, self.looks)
-            self._numbered = self._numbered or facets.number is not None
-            if not self._numbered or facets.number == self._number:
-                return _look(facets, now, self.looks)
+            look, number = parse_look(line, now, self.looks)
+            self._numbered = self._numbered or number is not None
+            if not self._numbered or number == self._number:
+                return look
             self._surplus += 1
         if len(self._held) > _LONGEST:
             raise ProbeError(f"the probe at {self._name} sends no end of line")

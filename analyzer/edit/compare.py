@@ -210,7 +210,6 @@ LISTED: Final = 100  # differences that are kept
 _AT_ONCE: Final = 4096  # latencies
 
 Kind = Literal["only_a", "only_b", "answer", "latency", "unasked"]
-KINDS: Final[tuple[Kind, ...]] = ("only_a", "only_b", "answer", "latency", "unasked")
 
 
 @dataclass(frozen=True, slots=True)

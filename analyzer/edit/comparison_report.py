@@ -29,7 +29,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from bilprov.analyzer.output.console import facts, heading, table
-from bilprov.captures.text import printable
+from bilprov.captures.text import printable, quantity
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _spread(spread: Spread | None) -> dict[str, Any] | None:
 def drawn(comparison: Comparison, paths: tuple[str, str]) -> Iterator[RenderableType]:
     """Yield the parts to print; text from the files is escaped."""
     total = comparison.differences.total()
-    yield heading("nothing differs" if not total else f"{_many(total, 'difference')}")
+    yield heading("nothing differs" if not total else quantity(total, "difference"))
     yield facts(_about(comparison, paths))
     shown = comparison.listed[:SHOWN]
     if shown:
@@ -112,7 +112,7 @@ def drawn(comparison: Comparison, paths: tuple[str, str]) -> Iterator[Renderable
             right="A B",
         )
     if total > len(shown):
-        yield Text(f"  and {_many(total - len(shown), 'difference')} more", style="dim")
+        yield Text(f"  and {quantity(total - len(shown), 'difference')} more", style="dim")
     if latencies := comparison.latencies():
         yield Text()
         yield table(
@@ -189,7 +189,3 @@ def _row(name: str, first: Spread | None, second: Spread | None) -> tuple[str, .
 
 def _ms(latency: int) -> str:
     return f"{latency / 1e6:.3f} ms"
-
-
-def _many(count: int, what: str) -> str:
-    return f"{count:,} {what}{'' if count == 1 else 's'}"

@@ -6,8 +6,8 @@ joined by `; `.
 
 Text is harmless where it is opened: a backslash becomes two, and a control, bidi or invisible
 character an escape like `\x1b`; a text that a spreadsheet would take for a formula (it begins with
-= + - or @, also of full width) gets a `'` before it, as does one that begins with `'`. `plain`
-turns a cell's text back. Numbers stay as they are.
+= + - or @, also of full width) gets a `'` before it, as does one that begins with `'`. Numbers stay
+as they are.
 """
 
 from __future__ import annotations
@@ -86,16 +86,7 @@ def neutral(text: str) -> str:
 
 
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠", "'")
-_ESCAPED = re.compile(r"\\(\\|[tnr]|x[0-9a-f]{2}|u[0-9a-f]{4}|U[0-9a-f]{8})")
-_NAMED = {"\\": "\\", "t": "\t", "n": "\n", "r": "\r"}
 _HARMLESS = re.compile(r"[\w .()]*", re.ASCII)
-
-
-def plain(cell: str) -> str:
-    """The text that `neutral` was given."""
-    return _ESCAPED.sub(
-        lambda found: _NAMED.get(found[1]) or chr(int(found[1][1:], 16)), cell.removeprefix("'")
-    )
 
 
 @lru_cache(maxsize=1 << 14)

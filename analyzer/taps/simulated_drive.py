@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from random import Random
 
-from bilprov.analyzer.simulated.device import SimulatedDevice
-from bilprov.analyzer.simulated.requests import drawn_request, faulty_request
+from bilprov.analyzer.simulated.device import SimulatedDevice, drawn_request, faulty_request
 from bilprov.analyzer.taps.sources import Events, Source
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.ports import wait_readable

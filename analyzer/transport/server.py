@@ -13,8 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
-from bilprov.analyzer.transport.openings import Openings
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.pty import Openings, open_pty
 from bilprov.analyzer.transport.streams import Listener, Stream
 from bilprov.captures.closing import Closing
 

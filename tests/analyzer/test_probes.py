@@ -75,7 +75,7 @@ def look_of(probe: Probe) -> Look:
     ],
 )
 def test_a_line_of_json_is_a_look(line: str, look: Look) -> None:
-    assert parse_look(line.encode(), 7) == look
+    assert parse_look(line.encode(), 7) == (look, None)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from benchmarks.noisy_device import NoisyDevice
-from bilprov.analyzer.taps.impairment import Noise
+from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.evidence import open_evidence
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, planned, select_cases

@@ -18,8 +18,7 @@ from bilprov.analyzer.client.operations import LinkListener
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.simulated.device import SimulatedDevice
-from bilprov.analyzer.simulated.requests import drawn_request
+from bilprov.analyzer.simulated.device import SimulatedDevice, drawn_request
 from bilprov.captures.schemas import Chunk
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.spec.codec import Judgement, build, free_parts, judge

@@ -19,7 +19,6 @@ from bilprov.analyzer.cli.export import FORMATS
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.export.rows import write_csv, write_jsonl
-from bilprov.analyzer.output.csv_text import plain
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_decoding import Chosen
 from bilprov.captures.reader import Capture, open_capture
@@ -28,6 +27,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import write_capture
 from tests.support.commands import command, process
+from tests.support.csv_cells import plain
 from tests.support.decoding import Event, capture_session, conversation, decoded
 from tests.support.grammars import undeclared
 from tests.support.robots import until

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.csv_text import CsvText, csv_cell, neutral, plain
+from bilprov.analyzer.output.csv_text import CsvText, csv_cell, neutral
 from bilprov.analyzer.output.row_columns import Times, TimeStyle, columns_of
 from bilprov.captures.schemas import Line
 from bilprov.spec.protocol import Protocol
+from tests.support.csv_cells import plain
 from tests.support.decoding import decoded
 from tests.support.traffic import ACTS, SETTINGS, Act, played
 

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.grammar_file import SHIPPED, given_protocol, load_protocol
-from bilprov.analyzer.simulated.device import SimulatedDevice
-from bilprov.analyzer.simulated.requests import drawn_request, faulty_request
+from bilprov.analyzer.simulated.device import SimulatedDevice, drawn_request, faulty_request
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import GrammarError, Protocol, load

@@ -14,8 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.taps.impairment import LONGEST, ImpairedDirection, LineFaults, Noise
-from bilprov.analyzer.taps.relay import join
+from bilprov.analyzer.taps.relay import LONGEST, ImpairedDirection, LineFaults, Noise, join
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import PtyPair, open_pty

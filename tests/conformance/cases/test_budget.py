@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import Link, LinkListener
-from bilprov.analyzer.taps.impairment import Noise
+from bilprov.analyzer.taps.relay import Noise
 from bilprov.conformance.api import Options, estimated, run_suite, select_cases
 from bilprov.conformance.dut.link import Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator

@@ -11,7 +11,7 @@ from msgspec import structs
 
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
-from bilprov.analyzer.taps.impairment import Noise
+from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction

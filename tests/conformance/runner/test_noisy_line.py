@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.noise import LINES, Trial, noisy_run
 from benchmarks.noisy_device import NoisyDevice
-from bilprov.analyzer.taps.impairment import Noise
+from bilprov.analyzer.taps.relay import Noise
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.verdicts import Verdict

@@ -18,7 +18,7 @@ from bilprov.analyzer.client.operations import (
     Operation,
     Reply,
 )
-from bilprov.analyzer.taps.impairment import Noise
+from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.link import Device, Environment, Observability
