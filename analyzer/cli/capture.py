@@ -305,7 +305,7 @@ def diff(options: DiffOptions) -> int:
     nothing else differs; 2 if not all of it could be shown.
     """
     from bilprov.analyzer.cli.streams import promise_verdict
-    from bilprov.analyzer.edit.compare import compared, exchanges
+    from bilprov.analyzer.edit.compare import compared
     from bilprov.analyzer.edit.comparison_report import as_json, drawn
     from bilprov.analyzer.output.console import show
 
@@ -315,8 +315,7 @@ def diff(options: DiffOptions) -> int:
     require_writable(outputs, paths, force=options.force)
     captures, protocol = opened_captures(paths)
     with reading(captures) as progress:
-        one, other = (exchanges(capture, protocol, progress) for capture in captures)
-        comparison = compared(one, other, protocol, round(options.tolerance * 1e6))
+        comparison = compared(captures, protocol, progress, round(options.tolerance * 1e6))
     if output is not None:
         write_output(output, json_object(as_json(comparison, protocol, paths)))
     if output != STANDARD_OUTPUT:

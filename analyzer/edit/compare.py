@@ -10,11 +10,10 @@ all frames are listed alone.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict, deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
-from functools import partial
 from itertools import islice
 from typing import Final, Literal
 
@@ -27,7 +26,8 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.replay.capture_decoding import Progress, decoded_batches, heard
-from bilprov.analyzer.totals.latencies import Latencies, Spread
+from bilprov.analyzer.totals.latencies import Spread
+from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS
 from bilprov.spec.protocol import Protocol
@@ -58,13 +58,13 @@ class Exchange:
         return self.missing or self.answer is not None
 
 
-def exchanges(capture: Capture, protocol: Protocol, progress: Progress) -> Iterator[Exchange]:
-    """Yield the exchanges of a capture in order.
-
-    Raises CaptureError as `Capture.events` does.
-    """
+def _exchanges(
+    capture: Capture, protocol: Protocol, progress: Progress, totals: Totals
+) -> Iterator[Exchange]:
+    """Yield the exchanges of a capture in order, and add all to its totals."""
     pairs = _Pairs(paired=heard(capture) >= BOTH)
     for batch in decoded_batches(capture, protocol, progress):
+        totals.add(batch)
         for record in batch.records():
             pairs.record(record)
         yield from pairs.settled()
@@ -207,7 +207,6 @@ TOLERANCE: Final = 20 * MS
 """Ns by which two latencies may differ: USB adapters hold bytes back for up to 16 ms."""
 
 LISTED: Final = 100  # differences that are kept
-_AT_ONCE: Final = 4096  # latencies
 
 Kind = Literal["only_a", "only_b", "answer", "latency", "unasked"]
 
@@ -227,26 +226,19 @@ class Comparison:
 
     `same` counts the frames that both have, `judged` those of them whose answers were compared, and
     `unknown` those of which only one capture tells what was answered. `differences` counts by kind;
-    the first ones are `listed`. Latencies may differ by `tolerance` (ns).
+    the first ones are `listed`. Latencies may differ by `tolerance` (ns). `totals` are of each.
     """
 
-    protocol: Protocol
+    totals: tuple[Totals, Totals]
     tolerance: int
     same: int = 0
     judged: int = 0
     unknown: int = 0
     differences: Counter[Kind] = field(default_factory=Counter)
     listed: list[Difference] = field(default_factory=list)
-    _latencies: tuple[_Measured, _Measured] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._latencies = (_Measured(self.protocol), _Measured(self.protocol))
 
     def pair(self, first: Exchange | None, second: Exchange | None) -> None:
         """Add the next exchange, of both captures or of one alone."""
-        for side, exchange in enumerate((first, second)):
-            if exchange is not None:
-                self._measure(side, exchange)
         if first is None or second is None:
             self._differs("only_a" if second is None else "only_b", first, second)
             return
@@ -273,17 +265,12 @@ class Comparison:
         elif one and other and abs((one.latency or 0) - (other.latency or 0)) > self.tolerance:
             self._differs("latency", first, second)
 
-    def _measure(self, side: int, exchange: Exchange) -> None:
-        frame, answer = exchange.frame, exchange.answer
-        if frame is None or frame.judgement is None or answer is None or answer.latency is None:
-            return
-        known = frame.judgement.instruction
-        unused = f"unused {frame.judgement.id}" if self.protocol.plain else "unused"
-        self._latencies[side].add(known.name if known else unused, answer.latency)
-
     def latencies(self) -> dict[str, tuple[Spread | None, Spread | None]]:
         """How the latencies of each capture are spread, by the name of the instruction."""
-        first, second = (measured.spreads() for measured in self._latencies)
+        first, second = (
+            {name: one.latencies for name, one in totals.instructions().items() if one.latencies}
+            for totals in self.totals
+        )
         return {name: (first.get(name), second.get(name)) for name in sorted({*first, *second})}
 
     def _differs(self, kind: Kind, first: Exchange | None, second: Exchange | None) -> None:
@@ -292,37 +279,19 @@ class Comparison:
             self.listed.append(Difference(kind, first, second))
 
 
-class _Measured:
-    """The latencies of one capture by name of the instruction, counted many at a time."""
-
-    def __init__(self, protocol: Protocol) -> None:
-        self._counted = defaultdict[str, Latencies](partial(Latencies, protocol.timing))
-        self._waiting = defaultdict[str, list[int]](list)
-
-    def add(self, name: str, latency: int) -> None:
-        waiting = self._waiting[name]
-        waiting.append(latency)
-        if len(waiting) == _AT_ONCE:
-            self._count(name)
-
-    def spreads(self) -> dict[str, Spread | None]:
-        for name in self._waiting:
-            self._count(name)
-        return {name: latencies.spread() for name, latencies in self._counted.items()}
-
-    def _count(self, name: str) -> None:
-        self._counted[name].add(self._waiting[name])
-        self._waiting[name].clear()
-
-
 def compared(
-    first: Iterator[Exchange],
-    second: Iterator[Exchange],
+    captures: Sequence[Capture],
     protocol: Protocol,
+    progress: Progress,
     tolerance: int = TOLERANCE,
 ) -> Comparison:
-    """Compare the exchanges of two captures; latencies may differ by `tolerance` (ns)."""
-    comparison = Comparison(protocol, tolerance)
+    """Compare two captures; latencies may differ by `tolerance` (ns).
+
+    Raises CaptureError as `Capture.events` does.
+    """
+    comparison = Comparison((Totals(protocol), Totals(protocol)), tolerance)
+    both = zip(captures, comparison.totals, strict=True)
+    first, second = (_exchanges(one, protocol, progress, totals) for one, totals in both)
     for pair in aligned(first, second):
         comparison.pair(*pair)
     return comparison
