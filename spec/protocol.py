@@ -499,17 +499,17 @@ def _towards(setter: InstructionSpec, wanted: Mapping[str, int | str]) -> Step[R
     return (setter.name, fields), sets, frozenset(given) - sets
 
 
-def require_family(protocol: Protocol, what: str, *, drives: bool = True) -> None:
+def require_family(protocol: Protocol, what: str) -> None:
     """Raise GrammarError, in one sentence, unless a protocol is of the robot car's family.
 
-    `what` is what needs that. With `drives` it must declare WHEELS too.
+    `what` is what needs that. It has wheels too.
     """
     if not protocol.plain:
         raise GrammarError(
             f"{what} is for the robot car and its family, which have one header byte and answers "
             f"of one byte; {protocol.name} is laid out otherwise"
         )
-    if drives and protocol.wheels is None:
+    if protocol.wheels is None:
         raise GrammarError(
             f"{what} is for the robot car and its family, which have wheels; {protocol.name} "
             "declares no WHEELS"

@@ -140,14 +140,13 @@ def typed_protocol() -> Protocol | None:
     return protocol_in_use() if typed else None
 
 
-def family_protocol(what: str, *, drives: bool = True) -> Protocol:
+def family_protocol(what: str) -> Protocol:
     """The protocol in use, which must be of the robot car's family; `what` is what needs that.
 
-    With `drives` it must declare WHEELS too. Raises GrammarError, in one sentence, for one that is
-    not of it.
+    Raises GrammarError, in one sentence, for one that is not of it.
     """
     from bilprov.spec.protocol import require_family
 
     protocol = protocol_in_use()
-    require_family(protocol, what, drives=drives)
+    require_family(protocol, what)
     return protocol

@@ -10,7 +10,6 @@ import click
 from bilprov.analyzer.cli.command import (
     argument,
     command,
-    family_protocol,
     group,
     option,
     protocol_in_use,
@@ -176,8 +175,8 @@ def wireshark(options: EmitOption) -> None:
     from bilprov.captures.schemas import MS
     from bilprov.spec.emit.wireshark import lua_dissector
 
-    protocol = family_protocol("the dissector", drives=False)
-    options.write(lua_dissector(protocol, SKEW / MS, dissector_program()))
+    protocol = protocol_in_use()
+    options.write(lua_dissector(protocol, SKEW / MS, dissector_program(protocol)))
 
 
 @command(GrammarOptions)

@@ -186,7 +186,7 @@ def data_sizes(spec: DataSpec, data: Bytes, at: Places, asked: Numbers = NO_NUMB
     except Exception as error:  # an expression may hold anything, also what takes no arrays
         raise OverflowError("a count takes no arrays") from error
     if count.dtype.kind not in "iu":
-        raise OverflowError("a count is no whole number")
+        raise OverflowError("a count is not a whole number")
     return spec.length + np.maximum(count.astype(np.int64), 0) * many.width
 
 

@@ -1,8 +1,9 @@
 """Generates a Wireshark dissector in Lua: a grammar as tables, and the program that reads them.
 
-The program, `dissector.lua`, is the same for every grammar: it takes all that it knows of the
-protocol from the table `GRAMMAR`. It runs in Lua 5.1 to 5.4: numbers are split by arithmetic, and
-written by string.format, since 5.4 shows 3.0 where the older ones show 3.
+The program is `dissector.lua` for the robot car and its family, and `framed.lua` for all others. It
+takes all that it knows of the protocol from the table `GRAMMAR`. It runs in Lua 5.1 to 5.4: numbers
+are split by arithmetic, and written by string.format, since 5.4 shows 3.0 where the older ones show
+3.
 """
 
 from __future__ import annotations
@@ -10,14 +11,17 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import asdict
 from typing import Any, TypeVar
 
-from bilprov.spec.data import FieldSpec
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.errors import UserError
-from bilprov.spec.fields import OF_HEADERS
+from bilprov.spec.fields import OF_HEADERS, Outcome
+from bilprov.spec.layout import Check, Layout
 from bilprov.spec.numbers import Number
-from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol
 from bilprov.spec.python_names import each_once, snake_case
+from bilprov.spec.replies import GIVES_UP
 from bilprov.spec.state import AllOf, Effect, FromField, FromOld
 
 T = TypeVar("T")
@@ -39,19 +43,25 @@ _HEAD = """\
 -- In a terminal: tshark -2 -r FILE.pcapng -X lua_script:THIS_FILE -Y {word}.reason
 -- (-2: two passes, since a frame cut short and a response are known only by later packets)
 --
--- A packet may hold one frame, as in an exported file, or whatever one read gave: frames are put
+-- {packets}"""
+_READS = """\
+A packet may hold one frame, as in an exported file, or whatever one read gave: frames are put
 -- together over packets, and a pause longer than the truncation time-out ends one."""
+_FRAMES = "A packet holds one frame or one response, as in an exported file."
 
 
 def lua_dissector(protocol: Protocol, skew: float, program: str) -> str:
     """Return the script's text, for Wireshark with Lua 5.1 to 5.4.
 
     `skew` is how long (ms) before its instruction an answer may be stamped, unless its user sets it
-    otherwise; `program` is the text of `dissector.lua`. Raises UserError for a field that is not a
-    plain integer of 1 to 6 bytes.
+    otherwise; `program` is the text of the Lua program. Raises UserError for a grammar of the car's
+    family with a field that is not a plain integer of 1 to 6 bytes.
     """
-    grammar = _grammar(protocol) | {"skew": round(skew * 1000)}
-    head = _HEAD.format_map({**grammar, "document": protocol.document, "sha256": protocol.sha256})
+    grammar = _grammar(protocol) if protocol.plain else _framed(protocol)
+    grammar["skew"] = round(skew * 1000)
+    packets = _READS if protocol.plain else _FRAMES
+    about = {"document": protocol.document, "sha256": protocol.sha256, "packets": packets}
+    head = _HEAD.format_map({**grammar, **about})
     return f"{head}\n\nlocal GRAMMAR = {_lua(grammar)}\n\n{program}"
 
 
@@ -80,6 +90,74 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
         "answer_deadline": timing.answer_deadline,
         "answer_longest": timing.answer_longest,
     }
+
+
+def _framed(protocol: Protocol) -> dict[str, Any]:
+    """Return all that the program `framed.lua` knows of the protocol."""
+    words = _by_word(((spec.name, spec) for spec in protocol.instructions), {"expert"})
+    return {
+        "word": _word(protocol.name),
+        "title": f"{protocol.name} {protocol.version}",
+        "frame": _laid_out(protocol.layout),
+        "reply": _laid_out(protocol.reply),
+        "ack": _laid_out(protocol.acknowledgement),
+        "errors": [_laid_out(layout) for layout in protocol.errors],
+        "instructions": {
+            spec.id: {
+                "word": word,
+                "name": spec.name,
+                "fields": _fields(spec.data),
+                "answer": None if spec.answer is None else _fields(spec.answer),
+            }
+            for word, spec in words.items()
+        },
+        "ids": {spec.id: spec.name for spec in protocol.instructions},
+        "used": ", ".join(map(str, protocol.by_id)),
+        "codes": {spec.code: spec.name for spec in protocol.responses},
+        "flags": protocol.flags,
+        "outcomes": {
+            one.name: [one.value, protocol.answers[one] is not NO_ANSWER] for one in Outcome
+        },
+        "gives_up": round(protocol.timing.answer_deadline * 1000 / GIVES_UP),  # us
+        "answer_deadline": protocol.timing.answer_deadline,  # ms
+        "answer_longest": protocol.timing.answer_longest,
+    }
+
+
+def _laid_out(layout: Layout) -> dict[str, Any]:
+    check = layout.check
+    return {
+        "head": layout.head,
+        "tail": layout.tail,
+        "has_data": layout.has_data,
+        "parts": [
+            asdict(part) | asdict(part.number) | {"word": _word(part.name), "number": None}
+            for part in layout.parts
+        ],
+        "check": check and _check(check),
+    }
+
+
+def _check(check: Check) -> dict[str, Any]:
+    places = {name: getattr(check, name) for name in ("first", "last", "asked")}
+    return {"kind": type(check.function).__name__, **asdict(check.function), **places}
+
+
+def _fields(data: DataSpec) -> list[dict[str, Any]]:
+    """Return the fields of some data; those that are counted have a `count`, how that is done."""
+    rows = []
+    for part in data.fields:
+        many = part.many
+        number = many.element if many else part.number
+        prefix = many.prefix if many else None
+        row = {name: getattr(part, name) for name in ("name", "prose", "offset", "size")}
+        row |= {"low": part.low, "high": part.high, "mask_of_flags": part.mask}
+        row |= {"order": number and number.order, "signed": bool(number and number.signed)}
+        row |= {"count": many and many.how, "width": many.width if many else 0}
+        row |= {"prefix": prefix.size if prefix else 0, "prefix_order": prefix and prefix.order}
+        row |= {"names": {value: name for name, value in part.names} or None}
+        rows.append(row | {"word": _word(part.name), "constant": part.constant or b""})
+    return rows
 
 
 def _row(kind: str, word: str, name: str, **more: Any) -> dict[str, Any]:
@@ -173,6 +251,7 @@ def _lua(value: Any, indent: str = "\n") -> str:
         return '"' + _UNSAFE.sub(lambda found: f"\\{ord(found[0]):03d}", value) + '"'
     if value is None:  # which a table of Lua cannot hold
         return "false"
+    value = list(value) if isinstance(value, bytes) else value
     if not isinstance(value, dict | list):
         return json.dumps(value)
     deeper = indent + "    "

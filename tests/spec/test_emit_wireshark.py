@@ -6,19 +6,24 @@ from collections.abc import Iterator
 from decimal import Decimal
 from itertools import chain, repeat
 from pathlib import Path
+from random import Random
 
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Direction
-from bilprov.spec.codec import all_data, bad_data, judge, raw_frame
+from bilprov.spec.codec import all_data, bad_data, build, judge, raw_frame
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import snake_case
+from bilprov.spec.replies import build_reply
 from tests.support.commands import command
 from tests.support.decoding import Event, capture_session, decoded
+from tests.support.drawn_layouts import drawn_layout
+from tests.support.framed_traffic import FRAMED, Traffic, exchanges
 from tests.support.traffic import ACTS, Act, played
 from tests.support.wireshark import Tshark, capture_of, exported, reads
 
@@ -327,3 +332,82 @@ def test_a_field_that_lua_cannot_hold_is_told_in_one_sentence(
     assert (done.returncode, done.stdout) == (2, b"")
     assert done.stderr.decode().count("\n") == 1
     assert "Speed.speed is not a plain integer of 1 to 6 bytes" in done.stderr.decode()
+
+
+@pytest.mark.parametrize(
+    "protocol",
+    [
+        *(load_protocol(name) for name in ("modbus-rtu", "stk500v1", "dynamixel1")),
+        *(load(FRAMED[name]) for name in ("relay_board", "roboclaw")),
+        *(drawn_layout(seed).protocol for seed in range(0, 200, 20)),
+    ],
+    ids=lambda protocol: protocol.name,
+)
+@pytest.mark.parametrize("odd", [0, 0.2])
+def test_frames_of_any_layout_are_read_as_the_kit_reads_them(
+    protocol: Protocol, odd: float, tmp_path: Path
+) -> None:
+    traffic = exchanges(protocol, Random(7), 60, Traffic(odd))
+    events = [event for event in traffic if isinstance(event, Chunk)]
+    capture = capture_of(tmp_path / "line.mcap", protocol, events)
+    records = decoded(capture_session(open_capture(capture), protocol), events)
+    tshark = Tshark(tmp_path, protocol)
+
+    names = ("kind", "name", "outcome", "reason", "check_good", "response_to")
+    rows = [
+        {name.removeprefix(f"{tshark.word}."): value for name, value in row.items()}
+        for row in tshark.rows(
+            exported(capture, protocol),
+            "frame.number",
+            *(f"{tshark.word}.{name}" for name in names),
+        )
+    ]
+
+    asked = [row for row in rows if row["kind"] == "instruction"]
+    judged = [(one, one.judgement) for one in records if isinstance(one, HostRecord)]
+    found = [(one, judgement) for one, judgement in judged if judgement]
+    for row, (_, judgement) in zip(asked, found, strict=True):
+        assert (row["outcome"], row["name"]) == (judgement.outcome.value, judgement.name)
+        assert bool(row["reason"]) == (not judgement.valid)
+        if judgement.valid and protocol.layout.check:
+            assert row["check_good"] == "1"
+    number = {
+        host.sequence: row["frame.number"] for row, (host, _) in zip(asked, found, strict=True)
+    }
+    told = [row for row in rows if row["kind"] == "response"]
+    answers = [one for one in records if isinstance(one, DeviceRecord)]
+    assert len(told) == len(answers) > 0
+    if odd:
+        return  # what odd bytes answer is a guess, and the dissector may make another
+    for row, answer in zip(told, answers, strict=True):
+        assert row["response_to"] == number[answer.instruction]
+        assert row["reason"] == ""
+        assert answer.reply is not None
+        assert row["name"] == (" ".join(answer.reply.names) or "answer")
+
+
+def test_the_values_of_any_layout_are_fields_of_display_filters(tmp_path: Path) -> None:
+    protocol = load_protocol("modbus-rtu")
+    request = build(protocol, "ReadHoldingRegisters", {"address": 17, "start": 107, "quantity": 3})
+    answer = build_reply(protocol, judge(protocol, request), {"values": (555, 0, 100)})
+    damaged = request[:-1] + bytes([request[-1] ^ 1])
+    events = [
+        Chunk(0, "host", request),
+        Chunk(MS, "device", answer),
+        Chunk(1000 * MS, "host", damaged),
+    ]
+    data = exported(capture_of(tmp_path / "line.mcap", protocol, events), protocol)
+    tshark = Tshark(tmp_path, protocol)
+
+    fields = ["address", "id", "crc", "read_holding_registers.start", "check_good", "reason"]
+    answered = "modbus_rtu.read_holding_registers.answer.values"
+    rows = tshark.rows(data, *(f"modbus_rtu.{one}" for one in fields), answered)
+
+    assert [list(row.values()) for row in rows] == [
+        ["17", "3", "0x8776", "107", "1", "", ""],
+        ["17", "3", "0xbac8", "", "1", "", "555|0|100"],
+        ["17", "3", "0x8676", "", "0", "crc is 76 86, right is 76 87", ""],
+    ]
+    shown = tshark(data, "-Y", f"{answered} == 555")
+    assert shown.endswith("@17 answer values=555 0 100 to ReadHoldingRegisters\n")
+    assert shown.count("\n") == 1

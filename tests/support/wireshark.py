@@ -22,6 +22,7 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.python_names import snake_case
 from tests.support.captures import write_capture
 
 WALL = 1_790_000_000_123_456_789
@@ -136,8 +137,11 @@ class Tshark:
         if shutil.which("tshark") is None:
             pytest.skip("no tshark: apt-get install tshark")
         self._folder = folder
+        self.word = snake_case(protocol.name, "x_")
         self._script = folder / "dissector.lua"
-        self._script.write_text(lua_dissector(protocol, 20, dissector_program()), encoding="utf-8")
+        self._script.write_text(
+            lua_dissector(protocol, 20, dissector_program(protocol)), encoding="utf-8"
+        )
 
     def __call__(self, data: bytes, *options: str) -> str:
         """What it prints about a pcapng file, in two passes."""
