@@ -116,8 +116,7 @@ class Explainer:
         log.begin("")
         yield from followed(sent, trace, log)
         yield from self._home()
-        exchanges = Exchanges(run.model, trace.events, self.timing)
-        shown = bool(exchanges.all) and shows(found, exchanges)
+        shown = shows(found, Exchanges(run.model, trace.events, self.timing))
         if shown:
             explanation.lines, explanation.log = [line], log.of("")
         return shown

@@ -12,6 +12,7 @@ from bilprov.conformance.causes.exchanges import Exchange, Exchanges, Timing
 from bilprov.conformance.causes.features import matches
 from bilprov.conformance.causes.relations import Effect
 from bilprov.conformance.causes.trace import Trace
+from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.choices import Choices
@@ -88,6 +89,21 @@ def shown_by(line: Line, timing: Timing, watched: int = 0, *, looks: bool) -> Pr
         yield from observe()
 
 
+def exchanged(
+    line: Line, timing: Timing, model: Model, device: Device, watched: int = 0
+) -> Exchanges:
+    """Home a device object, send it a line and look at it as `shown_by` does."""
+    trace = Trace()
+
+    def attempt() -> Procedure[None]:
+        yield from home_once(model.protocol)
+        trace.begin("")
+        yield from shown_by(line, timing, watched, looks=True)
+
+    drive(followed(attempt(), trace), VirtualLink(device, timing.byte_time))
+    return Exchanges(model, trace.events, timing)
+
+
 class Finder:
     """Finds the line for a cause; a conforming simulator shows what each line would bring about."""
 
@@ -154,15 +170,8 @@ class Finder:
 
     def _last(self, line: Line) -> Exchange | None:
         """The last exchange of a line on the simulator."""
-        trace = Trace()
-
-        def attempt() -> Procedure[None]:
-            yield from home_once(self._protocol)
-            yield from shown_by(line, self._timing, looks=True)
-
-        device = VirtualLink(Simulator(self._protocol), self._timing.byte_time)
-        drive(followed(attempt(), trace), device)
-        sent = Exchanges(Model(self._protocol, Choices()), trace.events, self._timing).all
+        model, device = Model(self._protocol, Choices()), Simulator(self._protocol)
+        sent = exchanged(line, self._timing, model, device).all
         return sent[-1] if sent else None
 
     def _shortened(self, cause: Cause, shown: Sequence[Effect], line: Line) -> Line:
@@ -183,7 +192,7 @@ class Finder:
 
 def shows(cause: Cause, exchanges: Exchanges) -> bool:
     """Return whether the last of these exchanges deviates as the cause says."""
-    return any(
+    return bool(exchanges.all) and any(
         bag.deviation.facet == effect.relation.facet
         and exchanges.all[-1] in bag.exchanges
         and effect.relation.explains(bag)

@@ -9,18 +9,15 @@ from itertools import product
 
 import msgspec
 
-from bilprov.analyzer.client.operations import Procedure, drive, followed
-from bilprov.analyzer.client.rest import home_once
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.causes.causes import Cause
 from bilprov.conformance.causes.exchanges import Exchange, Exchanges
 from bilprov.conformance.causes.explained import Explainer
-from bilprov.conformance.causes.reproduction import shown_by, shows
+from bilprov.conformance.causes.reproduction import exchanged, shows
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
-from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.effects import then
 from bilprov.conformance.mutation.score import workers, working
@@ -145,17 +142,9 @@ def _over(exchange: Exchange, exchanges: Exchanges) -> int:
 
 def _shows_on(protocol: Protocol, fault: Fault, explainer: Explainer) -> bool:
     """Whether the first cause's line shows it on a fresh device."""
-    trace, timing = Trace(), explainer.timing
-    cause, line = explainer.found[0], explainer.lines[0]
-
-    def attempt() -> Procedure[None]:
-        yield from followed(home_once(protocol), trace)
-        trace.begin("")
-        yield from followed(shown_by(line, timing, cause.watched, looks=True), trace)
-
-    drive(attempt(), VirtualLink(Simulator(protocol, fault), timing.byte_time))
-    exchanges = Exchanges(explainer.model, trace.events, timing)
-    return bool(exchanges.all) and shows(cause, exchanges)
+    cause, line, device = explainer.found[0], explainer.lines[0], Simulator(protocol, fault)
+    sent = exchanged(line, explainer.timing, explainer.model, device, cause.watched)
+    return shows(cause, sent)
 
 
 def both(one: Fault, other: Fault) -> Fault:
