@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from bilprov.analyzer.client.operations import drive, interruption
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
 from bilprov.conformance.cases.case import Case
@@ -278,30 +277,15 @@ def _profile(grammar: Grammar, options: Options) -> Profile:
     return Profile(choices=Choices(allowed=allowed))
 
 
-def estimated_seconds(
-    grammar: Grammar,
-    cases: Sequence[AnyCase],
-    options: Options,
-    line: LineSettings | None = None,
-) -> float:
-    """About how long the cases take on a port, in s: the wire, silences and time-outs, looks.
-
-    `line` are the line's settings, the grammar's own if None.
-    """
-    byte_time = (line or line_settings(grammar, None, None, None)).byte_time
-    pace = Pace(_timeout(grammar, options), byte_time / 1e9)
-    return sum(seconds(grammar, case, pace) for case in cases)
-
-
 def estimated(target: Target, options: Options, cases: Sequence[AnyCase]) -> float:
     """About how long (s) a run of the cases takes at a target, with what comes before them.
 
     It counts how long its adapter holds bytes back and how long its probe takes for a look. Cases
     for which such a line leaves no time in the run's budget are not run.
     """
-    sees = target.environment.observability
+    sees, timing = target.environment.observability, target.protocol.timing
     pace = Pace(
-        _timeout(target.protocol, options),
+        (options.truncation_timeout or timing.truncation_timeout) / 1000,
         target.byte_time / 1e9,
         target.latency / 1e9,
         target.look_time / 1e9 if sees.available else 0.0,
@@ -312,8 +296,3 @@ def estimated(target: Target, options: Options, cases: Sequence[AnyCase]) -> flo
     if whole is not None and is_slow(max(pace.answer, pace.look)):
         spent = min(spent, whole / 1e9)
     return before_the_cases(pace) + spent
-
-
-def _timeout(grammar: Grammar, options: Options) -> float:
-    """The pause (s) that ends a truncated frame, for an estimate."""
-    return (options.truncation_timeout or grammar.timing.truncation_timeout) / 1000

@@ -25,7 +25,6 @@ from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import (
     Options,
     estimated,
-    estimated_seconds,
     opening_and_reading_cases,
     run_suite,
     select_cases,
@@ -110,7 +109,6 @@ class SuiteThread(RunListener):
         self.options = options
         self._name = target_named(target)
         self.report: Report | None = None
-        self._settings = settings
         self._stopper = Stopper()
         self.own_probe = self._name.own_probe
         self._probe = probe or None
@@ -144,10 +142,9 @@ class SuiteThread(RunListener):
         return {case.id: at for at, case in enumerate(cases)}
 
     def seconds(self, ids: Collection[str]) -> float:
-        """About how long a run of these cases takes on a port, in s."""
+        """About how long a run of these cases takes on the port that is open, in s."""
+        assert self._port is not None
         chosen = [case for case in self._cases if case.id in ids]
-        if self._port is None:
-            return estimated_seconds(self.protocol, chosen, self.options, self._settings)
         return estimated(self._port, self.options, chosen)
 
     def open(self, confirm: Callable[[], None]) -> None:

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
-from bilprov.conformance.api import Options, estimated_seconds, select_cases
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.conformance.api import Options, select_cases
 from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
 from bilprov.conformance.cases.levels import matching
 from bilprov.conformance.dut.simulator import Simulator
@@ -23,11 +23,10 @@ def test_the_cases_take_longer_on_a_slower_line(protocol: Protocol) -> None:
     cases = select_cases(protocol, options)
 
     def told(*line: Any) -> float:
-        return estimated_seconds(protocol, cases, options, LineSettings(*line))
+        pace = Pace(protocol.timing.truncation_timeout / 1000, LineSettings(*line).byte_time / 1e9)
+        return sum(seconds(protocol, case, pace) for case in cases)
 
-    own = line_settings(protocol, None, None, None)
-    assert told(own.baud, own.parity, own.stopbits) == estimated_seconds(protocol, cases, options)
-    assert told(9600, "E", 2) > told(9600, "N", 1) > estimated_seconds(protocol, cases, options)
+    assert told(9600, "E", 2) > told(9600, "N", 1) > told(115_200, "N", 1)
     # What is not wire takes the same everywhere.
     halved = told(2400, "N", 1) - told(4800, "N", 1)
     assert halved == pytest.approx(2 * (told(4800, "N", 1) - told(9600, "N", 1)))
