@@ -19,10 +19,10 @@ class Case(Step):
 
     `setup` is the state the robot is brought to (and, where it moves, seen to move in) before the
     frame is sent; `expected` is the reference's state after it, and `stop` whether the case tests
-    that the robot stands still. `then` is a valid frame that must work right after the stimulus,
-    `after_then` the reference's state after it. `short` frames announce less data than the
-    instruction takes: a device must not take the next byte for its data. `thorough` cases wait
-    for silence, one of each class for long; where looks are costly, only they are observed.
+    that the robot stands still. `then` is a valid frame that must work right after the stimulus.
+    `short` frames announce less data than the instruction takes: a device must not take the next
+    byte for its data. `thorough` cases wait for silence, one of each class for long; where looks
+    are costly, only they are observed.
     """
 
     id: str
@@ -31,7 +31,6 @@ class Case(Step):
     expected: State
     stop: bool
     then: bytes = b""
-    after_then: State | None = None
     short: bool = False
     thorough: bool = False
 

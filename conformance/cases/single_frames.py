@@ -24,7 +24,7 @@ from bilprov.conformance.cases.steps import (
     step_of,
 )
 from bilprov.conformance.oracle.verdicts import Accepted, Verdict
-from bilprov.spec.by_effect import after, fitted, movers, moving_motions, reached
+from bilprov.spec.by_effect import fitted, movers, moving_motions, reached
 from bilprov.spec.by_effect import link_check as frames_of_link_check
 from bilprov.spec.codec import spaced
 from bilprov.spec.protocol import Protocol
@@ -191,7 +191,6 @@ def _recovery(protocol: Protocol, setups: _Setups) -> Iterator[Case]:
                 clause=protocol.clauses.safety,
                 kind=FrameClass.RECOVERY,
                 then=then,
-                after_then=after(spec, then, protocol.on_fault.apply(setup)),
             )
 
 

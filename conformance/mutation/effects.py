@@ -526,13 +526,3 @@ def then(*changes: React) -> React:
         return reaction
 
     return react
-
-
-def behind(lossy: React, reacts: React) -> React:
-    """Return a hook: a frame that the first one loses is not reacted to, any other is."""
-
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
-        left = lossy(device, event, reaction)
-        return reacts(device, event, reaction) if left is reaction else left
-
-    return react

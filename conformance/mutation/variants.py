@@ -1,9 +1,9 @@
 """Legal variants: devices that follow another reading of the document than the reference.
 
 They are made from the open points (`spec.readings`) and from `variants.toml`. A variant never
-fails, nor does a pair of them: one device that takes two other choices. A mixture does: a faulty
-device that follows one reading for some frames and another for the others. Only mixtures that can
-show both choices are made: one by ID, for example, needs two IDs at which the point arises.
+fails. A mixture does: a faulty device that follows one reading for some frames and another for the
+others. Only mixtures that can show both choices are made: one by ID, for example, needs two IDs at
+which the point arises.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
-from itertools import combinations, product
+from itertools import product
 from typing import Any
 
 import msgspec
 
 from bilprov.conformance.dut.fault import Event, Fault
-from bilprov.conformance.mutation.effects import behind, then
 from bilprov.conformance.mutation.faults import Row, filled, hooks, table
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
@@ -201,50 +200,9 @@ _TOLD = (
     "history",
 )
 _ONCE = tuple(f.name for f in fields(Fault) if f.name not in (*_TOLD, "react"))
-# What loses an instruction comes first; what delays its answer, then its stop, comes last. Choices
-# of words at open points come before other answers and states ("").
-_ORDER = ("R-pipelining", "", "R-answer-deadline", "R-watchdog", "R-stop-latency")
 _USUAL = Fault("", FAMILY, "", exit=0)
-
-
-@cache
-def pairs(protocol: Protocol) -> dict[str, Fault]:
-    """Return every pair of variants that one device can be, named after both.
-
-    Left out are variants that need an option, two choices of one reading or at one point, and pairs
-    that a simulated device cannot be, since it has each hook once.
-    """
-    legal = [variant for variant in variants(protocol).values() if not variant.allow]
-    found = (_both(one, other) for one, other in combinations(legal, 2) if _fit(one, other))
-    return {fault.name: fault for fault in found}
-
-
-def _fit(one: Variant, other: Variant) -> bool:
-    points, others = ({point for point, _ in variant.words} for variant in (one, other))
-    hooks = hooks_of(one.fault).keys() & hooks_of(other.fault)
-    return one.reading != other.reading and points.isdisjoint(others) and not hooks
 
 
 def hooks_of(fault: Fault) -> dict[str, Any]:
     """Return the hooks and settings besides the reaction that differ from the reference."""
     return {n: getattr(fault, n) for n in _ONCE if getattr(fault, n) != getattr(_USUAL, n)}
-
-
-def _both(one: Variant, other: Variant) -> Fault:
-    """Return the device that is both: each reacts to what the one before has made of a frame."""
-    first, second = sorted((one, other), key=_place)
-    reacts = [variant.fault.react for variant in (first, second) if variant.fault.react]
-    joined = behind if first.reading == _ORDER[0] else then
-    return replace(
-        _USUAL,
-        name=f"{one.name} and {other.name}",
-        doc=f"{one.doc}; {other.doc}",
-        react=joined(*reacts) if len(reacts) > 1 else next(iter(reacts), None),
-        **hooks_of(one.fault),
-        **hooks_of(other.fault),
-    )
-
-
-def _place(variant: Variant) -> tuple[int, bool]:
-    """Return where its reaction comes among those of a device."""
-    return _ORDER.index(variant.reading if variant.reading in _ORDER else ""), not variant.words

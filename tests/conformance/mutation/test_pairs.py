@@ -7,9 +7,10 @@ import pytest
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.variants import hooks_of, pairs, variants
+from bilprov.conformance.mutation.variants import hooks_of, variants
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
+from tests.support.pairs import pairs
 
 # xdist must collect the same tests everywhere: the names come from the kit's own grammar.
 PAIRS = pairs(load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"), "grammar.py"))

@@ -9,13 +9,14 @@ import pytest
 from bilprov.analyzer.client.operations import drive
 from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.variants import pairs, variants
+from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import watchdog
+from tests.support.pairs import pairs
 from tests.support.robots import ALL_SEEING, MS, CountingLink
 
 WATCHDOG = Fault("", "", "", react=watchdog(1000))
