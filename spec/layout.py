@@ -223,12 +223,11 @@ class Layout:
                 return f"{found.hex(' ')} stands where {raw.hex(' ')} must be"
         return ""
 
-    def repeats(self, held: bytes, asked: Values) -> bool:
-        """Whether the parts that repeat the request's do, as far as the bytes go."""
-        return self.unrepeated(held, asked) is None
-
     def unrepeated(self, held: bytes, asked: Values) -> tuple[Part, int] | None:
-        """The first part that does not repeat the request's, and its right value."""
+        """The first part that does not repeat the request's, and its right value.
+
+        Only the parts count that are within the bytes; None if all of these do.
+        """
         for part in self.parts:
             if part.same and part.offset >= 0 and part.offset + part.size <= len(held):
                 right = part.repeating(asked.get(part.same, -1))  # type: ignore[arg-type]

@@ -295,7 +295,7 @@ def _size(
 ) -> int | None:
     """As `reply_size`, for one way."""
     layout = way.layout
-    if asked is not None and not layout.repeats(held, values):
+    if asked is not None and layout.unrepeated(held, values):
         return -1
     if asked is None and not layout.may_repeat(held):
         return -1

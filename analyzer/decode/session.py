@@ -196,16 +196,12 @@ class Session:
             return  # no byte came: no evidence of anything
         if isinstance(event, Chunk) and event.direction == "host":
             self._host(event.data, event.t, out)
-        elif isinstance(event, Line) and event.event in LOSSES:
+        elif isinstance(event, Line) and event.event in (*LOSSES, UNREAD):
             self._give_up_hunt(out)
             self._decoder.until(event.t, out)
             self._decoder.line(event, out)
-            if event.tap != "device":
+            if event.event in LOSSES and event.tap != "device":
                 self._unsynced_since, self._spoken = event.t, False
-        elif isinstance(event, Line) and event.event == UNREAD:
-            self._give_up_hunt(out)
-            self._decoder.until(event.t, out)
-            self._decoder.line(event, out)
         elif self._resync:
             self._resync.other(event)
             if self._resync.over:

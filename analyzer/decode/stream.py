@@ -110,13 +110,11 @@ class StreamDecoder:
         due = self.deadline
         if due is None or now < due:
             return []
-        records = self._leave_columns().advance(now)
-        return _batch(records)
+        return _batch(self._leave_columns().advance(now))
 
     def finish(self, t: int | None = None) -> list[Batch]:
         """End the recording, at `t` (ns) or with its last event, and return what is left."""
-        records = self._leave_columns().finish(t)
-        return _batch(records)
+        return _batch(self._leave_columns().finish(t))
 
     def saved(self) -> DecoderState | None:
         """All that is needed to go on from here; None while frame boundaries are looked for."""
