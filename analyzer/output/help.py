@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from inspect import cleandoc
 from typing import Any
 
@@ -28,7 +27,9 @@ class Page(click.HelpFormatter):
     """
 
     def __init__(self, width: int | None = None, max_width: int | None = None) -> None:
-        super().__init__(width=width or min(_columns(), _WIDEST))
+        from shutil import get_terminal_size  # which takes long, and only a help page needs it
+
+        super().__init__(width=width or min(get_terminal_size().columns, _WIDEST))
 
     def write_usage(self, prog: str, args: str = "", prefix: str | None = None) -> None:
         """Write the usage line."""
@@ -157,13 +158,3 @@ class Group(click.Group):
                     [(name, one.get_short_help_str(limit=1000)) for name, one in commands if one]
                 )
         click.Command.format_options(self, ctx, formatter)
-
-
-def _columns() -> int:
-    """The width that COLUMNS or the terminal tells, else 80; importing shutil for it takes long."""
-    with suppress(ValueError):
-        if (columns := int(os.environ.get("COLUMNS", ""))) > 0:
-            return columns
-    with suppress(OSError):
-        return os.get_terminal_size().columns or 80
-    return 80
