@@ -38,7 +38,7 @@ ROOMS = {  # the code, and the tests that are its own
         "analyzer/decode",
         [
             "tests/analyzer/decode",
-            "tests/analyzer/output/test_text_lines.py",
+            "tests/analyzer/output/test_written_texts.py",
             "tests/analyzer/cli/test_decode_command.py",
         ],
     ),

@@ -1,4 +1,4 @@
-"""Captures as arrays: the same events in the same order as one by one, whatever the file."""
+"""Events in batches: as arrays, and of any capture."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.events import Events
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
@@ -182,3 +183,20 @@ def test_a_time_beyond_any_clock_is_kept_within_64_bits(tmp_path: Path) -> None:
     capture = open_capture(path)
     assert [event.t for event in capture.events()] == [-(1 << 62), -(1 << 62), 0]
     assert [event for batch in capture.batches() for event in batch.single()] == list(capture)
+
+
+_TIMES = st.integers(-(1 << 62), 1 << 62)
+_CHUNKS = st.builds(Chunk, _TIMES, st.sampled_from(["host", "device"]), st.binary(max_size=5))
+_LINES = st.builds(Line, _TIMES, st.sampled_from(["gap", "open"]))
+_SEQUENCES = st.lists(_CHUNKS | _LINES, max_size=12)
+
+
+@given(events=_SEQUENCES, data=st.data())
+def test_any_part_of_the_arrays_gives_the_single_events_that_it_was_made_of(
+    events: list[Chunk | Line], data: st.DataObject
+) -> None:
+    arrays = Events.of(events)
+    start = data.draw(st.integers(0, len(events)))
+    stop = data.draw(st.integers(start, len(events)))
+    assert list(arrays.single()) == events
+    assert list(arrays.part(start, stop).single()) == events[start:stop]

@@ -1,8 +1,9 @@
-"""Frames found and judged by tables are those of Framer, `codec.judge` and `Effect.apply`."""
+"""Tables and steps: verdicts and states of all frames at once, or one by one."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from functools import partial
 from random import Random
 
 import numpy as np
@@ -10,15 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.arrays.layouts import OUTCOMES, field_values
+from bilprov.spec.arrays.checks import Checking
+from bilprov.spec.arrays.layouts import OUTCOMES, WIDEST, field_values, number_values
 from bilprov.spec.arrays.requests import RequestTables, request_tables
 from bilprov.spec.arrays.states import Known
-from bilprov.spec.codec import build, judge, nearest
+from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
+from bilprov.spec.codec import build, judge, nearest, raw_frame
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import Motion
+from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.state import State
-from tests.support.car import VARIABLES
+from bilprov.spec.state import State, after
+from bilprov.spec.steps import Steps
+from tests.support.car import VARIABLES, car_state
 from tests.support.grammars import undeclared
 
 MOTIONS = tuple(Motion)
@@ -200,3 +205,108 @@ def test_a_state_that_only_power_on_sets_fits(grammar_text: str, led: int) -> No
     state = tables.states.column("led", stop, requests, Known(other.power_on, None))
 
     assert state.tolist() == [led]
+
+
+BEFORE = car_state(speed=11, steering=-7, led=3)
+
+
+def judged(protocol: Protocol, frame: bytes, state: State = BEFORE) -> State:
+    """The state after a frame by the grammar's own effects."""
+    judgement = judge(protocol, frame)
+    effect = judgement.instruction.effect if judgement.valid and judgement.instruction else None
+    return (effect or protocol.on_fault).apply(state, dict(judgement.fields))
+
+
+def test_every_header_at_every_truncation_is_judged_as_by_the_grammar(
+    each_protocol: Protocol,
+) -> None:
+    random, steps = Random(1), Steps(each_protocol)
+
+    for header, length in enumerate(each_protocol.lengths):
+        for arrived in range(length + 1):
+            for _ in range(2):  # the second is one that is remembered, with other data
+                frame = bytes([header]) + random.randbytes(arrived)
+                step = steps[frame]
+                assert step.judgement == judge(each_protocol, frame)
+                assert after(BEFORE, step.sets) == judged(each_protocol, frame)
+                assert steps[frame] == step
+
+
+@pytest.mark.parametrize("frame", [b"", b"\x20\0"])
+def test_what_is_not_one_frame_is_refused(protocol: Protocol, frame: bytes) -> None:
+    with pytest.raises(ValueError, match="frame"):
+        Steps(protocol)[frame]
+
+
+@pytest.mark.slow
+def test_no_more_frames_than_64_ki_are_remembered_and_all_are_judged_right(wide: Protocol) -> None:
+    steps = Steps(wide)
+    spec = next(spec for spec in wide.instructions if spec.length > 2)
+    frames = [
+        raw_frame(wide, spec.id, spec.length, n.to_bytes(spec.length, "big")) for n in range(70_000)
+    ]
+
+    for frame in frames:
+        steps[frame]  # asking is what makes it remember
+
+    assert len(steps) == 1 << 16
+    assert steps[frames[-1]].judgement == judge(wide, frames[-1])
+
+
+def test_a_frame_that_no_data_can_put_right_is_not_remembered_by_its_data(
+    each_protocol: Protocol,
+) -> None:
+    steps, random = Steps(each_protocol), Random(3)
+    unused = each_protocol.unused_ids[0]
+    longest = each_protocol.data_lengths[-1]
+
+    for _ in range(100):
+        frame = raw_frame(each_protocol, unused, longest, random.randbytes(longest))
+        assert steps[frame].judgement.frame == frame
+
+    assert len(steps) == 0
+
+
+NUMBERS = st.builds(
+    Number, st.integers(1, WIDEST), st.sampled_from(["big", "little"]), signed=st.booleans()
+)
+_crc = st.sampled_from([8, 16, 24, 32]).flatmap(
+    lambda width: st.builds(
+        partial(Crc, width),
+        st.integers(0, (1 << width) - 1),
+        st.integers(0, (1 << width) - 1),
+        reflected=st.booleans(),
+        xorout=st.integers(0, (1 << width) - 1),
+    )
+)
+CHECKS = st.one_of(
+    st.builds(Sum, st.sampled_from([8, 16, 24, 32]), st.booleans()),
+    st.builds(Xor, st.integers(0, 255)),
+    _crc,
+)
+
+
+@given(NUMBERS, st.lists(st.binary(min_size=WIDEST, max_size=WIDEST), max_size=5))
+def test_numbers_out_of_an_array_are_those_of_single_bytes(
+    number: Number, parts: list[bytes]
+) -> None:
+    data = np.frombuffer(b"".join(parts), np.uint8)
+    at = np.arange(len(parts)) * WIDEST
+
+    values = number_values(number, data, at).tolist()
+
+    assert values == [number.parse(part[: number.size]) for part in parts]
+
+
+@given(CHECKS, st.lists(st.tuples(st.binary(max_size=9), st.binary(max_size=40)), max_size=6))
+def test_checks_of_many_stretches_are_those_of_each_by_itself(
+    function: CheckFunction, pieces: list[tuple[bytes, bytes]]
+) -> None:
+    checking = Checking(function, len(pieces))
+    for place in range(2):
+        parts = [piece[place] for piece in pieces]
+        size = np.array(list(map(len, parts)), np.int64)
+        start = np.cumsum(size) - size
+        checking.take(np.frombuffer(b"".join(parts), np.uint8), start, start + size)
+
+    assert checking.values.tolist() == [function(b"".join(piece)) for piece in pieces]

@@ -1,18 +1,22 @@
-"""Settings: which value holds where several places name one, and what is a device's name.
-
-What `config` shows, what holds, and each sentence about what is no setting, is in
-tests/transcripts/config_completion.txt.
-"""
+"""Settings: which value holds where several places name one, and what is a device's name."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
 
+from bilprov.__main__ import COMMANDS
+from bilprov.analyzer.cli.options import Finite, NotConfirmed, confirm_effect
 from bilprov.analyzer.cli.settings import COMMON, DEVICE_KEYS, PortName
+from bilprov.spec.by_effect import effect_words
+from bilprov.spec.protocol import Protocol, load
 from tests.support import commands
-from tests.support.commands import command
+from tests.support.commands import command, command_named
+from tests.support.grammars import still_grammar
 
 CAR = "[device.car]\nport = '/nowhere/x'\n"
 SIM = "conform sim --only valid/Stop*"
@@ -86,3 +90,39 @@ def test_every_common_setting_is_an_option_of_some_command() -> None:
     options = {word for params in found for param in params for word in param.opts}
 
     assert {f"--{key}" for key in {*COMMON, *DEVICE_KEYS} - {"port"}} <= options
+
+
+def _fractions(name: str) -> Iterator[tuple[str, str, bool]]:
+    """Each option of a command that takes a number with a fraction, and whether it is a Finite."""
+    for parameter in command_named(name)[0].params:
+        fraction = isinstance(parameter.type, click.FloatRange | click.types.FloatParamType)
+        if fraction and isinstance(parameter, click.Option):
+            yield name, parameter.opts[0], isinstance(parameter.type, Finite)
+
+
+OPTIONS = [option for name in COMMANDS for option in _fractions(name)]
+
+
+def test_the_walk_meets_the_options() -> None:
+    met = {(name, option) for name, option, _ in OPTIONS}
+    assert {("conform", "--deadline"), ("capture cut", "--start"), ("sniff", "--duration")} <= met
+
+
+@pytest.mark.parametrize(("name", "option", "finite"), OPTIONS)
+def test_what_is_no_number_is_refused(name: str, option: str, finite: bool) -> None:
+    assert finite
+    for value in ("nan", "inf", "-inf", "1e400"):
+        done = command(*name.split(), f"{option}={value}")
+        assert done.returncode == 2
+        (told,) = done.stderr.decode().splitlines()
+        assert option in told
+
+
+def test_where_no_instruction_sets_a_motion_nothing_is_asked(
+    protocol: Protocol, grammar_text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    with pytest.raises(NotConfirmed):
+        confirm_effect(protocol, "it drives", effect_words(protocol), yes=False)
+    still = load(still_grammar(grammar_text))
+    confirm_effect(still, "it is sent no motion", effect_words(still), yes=False)

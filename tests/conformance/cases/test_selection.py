@@ -1,4 +1,4 @@
-"""Which cases a run has, and how long they take on the line that it has."""
+"""Which cases a run has, how long it takes, what it covers, and how it drives."""
 
 from __future__ import annotations
 
@@ -6,14 +6,28 @@ from typing import Any
 
 import pytest
 
+from benchmarks.noisy_device import NoisyDevice
+from bilprov.analyzer.client.operations import Link, LinkListener
+from bilprov.analyzer.taps.relay import Noise
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.conformance.api import Options, select_cases
-from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
-from bilprov.conformance.cases.levels import matching
+from bilprov.conformance.api import Options, conform, estimated, run_suite, select_cases
+from bilprov.conformance.cases.budget import Pace, before_the_cases, run_movement, seconds
+from bilprov.conformance.cases.coverage import BAD, COMBINED, VALID, covered
+from bilprov.conformance.cases.levels import level_cases, matching
+from bilprov.conformance.dut.fault import Event, Fault, Reaction
+from bilprov.conformance.dut.link import Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.spec.protocol import Protocol
+from bilprov.conformance.dut.target import Target
+from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.spec.by_effect import Movement
+from bilprov.spec.codec import judge
+from bilprov.spec.motion import Motion
+from bilprov.spec.protocol import Protocol, load
 from tests.support.commands import command
-from tests.support.robots import sentence, served_here
+from tests.support.grammars import undeclared
+from tests.support.robots import BYTE_TIME, MS, SlowProbe, sentence, served_here
 
 OPENING = ("power-on/", "link/", "timing/", "reading/")  # what every run has
 
@@ -58,3 +72,147 @@ def test_globs_and_whole_ids_choose_alike() -> None:
         "b/1",
         "c/2",
     ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("byte_time", "held", "look", "few"),
+    [
+        pytest.param(0, 0, 0, False, id="at once"),
+        pytest.param(BYTE_TIME, 0, 0, False, id="115200"),
+        pytest.param(12 * BYTE_TIME, 0, 0, False, id="9600"),
+        pytest.param(0, 16 * MS, 0, False, id="16 ms late"),
+        pytest.param(BYTE_TIME, 16 * MS, 0, False, id="115200, 16 ms late"),
+        pytest.param(BYTE_TIME, 0, 100 * MS, False, id="looks of 100 ms"),
+        pytest.param(BYTE_TIME, 0, 500 * MS, True, id="a command as probe"),
+    ],
+)
+def test_a_run_takes_as_long_as_was_said(
+    protocol: Protocol, byte_time: int, held: int, look: int, few: bool
+) -> None:
+    """A line that is run in virtual time with the timers of a real one: all but the host's work."""
+    device = NoisyDevice(Simulator(protocol), Noise(), 1, held // 2)
+    links: list[VirtualLink] = []
+
+    def connect(listener: LinkListener | None) -> Link:
+        links.append(SlowProbe(device, byte_time, listener, look))
+        return links[0]
+
+    about = {"kind": "port", "byte_ns": byte_time, "latency_ns": held, "look_ns": look}
+    seen = Observability(available=True, costly=few)
+    target = Target(protocol, Environment(False, seen, False, "a line", about), connect)
+    options = Options(level="smoke")
+
+    said = estimated(target, options, select_cases(protocol, options))
+    report = run_suite(target, options)
+
+    assert report.exit == (3 if few else 0)
+    assert 0.8 < said / (links[0].now / 1e9) < 1.2
+
+
+SPEED = '"speed" / Ranged(Byte, 0, 255)'
+
+
+@pytest.fixture(scope="module", params=["0, 1000", "10, 60000"])
+def two_bytes(request: pytest.FixtureRequest, grammar_text: str) -> Protocol:
+    """A protocol whose speed has two bytes."""
+    assert SPEED in grammar_text
+    text = undeclared(grammar_text).replace(SPEED, f'"speed" / Ranged(Int16ub, {request.param})')
+    return load(text.replace("BitStruct, Byte,", "BitStruct, Byte, Int16ub,"))
+
+
+def require_no_more_than_there_is(grammar: Protocol, level: str) -> None:
+    for name, (done, of) in covered(grammar, level_cases(grammar, level, 1)).items():
+        assert 0 < done <= of, name
+
+
+@pytest.mark.sample(1)
+@pytest.mark.slow
+@pytest.mark.parametrize("level", ["smoke", "standard"])
+def test_no_more_is_covered_than_there_is(each_protocol: Protocol, level: str) -> None:
+    require_no_more_than_there_is(each_protocol, level)
+
+
+@pytest.mark.slow
+def test_no_more_is_covered_than_there_is_where_a_value_has_two_bytes(two_bytes: Protocol) -> None:
+    require_no_more_than_there_is(two_bytes, "smoke")
+
+
+@pytest.mark.slow
+def test_frames_of_two_data_bytes_are_counted_out_of_all_there_are(two_bytes: Protocol) -> None:
+    (speed,) = two_bytes.by_name["Speed"].fields
+    in_two = [speed.build(value) for value in range(speed.low, speed.high + 1)]
+    one_byte = [bytes([value]) for value in range(256)]
+    frames = [
+        bytes([two_bytes.header_bytes[spec.id, spec.length]]) + data
+        for spec in two_bytes.instructions
+        for data in ([b""], one_byte, in_two)[spec.length]
+    ]
+    good = [frame for frame in frames if judge(two_bytes, frame).valid]
+
+    counts = covered(two_bytes, level_cases(two_bytes, "smoke", 1))
+
+    assert counts[VALID][1] == len(good)
+    assert counts[BAD][1] == 65536 - len(in_two) + len(frames) - len(good)
+
+
+def test_a_sequence_that_was_not_run_covers_nothing(protocol: Protocol) -> None:
+    options = Options(only=("combined/waited/*", "valid/Stop"), fail_fast=True)
+    report = conform(Simulator(protocol, fault_bank(protocol)["always-1"]), options=options)
+
+    unrun = [r for r in report.results if r.id.startswith("combined/waited/")]
+    assert unrun
+    assert {result.verdict for result in unrun} == {Verdict.SKIPPED}
+    assert not any(result.counted for result in unrun)
+    combined = [report.coverage.get(name) for name in COMBINED.values()]
+    assert not any(covered and covered.done for covered in combined)
+
+
+class Driven(Simulator):
+    """A robot that notes in which motions, and how fast at most, it was told to drive."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__(protocol, Fault("noting", "test", "", react=self._note))
+        self.done = Movement()
+
+    def _note(self, device: object, event: Event, reaction: Reaction) -> Reaction:
+        after = reaction.state
+        if after.motion != Motion.STOPPED:
+            self.done |= Movement(frozenset({after.motion}), after.speed)
+        return reaction
+
+
+class Unseen:
+    """A robot without a probe."""
+
+    def __init__(self, robot: Simulator) -> None:
+        self.receive, self.advance, self.deadline = robot.receive, robot.advance, robot.deadline
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        Options(only=("valid/Stop",)),
+        Options(only=("valid/Speed/*",)),
+        Options(only=("bad-data/LED/*",)),
+        Options(only=("split/*",)),
+        pytest.param(Options(level="smoke"), marks=pytest.mark.slow),
+        pytest.param(Options(soak=50, level="smoke"), marks=pytest.mark.slow),
+    ],
+    ids=lambda options: f"{options.level} {' '.join(options.only)} {options.soak}",
+)
+@pytest.mark.parametrize("looks", [True, False])
+def test_a_run_drives_as_it_said(protocol: Protocol, options: Options, looks: bool) -> None:
+    said = run_movement(protocol, select_cases(protocol, options), looks=looks)
+    robot = Driven(protocol)
+
+    report = conform(
+        robot if looks else Unseen(robot),  # type: ignore[arg-type]  # it has no look
+        grammar=protocol,
+        options=options,
+    )
+
+    assert report.exit in (0, 3)
+    assert robot.done.motions <= said.motions
+    assert (robot.done.speed or 0) <= (said.speed or 0)
+    assert robot.done == said

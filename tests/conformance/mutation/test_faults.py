@@ -1,20 +1,47 @@
-"""The bank of faulty devices: the suite fails each of them, in the cases that the fault names."""
+"""Faults of the bank: their words, what catches them, what explains them."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+import tomllib
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from operator import attrgetter
+from pathlib import Path
 
 import pytest
 
+from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, suite_ids
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.fault import CONFORMING, Fault
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults import all_faults, fault_bank
+from bilprov.conformance.mutation import triggers
+from bilprov.conformance.mutation.effects import EFFECTS, WATCHING
+from bilprov.conformance.mutation.explanations import (
+    CauseScore,
+    Explained,
+    cause_score,
+    drawn_pairs,
+    explained,
+)
+from bilprov.conformance.mutation.faults import (
+    Family,
+    Row,
+    all_faults,
+    fault_bank,
+    filled,
+    globs,
+    hooks,
+    table,
+)
+from bilprov.conformance.mutation.hooks import HOOKS
+from bilprov.conformance.mutation.triggers import FRAME, HISTORY, STATE, trigger
+from bilprov.conformance.mutation.variants import VariantRow
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.fields import Clauses
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
+from tests.support.faults import made
 from tests.support.robots import CountingLink, at_rest, cases_of, failing, matching, run_over
 
 # xdist must collect the same tests everywhere: the names come from the kit's own grammar.
@@ -123,3 +150,135 @@ def test_the_reference_passes_every_single_frame_there_is(protocol: Protocol) ->
     # Without a power switch there is no second power-on.
     odd = [r.id for r in runner.run.results if r.verdict is not Verdict.PASS]
     assert odd == ["power-on/Forward"]
+
+
+WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+SENT, HOLDS = WORDS["triggers"]["sent"], WORDS["triggers"]["holds"]
+CONFORMS = [(group["sent"], *group["rows"][0]) for group in WORDS["devices"]]
+MISBEHAVES = [(group["sent"], *row) for group in WORDS["devices"] for row in group["rows"][1:]]
+SHOWN = attrgetter("motion", "speed", "steering", "led", "left", "right")
+TURN, SILENCE = 2 * MS, {"|": 100 * MS, "~": 200 * MS}
+
+
+def answered(robot: Simulator, sent: str) -> tuple[list[bytes], int]:
+    """What the robot answers to each word until the next, and the time after the last (ns)."""
+    found, now = [], 0
+    for word in sent.split():
+        for part in word.rstrip("|~").split("-"):
+            for byte in bytes.fromhex(part):
+                robot.receive(bytes([byte]), now)
+            now += TURN
+        now += SILENCE.get(word[-1], TURN) - TURN
+        found.append(robot.advance(now - 1))
+    return found, now - 1
+
+
+@pytest.mark.parametrize("words", HOLDS)
+def test_a_trigger_holds_at_these_frames(protocol: Protocol, words: str) -> None:
+    row = Row("", "twice", *words.split("; "))
+    doubling = replace(made(protocol, "twice"), **hooks(protocol, row))
+    said, _ = answered(Simulator(protocol, doubling), SENT)
+    due, _ = answered(Simulator(protocol), SENT)
+
+    more = [len(one) > len(other) for one, other in zip(said, due, strict=True)]
+    assert [turn for turn, holds in enumerate(more) if holds] == HOLDS[words]
+
+
+@pytest.mark.parametrize(("sent", "what", "when", "codes", "seen"), [*CONFORMS, *MISBEHAVES])
+def test_a_device_does_what_its_words_say(
+    protocol: Protocol, sent: str, what: str, when: str, codes: str, seen: str
+) -> None:
+    robot = Simulator(protocol, made(protocol, what, when) if what else CONFORMING)
+
+    said, now = answered(robot, sent)
+
+    assert " ".join(one.hex() or "-" for one in said) == codes
+    assert " ".join(map(str, SHOWN(robot.look(now)))) == seen
+
+
+def words_of(texts: Iterator[str]) -> set[str]:
+    """The words of what devices do."""
+    return {part.split()[0] for text in texts for part in text.split(";") if part}
+
+
+def test_each_word_is_tried_and_makes_a_difference(protocol: Protocol) -> None:
+    conforming = {sent: seen for sent, _, _, *seen in CONFORMS}
+    subjects = {word for when in HOLDS for term in when.split(",") for word in term.split()[:2]}
+
+    assert [row for row in MISBEHAVES if list(row[3:]) == conforming[row[0]]] == []
+    assert words_of(row[1] for row in MISBEHAVES) == {*EFFECTS, *WATCHING, *HOOKS}
+    assert subjects >= {*FRAME, *STATE, *HISTORY, *triggers.COUNTERS, "times"}
+    assert set(triggers.OPERATORS) - subjects == {"", "==", "!="}
+    assert all(len(held) > 0 for held in HOLDS.values())
+
+
+def test_each_word_is_one_of_a_table_or_of_what_is_drawn() -> None:
+    families = table("faults.toml", dict[str, Family]).values()
+    rows = [row for family in families for row in family.faults.values()]
+    rows += table("variants.toml", dict[str, VariantRow]).values()
+    drawn = {"turns-bits", "wheels-astray", "loses-next-byte", "chooses"}
+
+    assert words_of(row.what for row in rows) | drawn == {*EFFECTS, *WATCHING, *HOOKS}
+
+
+@pytest.mark.parametrize("text", ["nothing", "valid, sped > 3"])
+def test_an_unknown_word_of_a_trigger_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="a trigger has no subject"):
+        trigger(text)
+
+
+def test_a_template_is_filled_in_for_each_and_left_out_where_a_name_is_missing(
+    protocol: Protocol,
+) -> None:
+    rows = {
+        "{each}-late": Row("{each}", "late 1", "instruction {each}", each="steering"),
+        "missing": Row("", "silent", "id {unused[99]}"),
+        "unknown": Row("", "silent", "id {no_such}"),
+    }
+
+    found = {name: row.when for name, row in filled(protocol, rows)}
+
+    assert found == {"Right-late": "instruction Right", "Left-late": "instruction Left"}
+
+
+def test_words_of_cases_stand_for_globs() -> None:
+    truncated = ("truncated/*", "recovery/truncated/*", "timing/truncation-timeout")
+
+    assert globs("truncated valid/*") == (*truncated, "valid/*")
+
+
+def test_a_fault_is_one_cause_that_names_it_and_shows(protocol: Protocol) -> None:
+    found = explained(protocol, ["no-stop-on-bad-data"], "smoke", 1)
+    assert (found.causes, found.named, found.of, found.shown) == (1, 1, 1, True)
+    assert found.failed > 1
+    assert found.unexplained == 0
+
+
+@pytest.mark.slow
+def test_of_two_faults_each_has_its_cause(protocol: Protocol) -> None:
+    score = cause_score(protocol, ["no-stop-on-truncated", "speed-bit-0-lost"], 1, "smoke")
+    [both] = score.pairs
+    assert both.name == "no-stop-on-truncated and speed-bit-0-lost"
+    assert (both.named, both.of) == (2, 2)
+    assert list(score.sentences()) == [
+        "2 of 2 faults are exactly one cause, which names the trigger if it is known",
+        "2 of 2 faults are at most two causes",
+        "2 of 2 first causes show with their line on a device just switched on",
+        "1 of 1 pairs have both faults among the first 3 causes",
+    ]
+
+
+def test_what_is_not_named_is_not_counted() -> None:
+    other = Explained("other", 5, causes=1, named=0, of=1, shown=False)
+    many = Explained("many", 5, causes=3, named=1, of=1, shown=True)
+    unseen = Explained("unseen", 0)
+    score = CauseScore((other, many, unseen), ())
+    assert [sentence.split(" ")[0] for sentence in score.sentences()] == ["0", "1", "1"]
+
+
+def test_pairs_are_of_different_families_and_drawn_by_the_seed(protocol: Protocol) -> None:
+    bank = fault_bank(protocol)
+    pairs = drawn_pairs(protocol, list(bank), 20, 7)
+    assert pairs == drawn_pairs(protocol, list(bank), 20, 7)
+    assert pairs != drawn_pairs(protocol, list(bank), 20, 8)
+    assert all(bank[one].family != bank[other].family for one, other in pairs)
