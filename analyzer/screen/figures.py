@@ -42,7 +42,7 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
             name = side or "line"
             lines.append(Text(f"{look.sign} {kinds.total():,} from the {name}", look.style))
         for kind, count in kinds.most_common(_KINDS):
-            lines.append(Text(f"  {count:,} {printable(kind)}", "dim"))
+            lines.append(Text(f"  {printable(kind)}: {count:,}", "dim"))
     lines.append(Text())
     said = {name: said for name, said in totals.instructions().items() if said.frames}
     digits = max((len(f"{one.frames:,}") for one in said.values()), default=0)

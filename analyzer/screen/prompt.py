@@ -125,6 +125,8 @@ class Prompt(Vertical):
         offered = question.completions(text, self.line.cursor_position)
         wrong = question.refusal(text.strip())
         words = printable("  ".join(one.text for one in offered))
+        if len(offered) == 1:
+            words = printable(": ".join(filter(None, (offered[0].text, offered[0].says))))
         if any(len(one.text) > len(text) - one.start > 0 for one in offered):  # a word goes on
             self._under.update(Text(words, "dim", no_wrap=True))
         elif wrong:

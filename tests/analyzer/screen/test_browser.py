@@ -123,7 +123,7 @@ def test_keys_move_through_the_rows(
         ("y", "no frame to copy"),
         (":soon enter", "give the number of a row like 120"),
         ("/speeed<9 enter", "is not a name here: did you mean speed?"),
-        ("/late", "latency"),
+        ("/late", "latency: from the instruction's last byte"),
         ("x", "NAME.csv or NAME.jsonl"),
     ],
 )

@@ -216,6 +216,12 @@ def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> N
         "",
         "Speed        1,001   0.5 ms",
     ]
+    for frame in (b"\x90", b"\x91\x02"):
+        (batch,) = told(StreamDecoder(protocol), [Chunk(0, "host", frame)], [1])
+        totals.add(batch)
+    lines = [line.plain for line in figures(totals, None, 86_805, 18)]
+    assert lines[7:9] == ["! 2 from the host", "  faulty instruction: 2"]
+    assert lines[-2:] == ["Sp… 1,001   0.5 ms", "un…     2         "]
 
 
 def test_the_car_turns_and_lights_as_its_state_says(protocol: Protocol) -> None:
