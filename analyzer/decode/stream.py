@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.decode.columns import Carry, ColumnDecoder
     from bilprov.captures.events import Events
 
-LEAST = 512
+LEAST = 1024
 """Bytes from which on single events are decoded as arrays; fewer are decoded faster one by one."""
 
 # After an event that is not regular, so many go through the Session; more and more if none of

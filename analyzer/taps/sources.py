@@ -32,8 +32,8 @@ SIDES: Final[tuple[Direction, ...]] = ("host", "device")
 LATE = 250_000_000  # ns; a reader that comes so much too late does not know when the bytes came
 FOREVER = 1 << 62  # ns
 _COUNT_EVERY = 100_000_000  # ns between readings of a driver's error counts
-GATHERED = 20_000_000  # ns of a busy line that are handled at once: shown, that is still now
-_BUSY = 80  # bytes in that time: with fewer each read is handled at once
+GATHERED = 30_000_000  # ns of a busy line that are handled at once: shown, that is still now
+_BUSY = 120  # bytes in that time: with fewer each read is handled at once
 _LINGER = 300_000  # ns that a bridge waits for an answer before what was said is decoded
 _MOST_LINGER = 5_000_000  # ns for which it goes on to do so
 MOST_AT_ONCE = 1 << 14  # bytes that are handled at once: it takes a millisecond, a pty holds 4 KiB
@@ -104,7 +104,7 @@ class Source(Closing):
         `also` are descriptors (such as a Stopper's) that end the wait too. When both sides have
         bytes the host comes first, since an instruction is older than its answer.
 
-        On a line that is busy (more than 4 kB/s), what is read in the 20 ms after the first event
+        On a line that is busy (more than 4 kB/s), what is read in the 30 ms after the first event
         is returned with it, each read with its own time.
 
         If this program was stopped or had no time meanwhile, a Line event `waited` with the time up

@@ -247,30 +247,30 @@ def polled(source: Source, polls: int) -> list[list[int]]:
 
 
 def test_on_a_busy_line_many_reads_are_returned_at_once_each_with_its_time() -> None:
-    source = Script(*((at * MS, bytes(12)) for at in range(1, 76)))
+    source = Script(*((at * MS, bytes(12)) for at in range(1, 111)))
 
-    assert polled(source, 19) == [[at] for at in range(1, 20)]
-    assert polled(source, 3) == [list(range(20, 41)), list(range(41, 62)), list(range(62, 76))]
+    assert polled(source, 29) == [[at] for at in range(1, 30)]
+    assert polled(source, 3) == [list(range(30, 61)), list(range(61, 92)), list(range(92, 111))]
 
 
 def test_what_comes_slowly_or_after_a_pause_is_returned_at_once() -> None:
     slow = Script(*((at * MS, b"\x10\x20") for at in range(1, 76)))
     assert polled(slow, 75) == [[at] for at in range(1, 76)]
 
-    busy = [(at * MS, bytes(12)) for at in range(1, 76)]
+    busy = [(at * MS, bytes(12)) for at in range(1, 111)]
     paused = Script(*busy, (500 * MS, b"\x10"), (501 * MS, b"\x10"))
-    assert polled(paused, 24)[-2:] == [[500], [501]]
+    assert polled(paused, 34)[-2:] == [[500], [501]]
 
 
 def test_a_stop_among_reads_that_are_returned_at_once_is_noted_where_it_was() -> None:
-    source = Script(*((at * MS, bytes(12)) for at in range(1, 76)), stopped=45 * MS)
-    polled(source, 20)
+    source = Script(*((at * MS, bytes(12)) for at in range(1, 76)), stopped=65 * MS)
+    polled(source, 30)
 
     *before, waited, after = source.poll(1)
-    assert [event.t // MS for event in before] == [41, 42, 43, 44]
+    assert [event.t // MS for event in before] == [61, 62, 63, 64]
     assert isinstance(waited, Line)
-    assert (waited.event, waited.t) == ("waited", 44 * MS)
-    assert after.t == 45 * MS + 2 * LATE
+    assert (waited.event, waited.t) == ("waited", 64 * MS)
+    assert after.t == 65 * MS + 2 * LATE
 
 
 # Handing on
