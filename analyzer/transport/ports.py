@@ -79,13 +79,11 @@ def wait_readable(
     Ports without fileno are polled every millisecond. A port at its end counts as readable, and its
     read raises LinkError. Raises LinkError for a closed port.
     """
-    descriptors = [port.fileno() for port in ports]
-    waited = [fd for fd in descriptors if fd is not None]
+    waited = {fd: port for port in ports if (fd := port.fileno()) is not None}
     if len(waited) == len(ports):
         found = select.select([*waited, *also], [], [], timeout)[0]
-        ready = [port for port, fd in zip(ports, descriptors, strict=True) if fd in found]
-        return ready, [fd for fd in also if fd in found]
-    looked_at = [port for port, fd in zip(ports, descriptors, strict=True) if fd is None]
+        return [waited[fd] for fd in found if fd in waited], [fd for fd in found if fd in also]
+    looked_at = [port for port in ports if port.fileno() is None]
     give_up = None if timeout is None else time.monotonic() + timeout
     while True:
         full = [port for port in looked_at if port.has_input()]
