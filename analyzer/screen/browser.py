@@ -140,7 +140,10 @@ class Browser(App[str | None]):
     def on_mount(self) -> None:
         """Begin."""
         self.frames.focus()
-        self.call_after_refresh(self.feed.start)  # the first page is not to wait for the rest
+        if self._recording.rows:  # the first page is not to wait for the rest
+            self.call_after_refresh(self.feed.start)
+        else:  # a line, which waits for nobody
+            self.feed.start()
         self.set_interval(DRAW_EVERY, self.tick)
         if self.told.test is not None:
             self._filter(self.told.expression, self.told.test)

@@ -79,10 +79,7 @@ class Feed(Generic[Result]):
     @property
     def closes(self) -> bool:
         """Whether the screen has nothing more to wait for."""
-        working = self._working
-        if working is None or not working.done():
-            return False
-        return not self.stays or working.exception() is not None
+        return self.ended and (not self.stays or self.start().exception() is not None)
 
     def start(self) -> Future[Result]:
         """Begin, unless it has begun."""
