@@ -5,6 +5,7 @@ from __future__ import annotations
 import compileall
 import gc
 import os
+import platform
 import select
 import subprocess
 import time
@@ -95,6 +96,7 @@ def _usual_signals() -> None:
 @pytest.fixture(autouse=True, scope="session")
 def _quick(request: pytest.FixtureRequest) -> Iterator[None]:
     """With --quick, what is not quick skips the test that does it."""
+    platform.platform()  # asks a program, once
     with pytest.MonkeyPatch.context() as patch:
         for owner, name, what in _NOT_QUICK if request.config.getoption("--quick") else ():
 

@@ -389,7 +389,6 @@ def test_a_name_that_no_grammar_has_is_told_with_the_names() -> None:
         ("conform", "/nowhere/tty", "--yes"),
         ("lab", "score"),
         ("lab", "learn", "sim"),
-        ("spec", "emit", "c"),
     ],
 )
 @pytest.mark.parametrize("grammar", ["modbus-rtu", "stk500v1", "dynamixel1"])
