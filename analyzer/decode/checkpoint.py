@@ -77,6 +77,15 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     away: tuple[Direction, ...] = ()
     by_address: tuple[tuple[int, State], ...] | UnsetType = UNSET
 
+    def instructions(self, protocol: Protocol) -> Iterator[tuple[int, WaitingFrames, bytes]]:
+        """Yield the number of each instruction that waits, its group, and its bytes."""
+        groups = [(group, list(group.split(protocol))) for group in self.waiting]
+        number = self.sequence - sum(len(frames) for _, frames in groups)
+        for group, frames in groups:
+            first = number if group.first is None else group.first
+            yield from ((first + place, group, frame) for place, frame in enumerate(frames))
+            number = first + len(frames)
+
     @property
     def may_be_out_of_step(self) -> bool:
         """Whether an answer is held that came in the open frame and shows that it is given up."""
@@ -86,7 +95,7 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     def require_sense(self, protocol: Protocol) -> None:
         """Raise ValueError unless a session of this protocol can be in this state."""
         state = self.state
-        count = sum(1 for group in self.waiting for _ in group.split(protocol))
+        count = sum(1 for _ in self.instructions(protocol))
         expiries = [group.expires for group in self.waiting]
         past = [self.frame_start, self.frame_end, *(group.end for group in self.waiting)]
         past += [t for t, _ in self.held]

@@ -152,19 +152,12 @@ class ColumnDecoder:
         """
         if state.out_of_step is not None or (begun and begun[0].t != state.frame_start):
             return None  # the open frame ends early; its end was put off while nothing was read
-        waiting = b"".join(group.frames for group in state.waiting)
+        asked = list(state.instructions(self._decoding.protocol))
+        waiting = b"".join(frame for *_, frame in asked)
         data = np.frombuffer(waiting + b"".join(one.data for one in begun), np.uint8)
         found = self._requests.cut(data[: len(waiting)], 0)
         if found.end < len(waiting):
             return None  # a faulty request waits, too
-        upto = np.cumsum([len(group.frames) for group in state.waiting], dtype=np.int64)
-        count = np.diff(np.searchsorted(found.requests.end, upto, "right"), prepend=0)
-        number = state.sequence - int(count.sum())
-        sequence: list[int] = []
-        for group, amount in zip(state.waiting, count.tolist(), strict=True):
-            number = number if group.first is None else group.first
-            sequence += range(number, number + amount)
-            number += amount
         reads = np.cumsum([len(waiting), *(len(one.data) for one in begun)], dtype=np.int64)
         times = np.array([state.time, *(one.t for one in begun)], np.int64)
         held = np.array(state.held, np.int64).reshape(-1, 2)
@@ -172,8 +165,8 @@ class ColumnDecoder:
             Reads(data, times, reads, np.full(len(reads), -1)),
             len(waiting),
             found.requests,
-            np.repeat(np.array([group.end for group in state.waiting], np.int64), count),
-            np.array(sequence, np.int64),
+            np.array([group.end for _, group, _ in asked], np.int64),
+            np.array([number for number, *_ in asked], np.int64),
             Reads(
                 held[:, 1].astype(np.uint8),
                 held[:, 0],

@@ -7,7 +7,7 @@ appends the records to the list that it gets, since a list costs less per record
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Final
 
 from msgspec import UNSET
@@ -31,7 +31,7 @@ from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind, frame_size
 from bilprov.spec.protocol import NO_ANSWER, Protocol
 from bilprov.spec.state import State, after
-from bilprov.spec.steps import Steps
+from bilprov.spec.steps import Steps, data_decide
 
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})
@@ -272,22 +272,15 @@ class Decoder:
         self._bus.resume(state.by_address or ())
         self._replies.forget()
         self._pairing.waiting.clear()
-        self._pairing.waiting.extend(self._waiting_in(state))
+        self._pairing.waiting.extend(
+            Waiting(number, group.end, group.expires, self._steps[frame].judgement)
+            for number, group, frame in state.instructions(self._protocol)
+        )
         self._pairing.held.clear()
         self._pairing.held.extend(Held(t, byte) for t, byte in state.held)
         self._out_of_step = state.out_of_step
         self._lost_at = state.lost_at
         self._turn(frozenset(state.away))
-
-    def _waiting_in(self, state: DecoderState) -> Iterator[Waiting]:
-        groups = [(group, list(group.split(self._protocol))) for group in state.waiting]
-        number = state.sequence - sum(len(frames) for _, frames in groups)
-        for group, frames in groups:
-            number = number if group.first is None else group.first
-            for frame in frames:
-                judgement = self._steps[frame].judgement
-                yield Waiting(number, group.end, group.expires, judgement)
-                number += 1
 
     @property
     def begun(self) -> list[Chunk]:
@@ -444,7 +437,10 @@ class Decoder:
             if self._framer.missing and self._out_of_step is None:
                 answer = self._protocol.codes.get(byte)
                 ok = answer is not None and answer.outcome is Outcome.VALID
-                if ok or self._may_be_valid(self._framer.held[0]):
+                # A device may refuse a faulty header at once and take its data in silence, but
+                # none answers a frame that may be valid before its end (R-answer-point).
+                whole = self._framer.held + bytes(self._framer.missing)
+                if ok or data_decide(self._protocol, whole):
                     self._out_of_step = now + QUIET
             if len(pairing.held) >= pairing.most:
                 self._unsolicited(pairing.held.popleft(), out)
@@ -454,15 +450,6 @@ class Decoder:
             passed = pairing.waiting.popleft()
             out.append(FaultRecord(anomalies.unanswered(passed, now), self._state))
         self._pair(held, pairing.waiting.popleft(), out)
-
-    def _may_be_valid(self, header: int) -> bool:
-        """Whether a frame with this header may be valid, so that no answer is due before its end.
-
-        A device may refuse a faulty header at once and take its data in silence (R-answer-point).
-        """
-        identity, length = self._protocol.headers[header]
-        known = self._protocol.by_id.get(identity)
-        return known is not None and known.length == length
 
     def _pair(self, held: Held, waiting: Waiting, out: list[Record]) -> None:
         record = paired_record(self._protocol, held, waiting, self._skew, self._state)
