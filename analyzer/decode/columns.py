@@ -267,21 +267,27 @@ class ColumnDecoder:
             cut = min(cut, device.event_of(given.end))
         if not self._paired and len(device.data):
             cut = min(cut, device.event_of(0))
-        begun_in = device.of(answers.offset)
-        answer_t = device.t.take(begun_in)
-        whole = device.event.take(begun_in if self._plain else device.of(answers.end - 1))
-        paired = np.maximum(whole, asked_come[pairs])
 
         # What there is after 0, 1, 2 ... events; what falls due before the next event ends it.
-        frames, answered = (_counted(each, len(events)) for each in (come, paired))
+        frames = _counted(come, len(events))
         every = len(asked_come) == len(before.end) + len(come)
         asked_by = frames + len(before.end) if every else _counted(asked_come, len(events))
         said, told = host.after(len(events)), device.after(len(events))
         taken = np.append(before.begun, ends).take(frames)
-        heard = np.append(0, answers.end).take(answered)
+        if self._plain:  # each byte is an answer
+            many = np.diff(np.minimum(device.upto, len(answers.code)), prepend=0)
+            answer_t = np.repeat(device.t, many)
+            answered = heard = np.minimum(told.bytes, asked_by)
+        else:
+            answer_t = device.t.take(device.of(answers.offset))
+            whole = device.event.take(device.of(answers.end - 1))
+            paired = np.maximum(whole, asked_come[pairs])
+            answered = _counted(paired, len(events))
+            heard = np.append(0, answers.end).take(answered)
         falls_due = _paused(said, taken, t, self._timeout)
-        expires = np.append(asked_end, 0).take(answered[:-1]) + self._longest
-        falls_due |= (asked_by[:-1] > answered[:-1]) & (t >= expires)
+        if len(asked_end):
+            expires = asked_end.take(answered[:-1], mode="clip") + self._longest
+            falls_due |= (asked_by[:-1] > answered[:-1]) & (t >= expires)
         falls_due |= asked_by[1:] - answered[:-1] > MOST
         if self._plain:
             early = told.bytes > heard
@@ -295,7 +301,8 @@ class ColumnDecoder:
             wrong = late[~self._answers.agree(asked.rows(late), answers.rows(late))]
             if len(wrong):
                 cut = min(cut, device.event_of(int(wrong[0])))
-            after = np.maximum(frames.take(1 + whole), sequence[pairs] + (1 - rest.sequence))
+            after = np.repeat(frames.take(1 + device.event), many)
+            after = np.maximum(after, sequence[pairs] + (1 - rest.sequence))
         else:
             falls_due |= _paused(told, heard, t, self._held)
             paused = np.diff(asked_end, prepend=asked_end[:1]) >= self._decoding.late // GIVES_UP
@@ -389,12 +396,15 @@ class ColumnDecoder:
         return Known(rest.state, None)
 
 
+_MANY = 8  # as many together are found faster by looking for them than by counting all
+
+
 def _counted(event: Places, events: int) -> Places:
     """How many there are after 0, 1, 2 ... events, of what comes with these events (or before).
 
     The events increase.
     """
-    if len(event) > events:
+    if len(event) > _MANY * events:
         return np.searchsorted(event, np.arange(events + 1))
     return np.cumsum(np.bincount(event + 1, minlength=events + 1))
 
