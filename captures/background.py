@@ -22,7 +22,7 @@ from bilprov.captures.writer import CaptureWriter
 
 QUEUE_BYTES: Final = 16 * 1024 * 1024  # of payload that may wait
 WAKE_BYTES: Final = 256 * 1024  # of waiting payload that is written at once
-WAKE_AFTER: Final = 0.06  # s; what waits less is written then; with the time before it comes, 0.1 s
+WAKE_AFTER: Final = 0.05  # s; what waits less is written then: 0.1 s at most after it was read
 EVENT_BYTES: Final = 256  # counted for each event beside its bytes
 
 
