@@ -107,17 +107,21 @@ def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], objec
         pipeline = Pipeline(decoder, statistics, shown, recorder)
         pipeline.events([Line(0, "open")])
         read: list[Chunk] = []
+        size = 0
 
         def take(chunk: Chunk) -> None:
+            nonlocal size
             read.append(chunk)
-            full = sum(len(one.data) for one in read) >= MOST_AT_ONCE
-            if full or chunk.t - read[0].t >= GATHERED:
+            size += len(chunk.data)
+            if size >= MOST_AT_ONCE or chunk.t - read[0].t >= GATHERED:
                 handle()
 
         def handle() -> None:
+            nonlocal size
             pipeline.events(read)
             pipeline.advance(read[-1].t)
             read.clear()
+            size = 0
 
         yield take
         if read:
