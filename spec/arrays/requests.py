@@ -87,9 +87,6 @@ class RequestTables:
         protocol, steps = self._protocol, Steps(self._protocol)
         keys = [protocol.key_of(identity) for identity, _ in protocol.headers]
         self.keys = np.repeat(np.array(keys, np.uint8), 256)
-        self._answered = np.array(
-            [protocol.answers[outcome] is not NO_ANSWER for outcome in OUTCOMES], np.bool_
-        )
         self._verdict = np.zeros(1 << 16, np.uint8)
         self.states = StateTables(protocol, 1 << 16)
         for header, length in enumerate(protocol.lengths):
@@ -104,6 +101,8 @@ class RequestTables:
                 self.states.add(kind, spec.effect.assignments, spec.fields)
                 self._verdict[kind | 1] = BAD_DATA
                 self.states.add(kind | 1, protocol.on_fault.assignments)
+        answered = [protocol.answers[outcome] is not NO_ANSWER for outcome in OUTCOMES]
+        self._answered = np.array(answered, np.bool_).take(self._verdict)
 
     def _add(self, kinds: int | slice, step: Step) -> None:
         self._verdict[kinds] = OUTCOMES.index(step.judgement.outcome)
@@ -203,7 +202,9 @@ class RequestTables:
     def _walk(self, data: Bytes, at: int) -> list[int]:
         """Where the frames from `at` on begin that are whole, and where the next one begins."""
         places = np.arange(at, len(data))
-        jumps = places - at + self._sizes_at(data, places)
+        size = self._sizes_at(data, places)
+        size[size == 0] = len(data) + 1  # no frame: the walk ends there
+        jumps = places - at + size
         walked = _followed(jumps.data, 0, len(jumps))
         if walked[-1] > len(jumps):
             walked.pop()
@@ -217,9 +218,12 @@ class RequestTables:
 
     def due(self, data: Bytes, requests: Requests) -> Mask | None:
         """To which requests a conforming device gives an answer; None: to each."""
-        if len(self._verdict):
-            return None if self._answered.all() else self._answered.take(requests.verdict)
-        return self._answered.take(requests.kind) & self._to(data, requests.offset, broadcast=False)
+        if self._answered.all() and self.layout.part("address") is None:
+            return None
+        due: Mask = self._answered.take(requests.kind)
+        if self.layout.part("address") is not None:
+            due &= self._to(data, requests.offset, broadcast=False)
+        return due
 
     def _to(self, data: Bytes, offset: Places, *, broadcast: bool) -> Mask:
         """Which frames are for one device that there can be, or with `broadcast` for all."""
@@ -288,12 +292,9 @@ _DOUBLINGS = 5
 
 
 def _followed(jumps: memoryview, at: int, end: int) -> list[int]:
-    """Follow `jumps` from `at` until `end` is reached, or they stand still.
-
-    The last place is in the list too.
-    """
+    """Follow `jumps` from `at` until `end` is reached; that last place is in the list too."""
     walked = [at]
-    while at < end and jumps[at] > at:
+    while at < end:
         at = jumps[at]
         walked.append(at)
     return walked

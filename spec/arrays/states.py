@@ -17,6 +17,7 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import OTHERS, FromField, FromOld, State, VariableSpec
 
 _TAIL = 256  # requests in which each variable is mostly set
+_WIDER = 16  # times as many before them are searched for those that are not
 
 
 class Known(NamedTuple):
@@ -165,15 +166,23 @@ class StateTables:
 
     def _last(self, data: Bytes, requests: Requests, before: Sequence[int]) -> Sequence[int]:
         """The values of all variables after all requests to one device."""
-        if len(requests.kind) and not self._changes:
-            # Then the last request that sets a variable tells, for each of them.
-            bits = [1 << bit for bit in range(len(self._variables))]
-            sets = self._sets.take(requests.kind[-_TAIL:])
-            if np.bitwise_or.reduce(sets) != sum(bits):  # none of the last ones sets one of them
-                sets = self._sets.take(requests.kind)
-            requests = requests.rows(slice(len(requests.kind) - len(sets), None))
-            last = {int(rows[-1]) for bit in bits if len(rows := np.flatnonzero(sets & bit))}
-            requests = requests.rows(np.array(sorted(last), np.int64))
+        if not self._changes:  # then the last request that sets a variable tells, for each of them
+            requests = requests.rows(self._last_rows(requests.kind))
         if not len(requests.kind):
             return before
         return [int(self._column(name, data, requests, before)[-1]) for name in self._values]
+
+    def _last_rows(self, kind: Places) -> Places:
+        """The last request that sets each of the variables, of those that are set."""
+        rows: set[int] = set()
+        missing, stop, count = (1 << len(self._variables)) - 1, len(kind), _TAIL
+        while missing and stop:
+            start = max(0, stop - count)
+            sets = self._sets.take(kind[start:stop]) & self._sets.dtype.type(missing)
+            found = int(np.bitwise_or.reduce(sets))
+            for place in range(len(self._variables)):
+                if found >> place & 1:
+                    bit = self._sets.dtype.type(1 << place)
+                    rows.add(start + int(np.flatnonzero(sets & bit)[-1]))
+            missing, stop, count = missing & ~found, start, _WIDER * count
+        return np.array(sorted(rows), np.int64)
