@@ -24,6 +24,7 @@ from bilprov.spec.arrays.layouts import (
     checks_hold,
     constants_hold,
     data_sizes,
+    fixed_size,
     frame_sizes,
     part_values,
     require_arrays,
@@ -88,6 +89,12 @@ class AnswerTables:
             _by_request(spec, names) and layout.part("length") is None
             for (layout, spec), names in zip(self._ways, asked, strict=True)
         ]
+        # For each kind the first one whose answers have their sizes in the same way.
+        told = [(own, own.part("length") is None and spec) for own, spec in self._ways]
+        self._alike = np.array([told.index(way) for way in told], np.int64)
+        sizes = [fixed_size(*way) for way in self._ways]
+        self._varied = [kind for kind, size in enumerate(sizes) if not size]
+        self._fixed = np.array(sizes, np.int64)
         self._layouts: list[tuple[Layout, Mask]] = []
         for layout in (protocol.reply, protocol.acknowledgement):
             require_narrow(layout)
@@ -97,11 +104,11 @@ class AnswerTables:
             with_it = np.array([own is layout for own, _ in self._ways], np.bool_)
             if all(layout is not other for other, _ in self._layouts):
                 self._layouts.append((layout, with_it))
-        told = [meaning(protocol, code) for code in (*range(NO_CODE), None)]
+        meanings = [meaning(protocol, code) for code in (*range(NO_CODE), None)]
         # By code, and by NO_CODE: the response, the name, and the code that a record has.
-        self.responses = known = [response for _, response in told]
+        self.responses = known = [response for _, response in meanings]
         self.names = [
-            " ".join(names) or (response.name if response else None) for names, response in told
+            " ".join(names) or (response.name if response else None) for names, response in meanings
         ]
         self.bytes = np.array([one.code if one else at for at, one in enumerate(known)], np.int64)
         self._expected = np.array(
@@ -178,8 +185,9 @@ class AnswerTables:
 
     def _sizes(self, asked: Bytes, requests: Requests, data: Bytes, start: Places) -> Places:
         """The sizes of the answers to some requests that begin at these places."""
-        found = np.zeros(len(start), np.int64)
-        for kind, (layout, spec) in enumerate(self._ways):
+        found = self._fixed.take(requests.kind)
+        for kind in self._varied:
+            layout, spec = self._ways[kind]
             rows = np.flatnonzero(requests.kind == kind)
             if len(rows):
                 told: Numbers = NO_NUMBERS
@@ -200,19 +208,18 @@ class AnswerTables:
 
         They are to these requests.
         """
-        places = np.arange(first, len(data))
+        places = np.arange(first, len(data) + 1)
         by_request = self._sizes(asked, requests, data, np.zeros(len(requests.kind), np.int64))
+        alike = self._alike.take(requests.kind)
         by_place = {
-            kind: frame_sizes(layout, spec, data, places).data
-            for kind, (layout, spec) in enumerate(self._ways)
-            if not self._by_request[kind] and kind in requests.kind
+            kind: frame_sizes(*self._ways[kind], data, places).data
+            for kind in self._varied
+            if not self._by_request[kind] and kind in alike
         }
-        walked, at = [first], first
-        for kind, size in zip(requests.kind.tolist(), by_request.tolist(), strict=True):
-            if at == len(data):
-                break
+        walked, at, last = [first], first, len(data)
+        for kind, size in zip(alike.tolist(), by_request.tolist(), strict=True):
             at += by_place[kind][at - first] if kind in by_place else size
-            if at == walked[-1] or at > len(data):
+            if at == walked[-1] or at > last:
                 break
             walked.append(at)
         return walked

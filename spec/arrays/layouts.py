@@ -65,8 +65,6 @@ class Requests(NamedTuple):
 def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[Any]:
     """The value of a field in each of the data that begin `at` some places and carry it."""
     at = at + part.offset
-    if part.number and part.size == 1:
-        return np.take(_byte_values(part.number), data.take(at))
     if part.number and part.size <= WIDEST:
         return number_values(part.number, data, at)
     raw = data.take(at[:, None] + np.arange(part.size)).view(f"V{part.size}").ravel()
@@ -82,6 +80,8 @@ def number_values(
 
     Those that reach beyond the data are wrong.
     """
+    if number.size == 1:
+        return _byte_values(number).take(data.take(at, mode="clip"))
     places = range(number.size) if number.order == "big" else reversed(range(number.size))
     value = np.zeros(len(at), np.int64)
     for place in places:
@@ -110,7 +110,7 @@ def part_values(part: Part, data: Bytes, start: Places, end: Places) -> Places:
     value = number_values(part.number, data, (start if part.offset >= 0 else end) + part.offset)
     if part.width:
         value = value >> part.shift & (1 << part.width) - 1
-    return value - part.also
+    return value - part.also if part.also else value
 
 
 def same_bytes(raw: bytes, data: Bytes, at: Places) -> Mask:
@@ -140,6 +140,14 @@ def checks_hold(
     checking.take(data, start + check.first, end - check.last)
     right: Mask = part_values(check.part, data, start, end) == checking.values
     return right
+
+
+def fixed_size(layout: Layout, spec: DataSpec) -> int:
+    """The size of all frames with data laid out as `spec`; 0 where it differs."""
+    counted = layout.has_data and spec.counted is not None and not spec.takes_rest
+    if layout.part("length") is not None or counted:
+        return 0
+    return int(frame_sizes(layout, spec, np.zeros(1, np.uint8), np.zeros(1, np.int64))[0])
 
 
 def frame_sizes(

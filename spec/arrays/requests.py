@@ -23,6 +23,7 @@ from bilprov.spec.arrays.layouts import (
     checks_hold,
     constants_hold,
     data_sizes,
+    fixed_size,
     frame_sizes,
     in_range,
     number_values,
@@ -66,6 +67,13 @@ class RequestTables:
             _require_numbers(spec.data)
             require_arrays(spec.data)
         self._ids = np.array([spec.id for spec in self.specs], np.int64)
+        every = np.arange(256)
+        self._by_byte = self._kinds_of(
+            part_values(identity, every.astype(np.uint8), every - identity.offset, every)
+        )
+        sizes = [fixed_size(layout, spec.data) for spec in self.specs]
+        self._varied = [place for place, size in enumerate(sizes) if not size]
+        self._fixed = np.array([*sizes, 0], np.int64)  # the last is that of unused IDs, -1
         answered = protocol.answers[Outcome.VALID] is not NO_ANSWER
         self._answered = np.array(
             [answered and spec.answer is not None for spec in self.specs], np.bool_
@@ -118,7 +126,8 @@ class RequestTables:
             size = np.diff(offset, append=end)
             return CutRequests(self._judged(data, offset, size), end, regular=True)
         bounds = np.array([begun]) if reads is None else self._whole_reads(data, begun, reads)
-        bounds = np.concatenate([bounds[:-1], self._walk(data, int(bounds[-1]))])
+        if bounds[-1] < len(data):
+            bounds = np.concatenate([bounds[:-1], self._walk(data, int(bounds[-1]))])
         offset, size = bounds[:-1], np.diff(bounds)
         kind = self._kinds(data, offset)
         good = self._valid(data, offset, bounds[1:], kind)
@@ -192,14 +201,15 @@ class RequestTables:
         """The sizes of the frames at these places, 0 for none; see `frame_sizes`."""
         if self.layout.part("length") is not None:
             return frame_sizes(self.layout, DataSpec(), data, offset)
-        kinds, found = self._kinds(data, offset), np.zeros(len(offset), np.int64)
-        for place, spec in enumerate(self.specs):
+        kinds = self._kinds(data, offset)
+        found = self._fixed.take(kinds)
+        for place in self._varied:
             rows = np.flatnonzero(kinds == place)
             if len(rows):
-                found[rows] = frame_sizes(self.layout, spec.data, data, offset[rows])
+                found[rows] = frame_sizes(self.layout, self.specs[place].data, data, offset[rows])
         return found
 
-    def _walk(self, data: Bytes, at: int) -> list[int]:
+    def _walk(self, data: Bytes, at: int) -> Places:
         """Where the frames from `at` on begin that are whole, and where the next one begins."""
         places = np.arange(at, len(data))
         size = self._sizes_at(data, places)
@@ -208,11 +218,16 @@ class RequestTables:
         walked = _followed(jumps.data, 0, len(jumps))
         if walked[-1] > len(jumps):
             walked.pop()
-        return [at + place for place in walked]
+        return at + np.array(walked)
 
     def _kinds(self, data: Bytes, offset: Places) -> Places:
         """The place of each frame's instruction; -1 for an unused ID."""
-        identity = part_values(self._id, data, offset, offset)
+        if self._id.size == 1:
+            return self._by_byte.take(data.take(offset + self._id.offset, mode="clip"))
+        return self._kinds_of(part_values(self._id, data, offset, offset))
+
+    def _kinds_of(self, identity: Places) -> Places:
+        """The places of the instructions with these IDs; -1 for an unused one."""
         place = np.minimum(np.searchsorted(self._ids, identity), len(self._ids) - 1)
         return np.where(self._ids.take(place) == identity, place, -1)
 
