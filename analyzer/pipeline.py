@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from bilprov.analyzer.decode.checkpoint import encoded_or_none
@@ -17,12 +17,16 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.statistics import Statistics
     from bilprov.analyzer.replay.recorder import Recorder
 
+MOST_BYTES = 1 << 14  # that wait to be decoded: so many take a millisecond, and a pty holds 4 KiB
+
 
 @dataclass(slots=True)
 class Pipeline:
     """Connects a decoder to its recorder, statistics, output (in `shown`) and passive judge.
 
-    The judge gets the records in the window of `shown`, whether they pass its filter or not.
+    The raw bytes are written to the capture at once. Decoding may wait for `patience` (ns), up to
+    16 KiB: much is decoded faster at once than in pieces. The judge gets the records in the window
+    of `shown`, whether they pass its filter or not.
     """
 
     decoder: StreamDecoder
@@ -30,10 +34,15 @@ class Pipeline:
     shown: Shown
     recorder: Recorder | None = None
     judge: PassiveJudge | None = None
+    patience: int = 0
+    _pending: list[Chunk | Line] = field(default_factory=list)
+    _bytes: int = 0
 
     @property
     def deadline(self) -> int | None:
         """When (ns) `advance` is next needed without an event, None if it is not."""
+        if self._pending:
+            return self._pending[0].t + self.patience
         return self.decoder.deadline
 
     def events(self, events: Sequence[Chunk | Line]) -> list[Batch]:
@@ -43,18 +52,28 @@ class Pipeline:
         if self.recorder:
             self.recorder.events(events)
         if self.judge is None:
-            batches = self._decoded(events)
+            self._pending += events
+            self._bytes += sum([len(event.data) for event in events if type(event) is Chunk])
+            if self._bytes < MOST_BYTES and events[-1].t - self._pending[0].t < self.patience:
+                return []
+            batches = self._decode_pending()
         else:
             batches = []  # what is judged depends on the order of events and records
             for event in events:
                 self.judge.event(event)
-                batches += self._decoded([event])
+                self._pending = [event]
+                batches += self._decode_pending()
         self._save(events[-1].t)
         return batches
 
     def advance(self, now: int) -> list[Batch]:
         """Let time pass to `now` (ns) and return what falls due; no earlier event may follow."""
-        batches = self._handled(self.decoder.advance(now), now)
+        batches: list[Batch] = []
+        if self._pending and now - self._pending[0].t >= self.patience:
+            batches = self._decode_pending()
+            self._save(now)
+        if not self._pending:
+            batches += self._handled(self.decoder.advance(now), now)
         self.tick(now)
         return batches
 
@@ -62,15 +81,19 @@ class Pipeline:
         """Let recorder and output know the time (ns), where nothing falls due before it."""
         if self.recorder:
             self.recorder.tick(now)
-            if self.recorder.part_due(now):
+            if not self._pending and self.recorder.part_due(now):
                 self._save(now)
         self.shown.output.tick(now)
 
     def finish(self) -> list[Batch]:
         """End the session after its last event and return what is left."""
-        return self._handled(self.decoder.finish(), 0)
+        batches = self._decode_pending()
+        return batches + self._handled(self.decoder.finish(), 0)
 
-    def _decoded(self, events: Sequence[Chunk | Line]) -> list[Batch]:
+    def _decode_pending(self) -> list[Batch]:
+        events, self._pending, self._bytes = self._pending, [], 0
+        if not events:
+            return []
         self.statistics.events(events)
         return self._handled(self.decoder.feed(events), events[-1].t)
 

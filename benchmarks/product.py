@@ -15,13 +15,13 @@ import numpy
 import bilprov
 from benchmarks.ceiling import Judged
 from benchmarks.commands import bilprov_words
+from bilprov.analyzer.cli.sniff import PATIENCE
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
-from bilprov.analyzer.taps.sources import GATHERED, MOST_AT_ONCE
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.topics import CAR_STATE
@@ -100,32 +100,18 @@ def decoded_records(path: Path) -> tuple[float, Judged]:
 @contextmanager
 def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
     """What `sniff -w` does with each chunk that was read; nothing is shown."""
-    decoder = StreamDecoder(protocol, skew=0)
+    decoder = StreamDecoder(protocol, skew=0, as_rows=True)
     statistics = Statistics()
     with Recorder(path, time.time_ns(), metadata(protocol)) as recorder:
         shown = Shown(NoOutput())
-        pipeline = Pipeline(decoder, statistics, shown, recorder)
+        pipeline = Pipeline(decoder, statistics, shown, recorder, patience=PATIENCE)
         pipeline.events([Line(0, "open")])
-        read: list[Chunk] = []
-        size = 0
 
         def take(chunk: Chunk) -> None:
-            nonlocal size
-            read.append(chunk)
-            size += len(chunk.data)
-            if size >= MOST_AT_ONCE or chunk.t - read[0].t >= GATHERED:
-                handle()
-
-        def handle() -> None:
-            nonlocal size
-            pipeline.events(read)
-            pipeline.advance(read[-1].t)
-            read.clear()
-            size = 0
+            pipeline.events([chunk])
+            pipeline.advance(chunk.t)
 
         yield take
-        if read:
-            handle()
         pipeline.finish()
 
 

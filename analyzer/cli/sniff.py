@@ -65,6 +65,7 @@ from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
+PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
@@ -214,11 +215,11 @@ def sniff(options: SniffOptions) -> int:
         if source.served:
             note(source.served)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
-        decoder = StreamDecoder(protocol, **decoding)
+        decoder = StreamDecoder(protocol, as_rows=quiet or style == "live", **decoding)
 
-        def listened(shown: Shown, tell: Callable[[str], object]) -> Lost:
+        def listened(shown: Shown, patience: int, tell: Callable[[str], object]) -> Lost:
             """Listen to the end, and finish the capture; `tell` is told at once what is lost."""
-            pipeline = Pipeline(decoder, statistics, shown, recorder, judge)
+            pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
             lost = _listen(source, pipeline, stopper, options.duration, tell, wait=wait)
             pipeline.events(source.rest())
@@ -230,7 +231,7 @@ def sniff(options: SniffOptions) -> int:
 
         queue, broken = None, None
         if quiet:
-            lost = listened(Shown(NoOutput(), test, options.shown.count), say)
+            lost = listened(Shown(NoOutput(), test, options.shown.count), PATIENCE, say)
         elif style == "live":
             from bilprov.analyzer.screen.browser import Told
             from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
@@ -240,7 +241,7 @@ def sniff(options: SniffOptions) -> int:
             def watched(feed: Feed[Lost]) -> Lost:
                 output = ScreenOutput(feed, statistics, recorder)
                 tell = partial(setattr, feed, "notice")
-                lost = listened(AllShown(output, test, options.shown.count), tell)
+                lost = listened(AllShown(output, test, options.shown.count), PATIENCE, tell)
                 feed.stays, feed.said = lost.unplugged, lost.sentence
                 return lost
 
@@ -266,7 +267,7 @@ def sniff(options: SniffOptions) -> int:
         else:
             queue = stack.enter_context(TextQueue(sys.stdout))
             output = opened_output(style, protocol, rows, source.start_wall, queue.write)
-            lost = listened(Shown(output, test, options.shown.count), say)
+            lost = listened(Shown(output, test, options.shown.count), 0, say)
     waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
     failure = recorder.failure if path and recorder else ""
     if path and recorder and not failure:

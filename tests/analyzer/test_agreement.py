@@ -32,6 +32,7 @@ from bilprov.analyzer.replay.capture_decoding import (
 )
 from bilprov.analyzer.screen.feeds import capture_feed
 from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.schemas import MS
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.export.test_export import csv_rows, flat, parquet_rows, written, written_by
 from tests.support import ROOT
@@ -55,10 +56,9 @@ def sniffed(capture: Capture, protocol: Protocol) -> str:
     text: list[str] = []
     decoder = StreamDecoder(protocol, **capture_settings(capture, protocol))
     shown = Shown(StreamOutput(text.append, JsonText()))
-    pipeline = Pipeline(decoder, Statistics(), shown)
-    events = list(capture.events())
-    for at in range(0, len(events), 5):
-        pipeline.events(events[at : at + 5])
+    pipeline = Pipeline(decoder, Statistics(), shown, patience=5 * MS)
+    for event in capture.events():
+        pipeline.events([event])
     pipeline.finish()
     return "".join(text)
 

@@ -31,6 +31,7 @@ def shown(
     protocol: Protocol,
     events: list[Event],
     batches: list[int],
+    patience: int = 0,
     *,
     expression: str | None = None,
     count: int | None = None,
@@ -45,6 +46,7 @@ def shown(
         StreamDecoder(protocol),
         statistics,
         Shown(output, test, count, window or Window()),
+        patience=patience,
     )
     at = turn = now = 0
     while at < len(events):
@@ -62,6 +64,7 @@ def shown(
 @given(
     ACTS,
     BATCHES,
+    st.sampled_from([0, 5 * MS, 1000 * MS]),
     st.sampled_from(FILTERS),
     st.sampled_from([None, 1, 7]),
     st.sampled_from([None, 20 * MS]),
@@ -70,6 +73,7 @@ def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
     protocol: Protocol,
     acts: list[Act],
     batches: list[int],
+    patience: int,
     expression: str | None,
     count: int | None,
     first: int | None,
@@ -81,8 +85,8 @@ def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
         "window": Window(first, None if first is None else 3 * first),
     }
 
-    text, counts = shown(protocol, events, batches, **more)
-    expected, one_by_one = shown(protocol, events, [1], **more)
+    text, counts = shown(protocol, events, batches, patience, **more)
+    expected, one_by_one = shown(protocol, events, [1], 0, **more)
     assert text == expected
     assert counts[:3] == one_by_one[:3]  # a rate counts frames when they are decoded
 

@@ -82,9 +82,9 @@ def recorded(
     events: list[Event],
     settings: dict[str, Any],
     rotation: Rotation | None,
-    at_once: int = 1,
+    patience: int = 0,
 ) -> None:
-    """Record events, so many at once, as sniff does."""
+    """Record events, each when it comes, as sniff does."""
     decoder = StreamDecoder(protocol, **settings)
     timeout = settings["timeout"]
     metadata = session_metadata(
@@ -97,10 +97,10 @@ def recorded(
         attached=settings["attached"],
     )
     with Recorder(path, START, metadata, rotation) as recorder:
-        pipeline = Pipeline(decoder, Statistics(), Shown(NoOutput()), recorder)
-        for at in range(0, len(events), at_once):
-            pipeline.events(events[at : at + at_once])
-            pipeline.tick(events[at].t)
+        pipeline = Pipeline(decoder, Statistics(), Shown(NoOutput()), recorder, None, patience)
+        for event in events:
+            pipeline.events([event])
+            pipeline.tick(event.t)
         pipeline.finish()
     assert recorder.failure == ""
     assert recorder.bytes == sum(len(event.data) for event in events if isinstance(event, Chunk))
@@ -125,16 +125,16 @@ def raw(path: Path) -> list[tuple[str, bytes]]:
     acts=ACTS,
     settings=SETTINGS,
     age=st.sampled_from([5 * MS, 60 * MS, 300 * MS]),
-    at_once=st.sampled_from([1, 6]),
+    patience=st.sampled_from([0, 30 * MS]),
 )
 def test_a_set_of_parts_is_what_one_file_would_have_been(
-    protocol: Protocol, acts: Any, settings: dict[str, Any], age: int, at_once: int
+    protocol: Protocol, acts: Any, settings: dict[str, Any], age: int, patience: int
 ) -> None:
     events = [event for event in played(protocol, acts) if event.t >= 0]
     with tempfile.TemporaryDirectory() as folder:
         one, several = Path(folder) / "one.mcap", Path(folder) / "several.mcap"
-        recorded(protocol, one, events, settings, None, at_once)
-        recorded(protocol, several, events, settings, Rotation(age=age), at_once)
+        recorded(protocol, one, events, settings, None, patience)
+        recorded(protocol, several, events, settings, Rotation(age=age), patience)
         parts = part_paths(several)
         whole, together = open_capture(one), open_capture(several)
         assert list(together) == list(whole) == events

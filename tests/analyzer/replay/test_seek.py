@@ -49,6 +49,7 @@ def made(
             Shown(NoOutput()),
             recorder,
             PassiveJudge(protocol, paired=True, attached=attached) if judged else None,
+            patience=draw.choice([0, 50 * MS]),
         )
         t = 0
         while t < 6_000 * MS:
