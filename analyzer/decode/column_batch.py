@@ -25,7 +25,7 @@ from bilprov.analyzer.decode.batch import (
     repeated,
     sliced,
 )
-from bilprov.analyzer.decode.decoder import paired_record
+from bilprov.analyzer.decode.decoder import paired_record, unpaired_record
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.schemas import Line
@@ -44,13 +44,15 @@ from bilprov.spec.steps import Steps
 class Decoding:
     """What decoding into columns rests on: the protocol, its tables, and the session's settings.
 
-    `skew` and `late` (the answer's deadline) are in ns.
+    `paired` is true if both directions are heard; `skew` and `late` (the answer's deadline) are in
+    ns.
     """
 
     protocol: Protocol
     requests: RequestTables
     answers: AnswerTables
     steps: Steps
+    paired: bool
     skew: int
     late: int
 
@@ -62,7 +64,8 @@ class ColumnBatch(Batch):
     `data` are the host's bytes and `heard` the device's. The `requests` are the new frames, which
     came from `start` to `end` (ns); the first has the number `first`. Answer j of `answers`, whose
     first byte came at `t` (ns), is to the frame of row j of `asked`, which has the number
-    `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. `before` is
+    `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. Where
+    nothing is paired, the row is of no frame: it has no verdict, and its number is -1. `before` is
     the state before the new frames. Before each of the `lines` come `line_after` new frames and
     `line_heard` answers.
     """
@@ -117,7 +120,12 @@ class ColumnBatch(Batch):
         """The device's rows."""
         count, alone, tables = len(self.t), self._alone, self.decoding
         plain, verdict = tables.protocol.plain, self.asked.verdict
-        agrees = tables.answers.agree(self.asked, self.answers)
+        if tables.paired:
+            right = tables.answers.agree(self.asked, self.answers)
+            agrees, header = right.view(np.int8), tables.requests.keys.take(self.asked.kind)
+        else:  # no code is expected, but one that is used
+            right = tables.answers.known.take(self.answers.code)
+            agrees, header = -right.view(np.int8), np.zeros(count, np.uint8)
         latency = self.t - self.asked_end
         late = latency > tables.late
 
@@ -132,11 +140,11 @@ class ColumnBatch(Batch):
             t=self.t,
             byte=self.answers.code if plain else tables.answers.bytes.take(self.answers.code),
             sequence=self.sequence,
-            header=tables.requests.keys.take(self.asked.kind),
+            header=header,
             verdict=verdict,
             latency=latency,
-            agrees=agrees.view(np.int8),
-            odd=~agrees | late | (latency < 0),
+            agrees=agrees,
+            odd=~right | late | (latency < 0),
             states=StateColumns(
                 type(self.before.state), count, partial(alone._device_states, self.hosts.states)
             ),
@@ -221,6 +229,11 @@ class ColumnBatch(Batch):
         """The records of some of the device's rows, in these states."""
         tables, hosts, end = self.decoding, self.devices, self.asked_end[rows]
         code = self.answers.code[rows]
+        if not tables.paired:
+            return [
+                unpaired_record(tables.protocol, Held(t, byte), anomalies.ALONE, state)
+                for t, byte, state in zip(objects(self.t[rows]), code.tolist(), states, strict=True)
+            ]
         judged = self._asked_judgements(rows)
         made = list(
             map(

@@ -18,6 +18,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from bilprov.analyzer.decode.batch import NO_VERDICT
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.column_batch import ColumnBatch, Decoding
 from bilprov.analyzer.decode.decoder import TURNS
@@ -142,7 +143,7 @@ class ColumnDecoder:
         self._held = min(skew, QUIET) if protocol.plain else max(timeout, skew)
         self._longest = round(protocol.timing.answer_longest * MS)
         late = round(protocol.timing.answer_deadline * MS)
-        self._decoding = Decoding(protocol, requests, answers, Steps(protocol), skew, late)
+        self._decoding = Decoding(protocol, requests, answers, Steps(protocol), paired, skew, late)
         self._plain = protocol.plain
 
     def carry(self, state: DecoderState, begun: Sequence[Chunk]) -> Carry | None:
@@ -260,17 +261,24 @@ class ColumnDecoder:
             asked_come = np.append(np.full(len(before.end), -1), asked_come)
             sequence = np.append(before.sequence, sequence)
 
+        if not self._paired and self._plain:  # each answer is to no request that is known
+            each, many = len(device.data), np.diff(device.upto, prepend=0)
+            none = np.broadcast_to(np.int64(0), each)
+            asked = Requests(none, none, none, np.broadcast_to(np.uint8(NO_VERDICT), each))
+            asked_end, asked_come = np.repeat(device.t, many), np.repeat(device.event, many)
+            sequence = none - 1
+
         # Answers: answer j is to request j of those.
         given = self._answers.cut(host.data, asked, device.data, device.upto)
         answers, pairs = given.answers, slice(len(given.answers.code))
         if not given.regular:
             cut = min(cut, device.event_of(given.end))
-        if not self._paired and len(device.data):
+        if not self._paired and not self._plain and len(device.data):
             cut = min(cut, device.event_of(0))
 
         # What there is after 0, 1, 2 ... events; what falls due before the next event ends it.
         frames = _counted(come, len(events))
-        every = len(asked_come) == len(before.end) + len(come)
+        every = self._paired and len(asked_come) == len(before.end) + len(come)
         asked_by = frames + len(before.end) if every else _counted(asked_come, len(events))
         said, told = host.after(len(events)), device.after(len(events))
         taken = np.append(before.begun, ends).take(frames)

@@ -462,8 +462,7 @@ class Decoder:
         self._unpaired(held, anomalies.unsolicited_because(self._sequence, near_loss), out)
 
     def _unpaired(self, held: Held, why: anomalies.Cause, out: list[Record]) -> None:
-        checked = anomalies.of_unpaired(self._protocol, held, why)
-        out.append(_record(self._protocol, held, None, checked, self._state))
+        out.append(unpaired_record(self._protocol, held, why, self._state))
 
 
 def paired_record(
@@ -472,6 +471,14 @@ def paired_record(
     """The record of an answer to the instruction that waits for it; `skew` is as in Session."""
     checked = anomalies.of_answer(protocol, held, waiting, skew)
     return _record(protocol, held, waiting, checked, state)
+
+
+def unpaired_record(
+    protocol: Protocol, held: Held, why: anomalies.Cause, state: State
+) -> DeviceRecord:
+    """The record of an answer to no instruction that is known, for this cause."""
+    checked = anomalies.of_unpaired(protocol, held, why)
+    return _record(protocol, held, None, checked, state)
 
 
 def _record(

@@ -114,7 +114,7 @@ class AnswerTables:
         self._expected = np.array(
             [max(0, protocol.answers[outcome].code) for outcome in OUTCOMES], np.uint8
         )
-        self._known = np.array([one is not None for one in known], np.bool_)
+        self.known = np.array([one is not None for one in known], np.bool_)
         # Codes with which the answer may lack its data.
         self._fails = np.array(
             [one is not None and Outcome.VALID not in one.outcomes for one in known], np.bool_
@@ -238,7 +238,7 @@ class AnswerTables:
             if part is not None:
                 code = part_values(part, *where)
                 answers.code[rows] = code
-                right &= self._known.take(code)
+                right &= self.known.take(code)
             good[rows] = right
         for kind, (layout, spec) in enumerate(self._ways):
             rows = np.flatnonzero(good & (requests.kind == kind))
