@@ -113,7 +113,8 @@ def test_the_host_alone_is_heard_and_what_was_asked_for_is_shown(
         code, out, _ = one.command.result()
 
     assert code == 0
-    assert [(line["hex"], line["faults"]) for line in json_lines(out)] == [(h, []) for h in shown]
+    heard = [line for line in json_lines(out) if line["hex"]]  # a busy machine may report a wait
+    assert [(line["hex"], line["faults"]) for line in heard] == [(h, []) for h in shown]
 
 
 def test_when_the_last_tap_is_unplugged_it_ends_and_what_was_captured_is_kept(path: Path) -> None:
