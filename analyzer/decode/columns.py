@@ -25,7 +25,7 @@ from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.pairing import MOST
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.spec.arrays.answers import AnswerTables
+from bilprov.spec.arrays.answers import answer_tables
 from bilprov.spec.arrays.layouts import Mask, Places, Requests
 from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.arrays.states import Known
@@ -136,7 +136,7 @@ class ColumnDecoder:
 
     def __init__(self, protocol: Protocol, *, timeout: int, skew: int, paired: bool) -> None:
         requests = self._requests = request_tables(protocol)
-        answers = self._answers = AnswerTables(protocol, requests)
+        answers = self._answers = answer_tables(protocol)
         self._paired = paired
         self._timeout = timeout
         # How long an answer without its request, or one that is not complete, is held at least.

@@ -36,10 +36,10 @@ _SHORTEST = 64  # events tried at once after an irregular one
 
 def preload(protocol: Protocol) -> None:
     """Make now what decoding needs, and not in the first busy moment of a line."""
-    from bilprov.spec.arrays.requests import request_tables
+    from bilprov.spec.arrays.answers import answer_tables
 
-    with suppress(OverflowError):  # its state fits into no column
-        request_tables(protocol)
+    with suppress(OverflowError):  # it does not fit into columns
+        answer_tables(protocol)
 
 
 class StreamDecoder:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from bilprov.spec.arrays.layouts import (
     require_arrays,
     require_narrow,
 )
-from bilprov.spec.arrays.requests import RequestTables
+from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.codec import judge
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
@@ -78,9 +79,9 @@ class CutAnswers(NamedTuple):
 class AnswerTables:
     """Cuts answers and reads them. Raises OverflowError for what does not fit into 64 bits."""
 
-    def __init__(self, protocol: Protocol, tables: RequestTables) -> None:
+    def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        self._tables = tables
+        tables = self._tables = request_tables(protocol)
         usual = (usual_way(protocol, spec) for spec in protocol.instructions)
         self._ways = [(way.layout, way.data or DataSpec()) for way in usual]
         asked = [tables.numbers_of(spec) for spec in protocol.instructions]
@@ -294,3 +295,9 @@ def _by_request(spec: DataSpec, names: Iterable[str]) -> bool:
         require_arrays(replace(spec, fields=spec.fields[-1:]), names)
         return True
     return False
+
+
+@lru_cache(maxsize=8)
+def answer_tables(protocol: Protocol) -> AnswerTables:
+    """The tables of a protocol, made when they are first asked for. Raises OverflowError."""
+    return AnswerTables(protocol)
