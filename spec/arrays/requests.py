@@ -67,10 +67,11 @@ class RequestTables:
             _require_numbers(spec.data)
             require_arrays(spec.data)
         self._ids = np.array([spec.id for spec in self.specs], np.int64)
-        every = np.arange(256)
+        every = np.arange(256)  # each byte, for an ID of one
         self._by_byte = self._kinds_of(
             part_values(identity, every.astype(np.uint8), every - identity.offset, every)
         )
+        # The sizes of frames by kind, and the kinds whose size differs.
         sizes = [fixed_size(layout, spec.data) for spec in self.specs]
         self._varied = [place for place, size in enumerate(sizes) if not size]
         self._fixed = np.array([*sizes, 0], np.int64)  # the last is that of unused IDs, -1
