@@ -156,6 +156,7 @@ def test_frames_of_two_data_bytes_are_counted_out_of_all_there_are(two_bytes: Pr
     assert counts[BAD][1] == 65536 - len(in_two) + len(frames) - len(good)
 
 
+@pytest.mark.slow
 def test_a_sequence_that_was_not_run_covers_nothing(protocol: Protocol) -> None:
     options = Options(only=("combined/waited/*", "valid/Stop"), fail_fast=True)
     report = conform(Simulator(protocol, fault_bank(protocol)["always-1"]), options=options)

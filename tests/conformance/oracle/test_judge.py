@@ -790,6 +790,7 @@ def test_a_probe_that_does_not_know_whether_it_moves_vouches_for_nothing(
     assert {r.verdict for r in mine if not r.id.startswith(OPENING)} == {INCONCLUSIVE}
 
 
+@pytest.mark.slow
 def test_a_device_without_look_is_judged_by_its_answers_alone(protocol: Protocol) -> None:
     class Blind:
         def __init__(self) -> None:

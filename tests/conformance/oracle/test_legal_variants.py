@@ -276,6 +276,7 @@ def test_a_point_that_one_id_alone_can_show_is_not_mixed_by_id(protocol: Protoco
     assert "mixture:R-rotate-steering=reset:by-id" in names
 
 
+@pytest.mark.slow
 def test_every_choice_that_is_no_measured_time_is_mixed(protocol: Protocol) -> None:
     mixed = {name.split(":")[1] for name in mixtures(protocol)}
 
