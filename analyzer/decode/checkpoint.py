@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from typing import Any
 
 import msgspec
@@ -37,9 +38,14 @@ class WaitingFrames(msgspec.Struct, frozen=True, omit_defaults=True):
 
     def split(self, protocol: Protocol) -> Iterator[bytes]:
         """Yield the frames one by one."""
+        layout = protocol.layout
+        size_of: Callable[[bytes], int | None] = partial(frame_size, protocol)
+        known_by = len(self.frames)
+        if layout.part("length") is not None:  # thousands may wait, and few heads differ
+            size_of, known_by = cache(size_of), layout.head
         at = 0
         while at < len(self.frames):
-            size = frame_size(protocol, self.frames[at:])
+            size = size_of(self.frames[at : at + known_by])
             end = at + size if size and size > 0 else len(self.frames)
             yield self.frames[at:end]
             at = end
