@@ -36,19 +36,23 @@ class WaitingFrames(msgspec.Struct, frozen=True, omit_defaults=True):
     frames: bytes
     first: int | None = None
 
-    def split(self, protocol: Protocol) -> Iterator[bytes]:
-        """Yield the frames one by one."""
-        layout = protocol.layout
-        size_of: Callable[[bytes], int | None] = partial(frame_size, protocol)
-        known_by = len(self.frames)
-        if layout.part("length") is not None:  # thousands may wait, and few heads differ
-            size_of, known_by = cache(size_of), layout.head
+    def split(self, size_of: Callable[[bytes, int], int | None]) -> Iterator[bytes]:
+        """Yield the frames one by one; `size_of` gives the size of the one that begins there."""
         at = 0
         while at < len(self.frames):
-            size = size_of(self.frames[at : at + known_by])
+            size = size_of(self.frames, at)
             end = at + size if size and size > 0 else len(self.frames)
             yield self.frames[at:end]
             at = end
+
+
+def _sizes(protocol: Protocol) -> Callable[[bytes, int], int | None]:
+    """What gives the size of the frame that begins at a place of some bytes."""
+    if protocol.layout.part("length") is None:
+        return lambda frames, at: frame_size(protocol, frames[at:])
+    head = protocol.layout.head  # it has the length; thousands may wait, and few heads differ
+    by_head = cache(partial(frame_size, protocol))
+    return lambda frames, at: by_head(frames[at : at + head])
 
 
 class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,7 +89,8 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     def instructions(self, protocol: Protocol) -> Iterator[tuple[int, WaitingFrames, bytes]]:
         """Yield the number of each instruction that waits, its group, and its bytes."""
-        groups = [(group, list(group.split(protocol))) for group in self.waiting]
+        size_of = _sizes(protocol)
+        groups = [(group, list(group.split(size_of))) for group in self.waiting]
         number = self.sequence - sum(len(frames) for _, frames in groups)
         for group, frames in groups:
             first = number if group.first is None else group.first

@@ -165,6 +165,10 @@ class Session:
         if (state.timeout, state.skew, state.heard) != self._settings:
             raise ValueError("the state was saved with other settings")
         state.require_sense(self._protocol)
+        self.go_on(state)
+
+    def go_on(self, state: DecoderState) -> None:
+        """Go on from a state of this very traffic, which needs no check."""
         self._resync = None
         self._time = state.time
         self._unsynced_since, self._spoken = state.unsynced_since, state.spoken

@@ -183,7 +183,7 @@ class StreamDecoder:
     def _leave_columns(self) -> Session:
         """Hand over to the Session, if it is not in charge, and return it."""
         if self._carry is not None and self._regular is not None:
-            self._session.resume(self._regular.state(self._carry))
+            self._session.go_on(self._regular.state(self._carry))
             self._session.hold(self._regular.begun(self._carry))
             self._carry = None
         return self._session
