@@ -25,7 +25,7 @@ class Completion(NamedTuple):
 # What was begun and can be gone on with: text in quotes, a word, a number, a sign.
 _BEGUN = re.compile(
     r"""(?P<quoted> (?P<quote>['"]) (?P<inside>[^'"]*))
-      | (?P<word> (?<![\w.]) [^\W\d][\w.]*)
+      | (?P<word> (?: (?<![\w.]) | (?<=\.\.) ) [^\W\d][\w.]*)
       | (?P<number> (?: (?<![\w.]) | (?<=\.\.) ) [-+]? (?: \d+(?:\.\d+)? | \.\d+)
                     (?P<unit> [umµμs]*))
       | (?P<sign> [=!|&])

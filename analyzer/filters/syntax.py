@@ -155,7 +155,8 @@ class Place(NamedTuple):
 
     Where an operand is `wanted`, it is the first of a condition, or stands behind `left` and
     `sign`. Otherwise `left` is complete: a sign may follow (unless it is `compared`), or what joins
-    conditions. Inside a set (`listed`) a comma or its end may. `open` is the bracket to be closed.
+    conditions. Inside a set (`listed`) a comma or its end may; the other end of a range is one of
+    its values too, never a set. `open` is the bracket to be closed.
     """
 
     wanted: bool
@@ -304,7 +305,7 @@ class _Parser:
         """The range that begins with `low`, if `..` follows, or else `low` itself."""
         if self._taken("..") is None:
             return low
-        self._reach(True, left, sign)
+        self._reach(True, left, sign, listed=True)
         return _around("range", [low, self._primary(sign, left)])
 
     def _elements(self, opening: Part, sign: str, left: Part | None, parts: list[Part]) -> Part:

@@ -45,6 +45,8 @@ def offered(text: str, protocol: Protocol) -> list[str]:
         ("speed > ", []),
         ("name in ", ["name in {"]),
         ("name in {sp", ["name in {Speed"]),
+        ("rgb in 1..", []),
+        ("id in 1..ro", ["id in 1..RotateRight", "id in 1..RotateLeft"]),
         ("name in {Speed, ro", ["name in {Speed, RotateRight", "name in {Speed, RotateLeft"]),
         ("name in {Speed ", ["name in {Speed ,", "name in {Speed }"]),
         ("speed > 3 ", ["speed > 3 and", "speed > 3 or"]),
