@@ -30,10 +30,9 @@ _MODULES = {
 _MOST = 1 << 20  # bytes of a grammar file
 
 
-def dissector_program(protocol: Protocol) -> str:
-    """The program of the Wireshark dissector: that of the car's family, or of all others."""
-    name = "dissector.lua" if protocol.plain else "framed.lua"
-    return Path(bilprov.spec.__path__[0], "emit", name).read_text(encoding="utf-8")
+def dissector_program() -> str:
+    """The program of the Wireshark dissector, for any grammar."""
+    return Path(bilprov.spec.__path__[0], "emit", "dissector.lua").read_text(encoding="utf-8")
 
 
 Grammar: TypeAlias = str | PathLike[str] | Protocol

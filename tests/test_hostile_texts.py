@@ -242,7 +242,7 @@ def test_a_grammars_texts_stay_in_the_comments_of_c(
 
 
 def test_a_grammars_texts_stay_in_the_strings_of_lua(grammars: tuple[Protocol, Protocol]) -> None:
-    evil, tame = (lua_tokens(lua_dissector(one, 16, dissector_program(one))) for one in grammars)
+    evil, tame = (lua_tokens(lua_dissector(one, 16, dissector_program())) for one in grammars)
 
     assert evil == tame
 

@@ -176,7 +176,7 @@ def wireshark(options: EmitOption) -> None:
     from bilprov.spec.emit.wireshark import lua_dissector
 
     protocol = protocol_in_use()
-    options.write(lua_dissector(protocol, SKEW / MS, dissector_program(protocol)))
+    options.write(lua_dissector(protocol, SKEW / MS, dissector_program()))
 
 
 @command(GrammarOptions)

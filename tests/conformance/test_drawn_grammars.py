@@ -152,7 +152,7 @@ def test_a_drawn_grammar_is_explained_encoded_and_emitted(seeds: range) -> None:
         use(protocol, range(0, 256, 5))
         assert protocol.name in c_header(protocol)
         assert python_stub(protocol)
-        assert lua_dissector(protocol, 1.0, dissector_program(protocol))
+        assert lua_dissector(protocol, 1.0, dissector_program())
         for spec in protocol.instructions:
             for data in list(all_data(spec))[:3]:
                 frame = build(protocol, spec.name, spec.decode(data))

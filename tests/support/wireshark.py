@@ -139,9 +139,7 @@ class Tshark:
         self._folder = folder
         self.word = snake_case(protocol.name, "x_")
         self._script = folder / "dissector.lua"
-        self._script.write_text(
-            lua_dissector(protocol, 20, dissector_program(protocol)), encoding="utf-8"
-        )
+        self._script.write_text(lua_dissector(protocol, 20, dissector_program()), encoding="utf-8")
 
     def __call__(self, data: bytes, *options: str) -> str:
         """What it prints about a pcapng file, in two passes."""
