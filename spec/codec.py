@@ -130,106 +130,68 @@ def field_words(spec: FieldSpec, value: Value) -> str:
 
 
 def judge(protocol: Protocol, frame: bytes) -> Judgement:
-    """Judge one frame: a header with as many data bytes as it announces, or fewer (truncated).
+    """Judge one frame, whole or cut short (truncated).
 
-    The header is judged first, then the length, then the data (R-unused-length,
-    R-competing-errors). Raises ValueError for no bytes or for more than the header announces.
+    What stands around the data is judged first, as a device reads it: constants, the check, then
+    whom it is for; then the ID, the length and the data (R-unused-length, R-competing-errors).
+    Raises ValueError for no bytes, or for more than the one header byte of a car announces.
     """
     if not frame:
         raise ValueError("an empty frame cannot be judged; it needs at least a header byte")
-    if not protocol.plain:
-        return judge_framed(protocol, frame)
-    identity, length = protocol.headers[frame[0]]
-    arrived = len(frame) - 1
-    if arrived > length:
-        raise ValueError(
-            f"frame {spaced(frame)} has {data_bytes(arrived)}, its header says {length}"
-        )
-    instruction = protocol.by_id.get(identity)
-    fields: tuple[tuple[str, int], ...] = ()
-    clause, reading = protocol.clauses.instructions, ""
-    if instruction is None:
-        outcome = Outcome.UNKNOWN_ID
-        used = ", ".join(str(i) for i in protocol.by_id)
-        reason = f"no instruction has ID {identity}, used are {used}"
-        reading = "R-truncated-unused" if arrived < length else "R-unused-length" if length else ""
-    elif arrived < length:
-        outcome = Outcome.TOO_FEW
-        reason = f"{instruction.name}: {data_bytes(length)} announced, {arrived} came"
-        clause = protocol.clauses.responses
-        reading = "R-truncated-long" if length > instruction.length else "R-truncated-known"
-    elif length != instruction.length:
-        outcome = Outcome.TOO_MANY if length > instruction.length else Outcome.TOO_FEW
-        reason = (
-            f"{instruction.name} takes {data_bytes(instruction.length)}, the header says {length}"
-        )
-        clause = protocol.clauses.responses
-        reading = "R-known-length"
-    else:
-        fields = tuple(instruction.decode(frame[1:]).items())
-        outcome, reason = Outcome.VALID, ""
-        for part, (_, value) in zip(instruction.fields, fields, strict=True):
-            if outcome is Outcome.VALID and not part.low <= value <= part.high:
-                outcome, reading = Outcome.BAD_DATA, part.reading
-                reason = (
-                    f"{instruction.name}.{part.name} is {value}, allowed are {part.low} to "
-                    f"{part.high} (frame {spaced(frame)}, byte {1 + part.offset})"
-                )
-    return Judgement(
-        frame=frame,
-        id=identity,
-        length=length,
-        instruction=instruction,
-        fields=fields,
-        outcome=outcome,
-        response=protocol.answers[outcome],
-        reason=reason,
-        clause=clause,
-        reading=reading,
-        truncated=arrived < length,
-        key=protocol.key_of(identity),
-        registers=_registers(protocol, instruction, frame[1:], fields),
-    )
-
-
-def judge_framed(protocol: Protocol, frame: bytes) -> Judgement:
-    """Judge one frame, whole or cut short, of a protocol whose header is not one byte.
-
-    What stands around the data is judged first, as a device reads it: constants, the check, then
-    whom it is for; then the ID, the length and the data.
-    """
     layout = protocol.layout
     begun = len(frame) >= layout.head
     identity = layout.value("id", frame) if begun else None
     spec = protocol.by_id.get(identity) if identity is not None else None
     size = layout.size(frame, spec.data if spec else None) or 0
-    whole = begun and len(frame) >= layout.head + layout.tail and (size <= len(frame) or not spec)
+    if protocol.plain and len(frame) > size:
+        raise ValueError(
+            f"frame {spaced(frame)} has {data_bytes(len(frame) - 1)}, its header says {size - 1}"
+        )
+    whole = begun and max(size, layout.head + layout.tail) <= len(frame)
     data = layout.data_of(frame) if whole else frame[layout.head :]
-    found = _fault(protocol, frame, spec, data) if whole else _cut_short(spec, frame, size)
-    outcome, reason, code = found
+    told = size > 0 and (spec or layout.part("length"))
+    length = max(0, size - layout.head - layout.tail) if told else len(data)
+    judged = _fault if whole else _cut_short
+    outcome, reason, wrong = judged(protocol, frame, spec, data, length)
     fields: tuple[tuple[str, Any], ...] = ()
     if whole and spec and outcome in (Outcome.VALID, Outcome.BAD_DATA):
         fields = tuple(spec.decode(data).items())
     address = layout.value("address", frame) if begun else None
-    valid = outcome is Outcome.VALID
     heard = whole or layout.check is None  # what is cut short has no right check
-    return Judgement(
+    code = wrong.code if wrong else ""
+    about_data = outcome in (Outcome.VALID, Outcome.UNKNOWN_ID, Outcome.BAD_DATA)
+    found = Judgement(
         frame=frame,
         id=identity if identity is not None else -1,
-        length=max(0, size - layout.head - layout.tail) if spec and size > 0 else len(data),
+        length=length,
         instruction=spec,
         fields=fields,
         outcome=outcome,
         response=_response(protocol, outcome, spec, address, code) if heard else NO_ANSWER,
         reason=reason,
-        clause=protocol.clauses.instructions if valid else protocol.clauses.responses,
+        clause=protocol.clauses.instructions if about_data else protocol.clauses.responses,
+        reading=wrong.reading if wrong else "",
         truncated=not whole,
         address=address,
         head=layout.head,
         key=protocol.key_of(identity),
-        framed=True,
+        framed=not protocol.plain,
         registers=_registers(protocol, spec, data, fields),
     )
+    return (
+        found if found.framed or wrong else msgspec.structs.replace(found, reading=_reading(found))
+    )
+
+
+def _reading(judged: Judgement) -> str:
+    """The reading of the car's document on which a judgement about ID and length rests."""
+    spec, length = judged.instruction, judged.length
+    if spec is None:
+        unused = "R-unused-length" if length else ""
+        return "R-truncated-unused" if judged.truncated else unused
+    if judged.truncated:
+        return "R-truncated-long" if length > spec.length else "R-truncated-known"
+    return "" if judged.valid else "R-known-length"
 
 
 def _registers(
@@ -284,11 +246,23 @@ def with_registers(
     return (*fields, *((one.name, value) for one, value in registers)) if registers else fields
 
 
-def _cut_short(spec: InstructionSpec | None, frame: bytes, size: int) -> tuple[Outcome, str, str]:
+def _cut_short(
+    protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes, length: int
+) -> tuple[Outcome, str, FieldSpec | None]:
     """The fault of a frame that is not complete."""
-    of = f" of {_plural(size)}" if size > 0 else ""
-    name = f"{spec.name}: " if spec else ""
-    return Outcome.TOO_FEW, f"{name}{_plural(len(frame))}{of} came", ""
+    layout, name = protocol.layout, f"{spec.name}: " if spec else ""
+    if spec is None and len(frame) >= layout.head and not layout.check:
+        return Outcome.UNKNOWN_ID, _unused(protocol, frame), None
+    if layout.part("length") and not layout.tail and len(frame) >= layout.head:
+        return Outcome.TOO_FEW, f"{name}{data_bytes(length)} announced, {len(data)} came", None
+    size = layout.head + length + layout.tail
+    of = f" of {_plural(size)}" if spec and size > len(frame) else ""
+    return Outcome.TOO_FEW, f"{name}{_plural(len(frame))}{of} came", None
+
+
+def _unused(protocol: Protocol, frame: bytes) -> str:
+    used = ", ".join(map(str, protocol.by_id))
+    return f"no instruction has ID {protocol.layout.value('id', frame)}, used are {used}"
 
 
 def _plural(count: int) -> str:
@@ -296,42 +270,39 @@ def _plural(count: int) -> str:
 
 
 def _fault(
-    protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes
-) -> tuple[Outcome, str, str]:
-    """The outcome of a whole frame, why, and the name of the answer that a field asks for."""
+    protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes, length: int
+) -> tuple[Outcome, str, FieldSpec | None]:
+    """The outcome of a whole frame, why, and the field whose value is wrong."""
     layout = protocol.layout
     wrong = layout.wrong_constant(frame)
     if wrong:
-        return Outcome.BAD_SYNC, wrong, ""
+        return Outcome.BAD_SYNC, wrong, None
     wrong = layout.check.wrong(frame) if layout.check else ""
     if wrong:
-        return Outcome.BAD_CHECKSUM, wrong, ""
+        return Outcome.BAD_CHECKSUM, wrong, None
     to = layout.part("address")
     if to and not to.reaches(to.read(frame)):
         reason = f"{to.name} is {to.read(frame)}, allowed are {to.allowed}: it is for no device"
-        return Outcome.OTHER_ADDRESS, reason, ""
+        return Outcome.OTHER_ADDRESS, reason, None
     if spec is None:
-        used = ", ".join(map(str, protocol.by_id))
-        return (
-            Outcome.UNKNOWN_ID,
-            f"no instruction has ID {layout.value('id', frame)}, used are {used}",
-            "",
-        )
+        return Outcome.UNKNOWN_ID, _unused(protocol, frame), None
     needed = spec.data.measure(data)
+    came = f"the header says {length}" if protocol.plain else f"{len(data)} came"
     if needed is None or len(data) < needed:
-        reason = f"{spec.name} takes {data_bytes(needed or spec.length)}, {len(data)} came"
-        return Outcome.TOO_FEW, reason, ""
+        reason = f"{spec.name} takes {data_bytes(needed or spec.length)}, {came}"
+        return Outcome.TOO_FEW, reason, None
     if len(data) > needed and not spec.data.takes_rest:
-        return Outcome.TOO_MANY, f"{spec.name} takes {data_bytes(needed)}, {len(data)} came", ""
-    part_wrong = spec.data.wrong(data)
-    if part_wrong is None:
-        return Outcome.VALID, "", ""
-    value = part_wrong.parse(spec.data.raw(part_wrong, data))
+        return Outcome.TOO_MANY, f"{spec.name} takes {data_bytes(needed)}, {came}", None
+    part = spec.data.wrong(data)
+    if part is None:
+        return Outcome.VALID, "", None
+    value = part.parse(spec.data.raw(part, data))
+    at = f" (frame {spaced(frame)}, byte {1 + part.offset})" if protocol.plain else ""
     reason = (
-        f"{spec.name}.{part_wrong.name or 'constant'} is {shown_value(part_wrong, value)}, "
-        f"allowed are {part_wrong.allowed}"
+        f"{spec.name}.{part.name or 'constant'} is {shown_value(part, value)}, "
+        f"allowed are {part.allowed}{at}"
     )
-    return Outcome.BAD_DATA, reason, part_wrong.code
+    return Outcome.BAD_DATA, reason, part
 
 
 def _response(

@@ -15,7 +15,7 @@ from bilprov.spec.framing import Framer
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import READINGS, Erratum, Reading
-from bilprov.spec.replies import Reply, Way, covered, read_reply, reply_size, way_of_reply
+from bilprov.spec.replies import Reply, Way, covered, read_reply, reply_size
 from bilprov.spec.state import Effect, assigned, value_words
 
 
@@ -135,9 +135,6 @@ def explain_responses(
 
     `asked` are the requests that they answer. Without them, what only these tell is left open.
     """
-    if protocol.plain:
-        responses = [_response(protocol, offset, byte) for offset, byte in enumerate(data)]
-        return Explanation(data, responses=tuple(responses))
     responses, offset = [], 0
     for one in chain(asked, repeat(None)):
         held = data[offset:]
@@ -153,31 +150,22 @@ def explain_responses(
 def explain_reply(
     protocol: Protocol, frame: bytes, asked: Judgement | None, offset: int = 0
 ) -> ResponseExplanation:
-    """Explain one answer of a layout of its own, to a request; None if that is not known."""
+    """Explain one answer to a request; None if that is not known."""
     reply = read_reply(protocol, frame, asked, alone=asked is None)
-    way = way_of_reply(protocol, frame, asked, alone=asked is None)
-    known = reply.response
+    known, words = reply.response, reply.describe()
     meaning = reply.reason or (known.prose if known else "")
-    if way:
-        groups = tuple(_reply_groups(protocol, reply, way, asked))
+    if not (known or reply.reason):
+        words, meaning = "unused", "unused: a device that sends one does not conform"
+    elif known and known.outcome is not Outcome.VALID and protocol.stops(protocol.on_fault):
+        meaning += f"; the {protocol.device} stops ({protocol.clauses.safety})"
+    if reply.way:
+        groups = tuple(_reply_groups(protocol, reply, reply.way, asked))
     else:
         groups = tuple(_byte_group(frame, at, "data", "no answer") for at in range(len(frame)))
-    words, clause = reply.describe(), protocol.clauses.responses
-    return ResponseExplanation(offset, frame, groups, words, known, meaning, clause, reply)
-
-
-def _response(protocol: Protocol, offset: int, byte: int) -> ResponseExplanation:
-    response = protocol.codes.get(byte)
-    if response is None:
-        meaning = "unused: a device that sends one does not conform"
-    else:
-        meaning = response.prose
-        if response.outcome is not Outcome.VALID and protocol.stops(protocol.on_fault):
-            meaning += f"; the {protocol.device} stops ({protocol.clauses.safety})"
-    name = response.name if response else "unused"
-    group = _byte_group(bytes([byte]), 0, "code", name, response is None)
-    frame, clause = bytes([byte]), protocol.clauses.responses
-    return ResponseExplanation(offset, frame, (group,), name, response, meaning, clause)
+    own = None if protocol.plain else reply
+    return ResponseExplanation(
+        offset, frame, groups, words, known, meaning, protocol.clauses.responses, own
+    )
 
 
 def _frame(

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import msgspec
-from msgspec.structs import replace
 
 from bilprov.spec.codec import (
     Judgement,
@@ -32,15 +31,21 @@ GIVES_UP = 5
 """The part of an answer's deadline after which a host that sends another request has given up."""
 
 
+class Way(NamedTuple):
+    """One way in which an answer can be laid out; `data` is None where only the request tells."""
+
+    layout: Layout
+    data: DataSpec | None
+
+
 class Reply(msgspec.Struct, frozen=True, gc=False):
     """One answer of a device.
 
     `response` is what its code means, None for an unused code; of several flags the first that
-    stands for an outcome. `names` are those of all. `fields` are its data, `address` is whose it
-    is. `reason` tells why the answer is damaged, "" for one that is not. Around the data stand
-    `head` bytes and `tail` bytes. With `open_end` nothing but silence tells where it ends.
-    `registers` are the named registers that it tells, as in a Judgement, and `specs` those of its
-    fields.
+    stands for an outcome. `names` are those of all. `way` is how it is laid out, None for bytes
+    that are no answer. `fields` are its data, `address` is whose it is. `reason` tells why the
+    answer is damaged, "" for one that is not. With `open_end` nothing but silence tells where it
+    ends. `registers` are the named registers that it tells, as in a Judgement.
     """
 
     framed: ClassVar[bool] = True
@@ -48,14 +53,22 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     frame: bytes
     response: ResponseSpec | None
     names: tuple[str, ...]
+    way: Way | None
     fields: tuple[tuple[str, Any], ...] = ()
     address: int | None = None
     reason: str = ""
-    head: int = 0
-    tail: int = 0
     open_end: bool = False
     registers: Registers = ()
-    specs: tuple[FieldSpec, ...] = ()
+
+    @property
+    def head(self) -> int:
+        """The bytes before its data."""
+        return self.way.layout.head if self.way else 0
+
+    @property
+    def tail(self) -> int:
+        """The bytes behind its data."""
+        return self.way.layout.tail if self.way else 0
 
     @property
     def told(self) -> tuple[tuple[str, Any], ...]:
@@ -68,10 +81,9 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         known = " ".join(self.names) or (self.response.name if self.response else "unreadable")
         more = len(self.frame) - self.head - self.tail if self.response and not self.fields else 0
         data = f", {data_bytes(more)}" if more > 0 else ""
-        specs = [spec for spec in self.specs if spec.constant is None]
-        shown = [
-            field_words(spec, value) for spec, (_, value) in zip(specs, self.fields, strict=True)
-        ]
+        data_spec = (self.way and self.way.data) or DataSpec()
+        specs = {spec.name: spec for spec in data_spec.fields}
+        shown = [field_words(specs[name], value) for name, value in self.fields]
         shown += [field_words(spec, value) for spec, value in self.registers]
         return to + " ".join([known, *shown]) + data
 
@@ -79,13 +91,6 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     def outcomes(self) -> tuple[Outcome, ...]:
         """What it stands for; none for the device's own condition, or an unused code."""
         return self.response.outcomes if self.response else ()
-
-
-class Way(NamedTuple):
-    """One way in which an answer can be laid out; `data` is None where only the request tells."""
-
-    layout: Layout
-    data: DataSpec | None
 
 
 def asked_values(protocol: Protocol, asked: Judgement) -> dict[str, Any]:
@@ -118,19 +123,34 @@ def read_reply(
 
     With `alone` no request was heard: what only that tells is left open.
     """
-    way, right = _way_and_right(protocol, frame, asked, alone=alone)
     values = asked_values(protocol, asked) if asked else {}
-    if way is None:
-        usual = next(_ways(protocol, asked, frame))
-        return Reply(frame, None, (), reason=_unlike(usual.layout, frame, values))
-    reason = "" if right else _damage(protocol, way.layout, frame, asked)
-    checked = way.layout.check is not None and not way.layout.check.asked
-    open_end = alone and not checked and _size(protocol, way, frame, asked, values) is None
-    return replace(read_as(protocol, way, frame, asked, reason), open_end=open_end)
+    found: Reply | None = None
+    for way in _ways(protocol, asked, frame):
+        layout = way.layout
+        size = _size(protocol, way, frame, asked, values)
+        open_end = alone and size is None and len(frame) >= layout.head + layout.tail
+        if size == len(frame) or open_end:
+            right = _is_right(protocol, way, frame, asked)
+            if right or not found:
+                open_end = open_end and (layout.check is None or layout.check.asked)
+                reason = _damage(protocol, layout, frame, asked)
+                found = read_as(protocol, way, frame, asked, reason, open_end=open_end)
+            if right:
+                break
+    if found:
+        return found
+    usual = next(_ways(protocol, asked, frame)).layout
+    return Reply(frame, None, (), None, reason=_unlike(usual, frame, values))
 
 
 def read_as(
-    protocol: Protocol, way: Way, frame: bytes, asked: Judgement | None, reason: str = ""
+    protocol: Protocol,
+    way: Way,
+    frame: bytes,
+    asked: Judgement | None,
+    reason: str = "",
+    *,
+    open_end: bool = False,
 ) -> Reply:
     """Read an answer that is laid out in this way; the data of one that is damaged are left out.
 
@@ -141,14 +161,12 @@ def read_as(
     names, response = meaning(protocol, layout.value("code", frame))
     fields: tuple[tuple[str, Any], ...] = ()
     registers: Registers = ()
-    specs: tuple[FieldSpec, ...] = ()
     if layout.has_data and way.data is not None and not reason:
         data = layout.data_of(frame)
         needed = way.data.measure(data, values)
         has_some = bool(data) or response is None or Outcome.VALID in response.outcomes
         if has_some and (needed == len(data) or way.data.takes_rest):
             fields = tuple(way.data.decode(data).items())
-            specs = way.data.fields
             if asked and asked.instruction and protocol.registers:
                 told = asked.instruction.reads
                 registers = registers_in(protocol, told, way.data, data, values)
@@ -158,40 +176,13 @@ def read_as(
         frame,
         response,
         names,
+        way,
         fields,
         layout.value("address", frame),
         reason,
-        layout.head,
-        layout.tail,
-        registers=registers,
-        specs=specs,
+        open_end,
+        registers,
     )
-
-
-def way_of_reply(
-    protocol: Protocol, frame: bytes, asked: Judgement | None, *, alone: bool = False
-) -> Way | None:
-    """The way in which an answer is laid out, also a damaged one; None if it is none.
-
-    The arguments are those of `read_reply`.
-    """
-    return _way_and_right(protocol, frame, asked, alone=alone)[0]
-
-
-def _way_and_right(
-    protocol: Protocol, frame: bytes, asked: Judgement | None, *, alone: bool
-) -> tuple[Way | None, bool]:
-    """As `way_of_reply`, and whether the answer is not damaged."""
-    values = asked_values(protocol, asked) if asked else {}
-    sized: Way | None = None
-    for way in _ways(protocol, asked, frame):
-        size = _size(protocol, way, frame, asked, values)
-        open_end = alone and size is None and len(frame) >= way.layout.head + way.layout.tail
-        if size == len(frame) or open_end:
-            if _is_right(protocol, way, frame, asked):
-                return way, True
-            sized = sized or way
-    return sized, False
 
 
 def build_reply(
@@ -324,16 +315,9 @@ def _checked_size(
 
 def _is_right(protocol: Protocol, way: Way, frame: bytes, asked: Judgement | None) -> bool:
     """Whether a whole answer has right constants, a known code and a right check."""
-    layout = way.layout
-    if layout.wrong_constant(frame):
-        return False
-    code = layout.value("code", frame)
-    if code is not None and meaning(protocol, code)[1] is None:
-        return False
-    if asked is None and layout.check and layout.check.asked:
-        return True  # what it covers is not known
-    before = covered(protocol, asked.frame) if asked else b""
-    return layout.check is None or layout.check.holds(frame, before)
+    code = way.layout.value("code", frame)
+    known = code is None or meaning(protocol, code)[1] is not None
+    return known and not _damage(protocol, way.layout, frame, asked)
 
 
 def meaning(protocol: Protocol, code: int | None) -> tuple[tuple[str, ...], ResponseSpec | None]:
@@ -362,10 +346,11 @@ def _unlike(layout: Layout, frame: bytes, asked: Mapping[str, Any]) -> str:
 
 
 def _damage(protocol: Protocol, layout: Layout, frame: bytes, asked: Judgement | None) -> str:
-    """What is wrong with a whole answer, in words."""
-    before = covered(protocol, asked.frame) if asked else b""
-    wrong = layout.wrong_constant(frame)
-    return wrong or (layout.check.wrong(frame, before) if layout.check else "")
+    """What is wrong with a whole answer, in words; its check counts only where that is known."""
+    wrong, check = layout.wrong_constant(frame), layout.check
+    if wrong or check is None or (asked is None and check.asked):
+        return wrong
+    return check.wrong(frame, covered(protocol, asked.frame) if asked else b"")
 
 
 def _filled(data: DataSpec, asked: Mapping[str, Any], values: Mapping[str, Any]) -> bytes:

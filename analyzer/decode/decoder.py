@@ -31,7 +31,7 @@ from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind, frame_size
 from bilprov.spec.protocol import NO_ANSWER, Protocol
 from bilprov.spec.state import State, after
-from bilprov.spec.steps import Steps, data_decide
+from bilprov.spec.steps import Steps
 
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})
@@ -440,7 +440,8 @@ class Decoder:
                 # A device may refuse a faulty header at once and take its data in silence, but
                 # none answers a frame that may be valid before its end (R-answer-point).
                 whole = self._framer.held + bytes(self._framer.missing)
-                if ok or data_decide(self._protocol, whole):
+                by_data = (Outcome.VALID, Outcome.BAD_DATA)
+                if ok or self._steps[whole].judgement.outcome in by_data:
                     self._out_of_step = now + QUIET
             if len(pairing.held) >= pairing.most:
                 self._unsolicited(pairing.held.popleft(), out)

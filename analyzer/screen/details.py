@@ -19,7 +19,7 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, se
 from bilprov.analyzer.screen.signs import FOLDED, ORDINARY, UNFOLDED, Look, look_of
 from bilprov.captures.text import escape_controls
 from bilprov.spec.codec import spaced
-from bilprov.spec.explain import BitGroup, explain, explain_reply, explain_responses
+from bilprov.spec.explain import BitGroup, explain, explain_reply
 from bilprov.spec.protocol import Protocol
 
 _LEAST_WIDTH = 24  # columns in which text is wrapped
@@ -79,10 +79,8 @@ def _host(protocol: Protocol, data: bytes, look: Look, state: Iterable[Detail]) 
 def _device(
     protocol: Protocol, record: DeviceRecord, look: Look, state: Iterable[Detail]
 ) -> Iterator[Detail]:
-    if record.reply:
-        response = explain_reply(protocol, record.data, record.answered)
-    else:
-        response = explain_responses(protocol, record.data).responses[0]
+    asked = record.answered if record.reply else None
+    response = explain_reply(protocol, record.data, asked)
     yield from (_bits(group, look) for group in response.groups)
     yield Detail("means", response.meaning)
     yield from state

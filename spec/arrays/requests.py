@@ -36,7 +36,7 @@ from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import is_open
 from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol
-from bilprov.spec.steps import Step, Steps, data_decide
+from bilprov.spec.steps import Step, Steps
 
 
 class CutRequests(NamedTuple):
@@ -97,24 +97,26 @@ class RequestTables:
         keys = [protocol.key_of(identity) for identity, _ in protocol.headers]
         self.keys = np.repeat(np.array(keys, np.uint8), 256)
         self._verdict = np.zeros(1 << 16, np.uint8)
+        self._answered = np.ones(1 << 16, np.bool_)
         self.states = StateTables(protocol, 1 << 16)
         for header, length in enumerate(protocol.lengths):
             frame, kind = bytes([header]) + bytes(length), header << 8
-            if not length or not data_decide(protocol, frame):
-                self._add(slice(kind, kind + 256), steps[frame])
+            step = steps[frame]
+            if not length or step.judgement.outcome not in (Outcome.VALID, Outcome.BAD_DATA):
+                self._add(slice(kind, kind + 256), step)
             elif length == 1:
                 for first in range(256):
                     self._add(kind | first, steps[bytes([header, first])])
             else:
                 spec = self._long[header] = protocol.by_id[protocol.headers[header][0]]
                 self.states.add(kind, spec.effect.assignments, spec.fields)
+                self._answered[kind] = spec.answer is not None
                 self._verdict[kind | 1] = BAD_DATA
                 self.states.add(kind | 1, protocol.on_fault.assignments)
-        answered = [protocol.answers[outcome] is not NO_ANSWER for outcome in OUTCOMES]
-        self._answered = np.array(answered, np.bool_).take(self._verdict)
 
     def _add(self, kinds: int | slice, step: Step) -> None:
         self._verdict[kinds] = OUTCOMES.index(step.judgement.outcome)
+        self._answered[kinds] = step.judgement.answer_due
         self.states.add(kinds, step.sets)
 
     def cut(self, data: Bytes, begun: int, reads: Places | None = None) -> CutRequests:
@@ -251,7 +253,7 @@ class RequestTables:
         return one | (to == part.broadcast) if broadcast and part.broadcast is not None else one
 
     def _valid(self, data: Bytes, start: Places, end: Places, kind: Places) -> Mask:
-        """Which frames a device judges to be valid; see `codec.judge_framed`."""
+        """Which frames a device judges to be valid; see `codec.judge`."""
         good = (kind >= 0) & constants_hold(self.layout, data, start, end)
         good &= checks_hold(self.layout, data, start, end)
         good &= self._to(data, start, broadcast=True)
