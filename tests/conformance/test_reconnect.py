@@ -37,15 +37,10 @@ class Judged:
     events: tuple[str, ...]
 
     @property
-    def unsure(self) -> list[str]:
-        """The reasons of the inconclusive cases."""
-        cases = (case for case in self.report["cases"] if case["verdict"] == "inconclusive")
-        return [
-            axis["reason"]
-            for case in cases
-            for axis in case["axes"].values()
-            if axis["verdict"] == "inconclusive"
-        ]
+    def doubts(self) -> list[str]:
+        """Why axes of cases failed or are inconclusive, in order."""
+        axes = (axis for case in self.report["cases"] for axis in case["axes"].values())
+        return [axis["reason"] for axis in axes if axis["verdict"] in ("fail", "inconclusive")]
 
 
 Judge = Callable[..., Judged]
@@ -83,17 +78,20 @@ def test_a_run_goes_on_at_a_port_that_comes_back(judge_unplugged: Judge) -> None
     assert run.report["ended"] is None
     assert run.report["counts"]["fail"] == 0
     assert 1 <= run.report["counts"]["inconclusive"] <= 2
-    assert all("it was there again after 0." in reason for reason in run.unsure), run.unsure
+    assert all("it was there again after 0." in reason for reason in run.doubts), run.doubts
     assert run.said.count(": inconclusive, and the run goes on") == 2
     assert run.events.count("unplugged") == run.events.count("reconnected") == 2
     assert run.moving is False
 
 
 def test_a_fault_is_found_after_the_gap(judge_unplugged: Judge) -> None:
+    """A busy machine makes the line unsteady: what is seen then fails no case, but is reported."""
     run = judge_unplugged("--reconnect", "30", after=[CASES], fault="no-stop-on-bad-data")
 
-    assert run.code == 1, run.said
     assert run.events.count("reconnected") == 1
+    doubts = iter(run.doubts)
+    assert any("it was there again after" in reason for reason in doubts), run.said
+    assert any("moving is True, expected False" in reason for reason in doubts), run.said
 
 
 @pytest.mark.sample(1)

@@ -28,13 +28,14 @@ class Traffic:
     """A capture as `replay` decodes it: its frames, its requests, and the answer to each of them.
 
     An answer is found by the number (`sequence`) of its request. Fails where a byte is in no frame.
+    That a busy machine did not read for a while is no frame.
     """
 
     def __init__(self, capture: Path) -> None:
         done = command("replay", str(capture), "--format", "jsonl")
         assert done.returncode == 0, done.stderr
         rows: list[dict[str, Any]] = [json.loads(line) for line in done.stdout.splitlines()]
-        self.frames = [row for row in rows if row["kind"] != "line"]
+        self.frames = [row for row in rows if row["kind"] != "line" and row["name"] != "waited"]
         self.requests = [row for row in self.frames if row["direction"] == "host"]
         answers = [row for row in self.frames if row["direction"] == "device"]
         self.answers = {row["answers"]: row for row in answers}

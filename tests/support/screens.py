@@ -24,7 +24,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 
 Steps = Callable[[Browser, Pilot[Any]], Awaitable[None]]
-PATIENCE = 20.0  # s; a test that waits longer hangs
+PATIENCE = 60.0  # s; a test that waits longer hangs
 NO_TMUX = "apt-get install tmux"
 
 
@@ -96,26 +96,20 @@ class Tmux:
         """Make the terminal another size."""
         self("resize-window", "-x", str(size[0]), "-y", str(size[1]))
 
-    def settled(self, words: str, *more: str) -> list[str]:
-        """Wait until the terminal shows the words (and `more`), and twice the same; its lines."""
-        shown = self.wait(words)
-        give_up = time.monotonic() + PATIENCE
-        while True:
-            time.sleep(0.3)
-            before, shown = shown, self.wait(words)
-            there = all(any(one in line for line in shown) for one in more)
-            if shown == before and there:
-                return shown
-            assert time.monotonic() < give_up, "\n".join(shown)
+    def wait(
+        self, shows: str | Callable[[list[str]], bool], meanwhile: Callable[[], object] = bool
+    ) -> list[str]:
+        """Wait until the terminal shows the words, or lines that satisfy the test; its lines.
 
-    def wait(self, words: str) -> list[str]:
-        """Wait until the terminal shows the words; its lines."""
+        What is done `meanwhile` is done before each further look.
+        """
         give_up = time.monotonic() + PATIENCE
         while True:
             shown = self.lines()
-            if any(words in line for line in shown):
+            if any(shows in line for line in shown) if isinstance(shows, str) else shows(shown):
                 return shown
             assert time.monotonic() < give_up, "\n".join(shown)
+            meanwhile()
             time.sleep(0.05)
 
 

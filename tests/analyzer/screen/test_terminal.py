@@ -6,7 +6,7 @@ import os
 import resource
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -31,12 +31,8 @@ def left(tmux: Tmux, code: int = 0) -> list[str]:
     """Wait for the command's end, and type into the shell: no key has reached it before."""
     tmux.wait(f"ended {code}")
     tmux.press(ECHO, "Enter")
-    give_up = time.monotonic() + PATIENCE
-    shown = tmux.lines()
-    while sum(ECHO in line for line in shown) < 2:  # the terminal's echo, and cat's
-        assert time.monotonic() < give_up, shown
-        time.sleep(0.05)
-        shown = tmux.lines()
+    # the terminal's echo, and cat's
+    shown = tmux.wait(lambda lines: sum(ECHO in line for line in lines) == 2)
     at = next(at for at, line in enumerate(shown) if f"ended {code}" in line)
     assert [line for line in shown[at + 1 :] if line] == [ECHO, ECHO]
     return shown[:at]
@@ -46,16 +42,21 @@ def test_a_capture_shows_what_fits_at_each_size_and_gives_the_terminal_back(tmp_
     with terminal(tmp_path, SIZES[0], "replay", str(SAMPLE)) as tmux:
         tmux.wait("84 rows")
         tmux.press("n", "n")
-        for size in SIZES:
-            tmux.resize(size)
-            shown = tmux.settled("unused 15", "q quit")
-            assert any("ff" in line and "unused 15" in line for line in shown)
-            assert len(shown) == size[1]
-            assert max(map(len, shown)) <= size[0]
-            assert any("┌──" in line for line in shown) == (size[0] >= 110)
-            assert shown[0].startswith("examples.mcap")
-            assert shown[0].endswith("84 rows")
-            assert shown[-1].endswith("q quit")
+        for columns, rows in SIZES:
+
+            def fits(shown: list[str], columns: int = columns, rows: int = rows) -> bool:
+                return (
+                    len(shown) == rows
+                    and any("ff" in line and "unused 15" in line for line in shown)
+                    and any("┌──" in line for line in shown) == (columns >= 110)
+                    and shown[0].startswith("examples.mcap")
+                    and len(shown[0]) == columns
+                    and shown[0].endswith("84 rows")
+                    and shown[-1].endswith("q quit")
+                )
+
+            tmux.resize((columns, rows))
+            tmux.wait(fits)
         tmux.press("q", "j", "j", "Enter", "x")
         left(tmux)
 
@@ -66,17 +67,16 @@ def tapped() -> Iterator[tuple[PtyPair, PtyPair]]:
         yield host, device
 
 
-def talk(host: PtyPair, device: PtyPair, tmux: Tmux, words: str) -> list[str]:
-    """Say a frame now and then until the screen shows the words."""
-    give_up = time.monotonic() + PATIENCE
-    while True:
-        shown = tmux.lines()
-        if any(words in line for line in shown):
-            return shown
-        assert time.monotonic() < give_up, "\n".join(shown)
+def talk(
+    host: PtyPair, device: PtyPair, tmux: Tmux, shows: str | Callable[[list[str]], bool]
+) -> None:
+    """Say a frame now and then until the screen shows the words or satisfies the test."""
+
+    def say() -> None:
         os.write(host.master, b"\x11\x50")
         os.write(device.master, b"\0")
-        time.sleep(0.05)
+
+    tmux.wait(shows, say)
 
 
 def test_sniff_follows_the_line_at_each_size_and_finishes_its_capture(tmp_path: Path) -> None:
@@ -87,12 +87,17 @@ def test_sniff_follows_the_line_at_each_size_and_finishes_its_capture(tmp_path: 
     ):
         tmux.wait("q quit")
         for size in SIZES:
+
+            def follows(shown: list[str], rows: int = size[1]) -> bool:
+                return (
+                    len(shown) == rows
+                    and any("following" in line for line in shown)
+                    and any("Speed speed=80" in line for line in shown)
+                    and shown[-1].endswith("q quit")
+                )
+
             tmux.resize(size)
-            talk(host, device, tmux, "Speed speed=80")
-            shown = tmux.settled("following", "q quit")
-            assert max(map(len, shown)) <= size[0]
-            assert any("Speed speed=80" in line for line in shown)
-            assert shown[-1].endswith("q quit")
+            talk(host, device, tmux, follows)
         tmux.press("q", "q", "j")
         assert any(" answer" in line for line in left(tmux))
     assert not open_capture(path).unfinished
