@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import compileall
 import gc
+import importlib
 import os
+import pkgutil
 import platform
 import select
 import subprocess
@@ -14,8 +16,12 @@ from itertools import islice
 from random import Random
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
+import benchmarks
+import bilprov
+import docs
+import examples
 from benchmarks.dispositions import usual_for_children
 from bilprov.analyzer.decode import stream
 from bilprov.spec.codec import judge
@@ -29,8 +35,9 @@ Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 
 # No test asserts a wall-clock time. What Hypothesis draws is the same in every run, so that a run
 # fails for what was changed; with --whole it is another each time.
-settings.register_profile("sample", deadline=None, max_examples=60, derandomize=True)
-settings.register_profile("whole", deadline=None, max_examples=60)
+in_any_time = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("sample", in_any_time, max_examples=60, derandomize=True)
+settings.register_profile("whole", in_any_time, max_examples=60)
 
 # The tests follow no settings, and change no state, of whoever runs them.
 os.environ["XDG_CONFIG_HOME"] = os.environ["XDG_STATE_HOME"] = os.devnull
@@ -169,7 +176,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """What has been collected stays: the garbage collector need not walk all of it for ever."""
+    """Import all modules, and keep what is there.
+
+    Hypothesis also draws the constants in all modules of ours that are imported, and would draw
+    others in each process and after each test that imports some. The garbage collector need not
+    walk for ever over what stays.
+    """
+    for package in (bilprov, benchmarks, docs, examples):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 50)
