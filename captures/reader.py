@@ -25,9 +25,9 @@ from bilprov.captures.wall_clock import since, stated_number
 if TYPE_CHECKING:
     # The rest needs arrays, and whoever only names a capture does not.
     from bilprov.captures.events import Events
-    from bilprov.captures.storage.blocks import Stored
+    from bilprov.captures.storage.blocks import Messages, Stored
     from bilprov.captures.storage.index import Index
-    from bilprov.captures.storage.messages import Contents, Order, Part, Place
+    from bilprov.captures.storage.messages import Contents, Order, Place
 
 TOPICS_SHOWN = 10
 _FLIPPED = 2  # bits of the magic that may differ: other kinds of files differ in more
@@ -135,7 +135,7 @@ class Capture:
         """
         from bilprov.captures.recorded import batches_of
 
-        return batches_of(self.start, self._topics, self._parts(after), _EVENTS)
+        return batches_of(self.start, self._topics, self._blocks(after), _EVENTS)
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, in order, as `events` does."""
@@ -246,25 +246,24 @@ class Capture:
     ) -> Iterator[Recorded]:
         from bilprov.captures.recorded import recorded_values
 
-        stored = self._stored(after)
-        return recorded_values(self.start, self._topics, stored, wanted, as_stored, looks)
+        blocks = self._blocks(after)
+        return recorded_values(self.start, self._topics, blocks, wanted, as_stored, looks)
 
     @property
     def _topics(self) -> dict[int, str]:
         return {channel: topic for channel, (topic, _) in self.contents.channels.items()}
 
-    def _stored(self, after: StoredCheckpoint | None = None) -> Iterator[Stored]:
-        from bilprov.captures.storage.messages import single
+    def _stored(self) -> Iterator[Stored]:
+        for block in self._blocks():
+            yield from block.single()
 
-        return single(self._parts(after))
-
-    def _parts(self, after: StoredCheckpoint | None = None) -> Iterator[Part]:
+    def _blocks(self, after: StoredCheckpoint | None = None) -> Iterator[Messages]:
         """Yield the messages of all volumes as those of one file.
 
         Each part of a recording begins with a checkpoint for those who read it alone. Where nothing
         is missing before it, decoding is in that state anyway, and it is left out.
         """
-        from bilprov.captures.storage.messages import Order, split
+        from bilprov.captures.storage.messages import Order
 
         whole = self.volumes[0].contents.metadata.get(topics.PART, "1") == "1"
         order = Order(0 if whole else None)
@@ -274,16 +273,18 @@ class Capture:
             # What is missing before the part of a checkpoint is no loss behind it.
             order.missing = "" if begins_there else volume.missing
             place = after.place if after and begins_there else None
-            parts = _read_volume(volume, partial(self._read, order, place))
+            blocks = _read_volume(volume, partial(self._read, order, place))
             if number > first:
-                begin, parts = split(parts)
-                if begin and (begin.lost or not _resumes(begin)):
+                begin = next(blocks, None)
+                if begin and not begin.lost and _resumes(next(begin.single())):
+                    begin = begin.rows(slice(1, None))
+                if begin:
                     yield begin
-            yield from parts
+            yield from blocks
 
     def _read(
         self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
-    ) -> Iterator[Part]:
+    ) -> Iterator[Messages]:
         from bilprov.captures.storage.messages import stored_parts
 
         if self.indexes:

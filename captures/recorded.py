@@ -11,19 +11,17 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.captures import topics
-from bilprov.captures.events import DEVICE, HOST, LINE, SIDES, Events
+from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import (
     Asked,
     CaseMark,
     Checkpoint,
-    Chunk,
     Line,
     Look,
     Recorded,
     Resumption,
 )
 from bilprov.captures.storage.blocks import BLOCK_BYTES, BLOCK_MESSAGES, Messages
-from bilprov.captures.storage.messages import Part
 from bilprov.captures.storage.records import JSON_ERRORS
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import LONGEST, since
@@ -44,37 +42,35 @@ _OTHER = 255  # the code of a message that is neither of a side nor wanted
 def recorded_values(
     start: int,
     names: Mapping[int, str],
-    parts: Iterator[Part],
+    blocks: Iterator[Messages],
     wanted: Collection[str],
     as_stored: bool,
     looks: type[Look],
 ) -> Iterator[Recorded]:
-    """Yield the raw chunks among single messages, and the values of the topics that are `wanted`.
+    """Yield the raw chunks among messages, and the values of the topics that are `wanted`.
 
     `start` is the capture's, `names` are its topics by channel, `looks` the class of its looks.
     Texts and numbers are made safe unless they are wanted `as_stored`.
     """
-    values = _recorded(start, names, parts, wanted, {**_RECORDED, topics.LOOKS: looks})
+    values = _recorded(start, names, blocks, wanted, {**_RECORDED, topics.LOOKS: looks})
     for value in _with_resumptions(values if as_stored else map(_safe, values)):
-        if not isinstance(value, Events):
+        if isinstance(value, Events):
+            yield from value.single()
+        else:
             yield value
 
 
 def batches_of(
-    start: int, names: Mapping[int, str], parts: Iterator[Part], wanted: Collection[str]
+    start: int, names: Mapping[int, str], blocks: Iterator[Messages], wanted: Collection[str]
 ) -> Iterator[Events]:
     """Yield the events among messages as arrays; arguments as in `recorded_values`."""
-    held: list[Events | Chunk | Line] = []
+    held: list[Events | Line] = []
     rows = size = 0
-    for value in _with_resumptions(map(_safe, _recorded(start, names, parts, wanted, _RECORDED))):
-        if isinstance(value, Events | Chunk | Line):
+    for value in _with_resumptions(map(_safe, _recorded(start, names, blocks, wanted, _RECORDED))):
+        if isinstance(value, Events | Line):
             held.append(value)
-            if isinstance(value, Events):
-                rows += len(value)
-                size += len(value.data)
-            else:
-                rows += 1
-                size += 0 if isinstance(value, Line) else len(value.data)
+            rows += len(value) if isinstance(value, Events) else 1
+            size += len(value.data) if isinstance(value, Events) else 0
             if rows >= BLOCK_MESSAGES or size >= BLOCK_BYTES:
                 yield Events.joined(held)
                 held, rows, size = [], 0, 0
@@ -105,26 +101,18 @@ def _with_resumptions(values: Iterator[Recorded | Events]) -> Iterator[Recorded 
 def _recorded(
     start: int,
     names: Mapping[int, str],
-    parts: Iterator[Part],
+    blocks: Iterator[Messages],
     wanted: Collection[str],
     kinds: _Kinds,
 ) -> Iterator[Recorded | Events]:
-    """The values of single messages; the raw chunks of whole blocks are arrays."""
+    """The values of messages; the raw chunks between others are arrays."""
     codes = np.full(1 << 16, _OTHER, np.uint8)
     for channel, topic in names.items():
         codes[channel] = _SIDES.get(topic, LINE if topic in wanted else _OTHER)
-    for part in parts:
-        if isinstance(part, Messages):
-            yield from _recorded_block(start, part, names, codes, kinds)
-            continue
-        t = since(start, part.log_time)
-        if part.lost:
-            yield Line(t, "gap", "", part.lost)
-        code = int(codes[part.channel])
-        if code in (HOST, DEVICE):
-            yield Chunk(t, SIDES[code], part.data)
-        elif code == LINE:
-            yield from _decoded(part.data, kinds[names[part.channel]], t)
+    for block in blocks:
+        if block.lost:
+            yield Line(since(start, int(block.log_time[0])), "gap", "", block.lost)
+        yield from _recorded_block(start, block, names, codes, kinds)
 
 
 def _recorded_block(

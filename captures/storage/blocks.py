@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -43,9 +43,10 @@ class Stored(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """Some messages in file order, one row each.
+    """Some messages, one row each, between which nothing is missing.
 
     `start` and `end` are where the data of each message are in `content`; `log_time` is in ns.
+    `lost` says what is missing before the first one, "" for nothing.
     """
 
     content: bytes
@@ -54,20 +55,22 @@ class Messages:
     channel: NDArray[np.uint16]
     sequence: NDArray[np.uint32]
     log_time: NDArray[np.uint64]
+    lost: str = ""
 
     @classmethod
-    def at(cls, content: bytes, starts: NDArray[np.int64]) -> Messages:
+    def at(cls, content: bytes, starts: NDArray[np.int64], lost: str = "") -> Messages:
         """The messages whose records begin at `starts` in `content`."""
         heads = _heads(content, starts)
         start = starts + _HEAD.itemsize
         end = starts + _FRONT + heads["length"].astype(np.int64)
-        return cls(content, start, end, heads["channel"], heads["sequence"], heads["log_time"])
+        channel, sequence, log_time = heads["channel"], heads["sequence"], heads["log_time"]
+        return cls(content, start, end, channel, sequence, log_time, lost)
 
     def __len__(self) -> int:
         return len(self.start)
 
-    def rows(self, rows: slice | NDArray[np.bool_]) -> Messages:
-        """Some of the rows."""
+    def rows(self, rows: slice | NDArray[Any], lost: str = "") -> Messages:
+        """Some of the rows, with what is missing before them."""
         return Messages(
             self.content,
             self.start[rows],
@@ -75,7 +78,29 @@ class Messages:
             self.channel[rows],
             self.sequence[rows],
             self.log_time[rows],
+            lost,
         )
+
+    def and_then(self, other: Messages) -> Messages:
+        """These rows and those of `other`."""
+        at = len(self.content)
+        return Messages(
+            self.content + other.content,
+            np.append(self.start, other.start + at),
+            np.append(self.end, other.end + at),
+            np.append(self.channel, other.channel),
+            np.append(self.sequence, other.sequence),
+            np.append(self.log_time, other.log_time),
+            self.lost,
+        )
+
+    def by_time(self) -> Messages:
+        """The rows in order of time."""
+        rows = np.argsort(self.log_time, kind="stable")
+        end = np.cumsum((self.end - self.start)[rows])
+        ordered = self.rows(rows, self.lost)
+        start = np.append(0, end[:-1])
+        return replace(ordered, content=self.data(rows).tobytes(), start=start, end=end)
 
     def data(self, rows: NDArray[np.intp]) -> NDArray[np.uint8]:
         """The data of some rows, joined in order."""
@@ -91,7 +116,8 @@ class Messages:
         return data
 
     def single(self) -> Iterator[Stored]:
-        """Yield the rows as single messages, before which nothing is missing."""
+        """Yield the rows as single messages."""
+        lost = self.lost
         for channel, sequence, log_time, start, end in zip(
             self.channel.tolist(),
             self.sequence.tolist(),
@@ -100,7 +126,8 @@ class Messages:
             self.end.tolist(),
             strict=True,
         ):
-            yield Stored(log_time, sequence, channel, self.content[start:end], "")
+            yield Stored(log_time, sequence, channel, self.content[start:end], lost)
+            lost = ""
 
 
 class Piece(NamedTuple):
@@ -111,8 +138,8 @@ class Piece(NamedTuple):
     lost: str
 
 
-def blocks_of(pieces: Iterable[Piece]) -> Iterator[tuple[Messages, str]]:
-    """Join pieces to blocks of messages, each with what is lost before it.
+def blocks_of(pieces: Iterable[Piece]) -> Iterator[Messages]:
+    """Join pieces to blocks of messages.
 
     The first piece comes alone, so that what needs only the first message has it soon.
     """
@@ -134,14 +161,15 @@ def blocks_of(pieces: Iterable[Piece]) -> Iterator[tuple[Messages, str]]:
         yield _joined(held)
 
 
-def _joined(pieces: list[Piece]) -> tuple[Messages, str]:
+def _joined(pieces: list[Piece]) -> Messages:
+    lost = pieces[0].lost
     if len(pieces) == 1:
-        return Messages.at(pieces[0].content, pieces[0].starts), pieces[0].lost
+        return Messages.at(pieces[0].content, pieces[0].starts, lost)
     sizes = np.array([len(piece.content) for piece in pieces])
     counts = [len(piece.starts) for piece in pieces]
     starts = np.concatenate([piece.starts for piece in pieces])
     starts += np.repeat(np.cumsum(sizes) - sizes, counts)
-    return Messages.at(b"".join([piece.content for piece in pieces]), starts), pieces[0].lost
+    return Messages.at(b"".join([piece.content for piece in pieces]), starts, lost)
 
 
 Others: TypeAlias = list[tuple[int, int, int]]

@@ -1,17 +1,16 @@
 """Reads the messages of a surveyed file in order, each with a note of what is lost before it.
 
-Those of foreign writers are sorted by time, with a bounded number of them held back.
+Those of foreign writers are sorted by time, with a block of them held back.
 """
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BufferedReader
-from itertools import chain
-from typing import Generic, NamedTuple, TypeAlias, TypeVar
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,10 +20,7 @@ from bilprov.captures.storage.records import MESSAGE_BYTES, AttachmentRecord, Da
 from bilprov.captures.storage.recovery import SKIPPED, Lost, RecordFile
 
 _WITH_MESSAGES = {records.CHUNK, records.MESSAGE}
-WINDOW_MESSAGES = 4096  # held back to put a foreign file into time order
-WINDOW_BYTES = 16 * 1024 * 1024  # of the messages held back
-
-Item = TypeVar("Item")
+_TOO_LONG = "a message that is too long is left out here"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,51 +53,6 @@ class Contents:
     damage: tuple[str, ...]
 
 
-class TimeWindow(Generic[Item]):
-    """A sorting window that holds back up to 4,096 messages or 16 MiB and yields them by time.
-
-    Messages with equal times keep their order. `late` counts messages that came out after a later
-    one, because the window was too small.
-    """
-
-    def __init__(self) -> None:
-        self.late = 0
-        self._held: list[tuple[int, int, int, Item]] = []
-        self._bytes = 0
-        self._count = 0
-        self._latest = 0
-
-    def push(self, time: int, size: int, item: Item) -> Iterator[Item]:
-        """Add a message of `size` bytes at `time` (ns); yield those that exceed the window."""
-        heapq.heappush(self._held, (time, self._count, size, item))
-        self._count += 1
-        self._bytes += size
-        while len(self._held) > WINDOW_MESSAGES or self._bytes > WINDOW_BYTES:
-            yield self._pop()
-
-    def pass_over(self, times: list[int]) -> None:
-        """Let messages through that no message before is later than, and after which a window's
-        worth of later ones comes, so that all before them goes too.
-        """
-        if times:
-            for _ in self.rest():
-                pass
-            self._latest = times[-1]
-
-    def rest(self) -> Iterator[Item]:
-        """Yield all messages that are still held."""
-        while self._held:
-            yield self._pop()
-
-    def _pop(self) -> Item:
-        time, _, size, item = heapq.heappop(self._held)
-        self._bytes -= size
-        if time < self._latest:
-            self.late += 1
-        self._latest = max(self._latest, time)
-        return item
-
-
 @dataclass(slots=True)
 class Order:
     """Where reading stands among the sequence numbers, which go on from one file to the next.
@@ -114,13 +65,9 @@ class Order:
     missing: str = ""
 
 
-Part: TypeAlias = Messages | Stored
-"""Messages before and between which nothing is missing, or a single one."""
-
-
 def stored_parts(
     file: BufferedReader, contents: Contents, order: Order, surveyed: bool, place: Place | None
-) -> Iterator[Part]:
+) -> Iterator[Messages]:
     """Yield the messages of an open file: of our own files in file order, of others by time.
 
     Those of an own file that was not `surveyed` begin after a `place`, None for the start; a
@@ -129,31 +76,27 @@ def stored_parts(
     """
     if place is not None:
         order.expected = place.sequence + 1
-    parts = _in_file_order(_pieces(file, contents, place, surveyed), contents.counted, order)
-    if contents.own or contents.in_order:
-        yield from parts
-        return
-    window: TimeWindow[Stored] = TimeWindow()
-    for message in single(parts):
-        yield from window.push(message.log_time, len(message.data), message)
-    yield from window.rest()
+    blocks = _in_file_order(_pieces(file, contents, place, surveyed), contents.counted, order)
+    yield from blocks if contents.own or contents.in_order else _by_time(blocks)
 
 
-def single(parts: Iterable[Part]) -> Iterator[Stored]:
-    """Yield the messages one by one."""
-    for part in parts:
-        if isinstance(part, Stored):
-            yield part
-        else:
-            yield from part.single()
+def _by_time(blocks: Iterable[Messages]) -> Iterator[Messages]:
+    """Sort messages by time, those of a block among those of the block before.
 
-
-def split(parts: Iterator[Part]) -> tuple[Stored | None, Iterator[Part]]:
-    """The first message, None if there is none, and the rest."""
-    begin = next(parts, None)
-    if isinstance(begin, Messages):
-        return next(begin.single()), chain([begin.rows(slice(1, None))], parts)
-    return begin, parts
+    What is missing between two blocks stays between them.
+    """
+    held: Messages | None = None
+    for block in blocks:
+        if held is None or block.lost:
+            if held is not None:
+                yield held
+            held = block.by_time()
+            continue
+        both = held.and_then(block).by_time()
+        yield both.rows(slice(len(held)), both.lost)
+        held = both.rows(slice(len(held), None))
+    if held is not None:
+        yield held
 
 
 class Place(NamedTuple):
@@ -184,80 +127,44 @@ def messages_before(
                 yield message, place._replace(sequence=message.sequence)
 
 
-def _in_file_order(pieces: Iterator[Piece], counted: bool, order: Order) -> Iterator[Part]:
-    reading = _Reading(order, counted)
-    for block, where in blocks_of(pieces):
-        if not len(block):
-            reading.lost = reading.lost or where
-        elif reading.is_straight(block, where):
-            yield block
-        else:
-            yield from reading.singly(block, where)
-    reading.finish()
+def _in_file_order(pieces: Iterator[Piece], counted: bool, order: Order) -> Iterator[Messages]:
+    """Yield the messages that are to be read, in blocks with what is missing before each.
 
-
-class _Reading:
-    """Where reading stands among the sequence numbers of one file, and what is lost up to there."""
-
-    def __init__(self, order: Order, counted: bool) -> None:
-        self.lost = order.missing
-        self._order = order
-        self._counted = counted
-        self._expected: int | None = None  # None before the first message
-
-    def is_straight(self, block: Messages, where: str) -> bool:
-        """Whether nothing is missing or left out before and in a block; then it counts as read."""
-        self._begin(block)
-        sequence = block.sequence
-        if (
-            self.lost
-            or where
-            or self._order.missing
-            or int((block.end - block.start).max()) > MESSAGE_BYTES
-            or (
-                self._counted
-                and (int(sequence[0]) != self._expected or (np.diff(sequence) != 1).any())
-            )
-        ):
-            return False
-        self._expected = (int(sequence[-1]) + 1) & 0xFFFF_FFFF
-        return True
-
-    def singly(self, block: Messages, where: str) -> Iterator[Stored]:
-        """Yield the messages of a block that are to be read, with what is lost before each."""
-        self._begin(block)
-        expected = self._expected or 0
-        order = self._order
-        lost = self.lost or where
-        for message in block.single():
-            if len(message.data) > MESSAGE_BYTES:
-                lost = "a message that is too long is left out here"
-                continue
-            if self._counted:
-                missing = (message.sequence - expected) & 0xFFFF_FFFF
-                if missing >> 31:
-                    continue  # it came before: a chunk that stands in the file a second time
-                expected = (message.sequence + 1) & 0xFFFF_FFFF
-                if missing:
-                    why = order.missing or "the file is damaged"
-                    lost = f"{missing} messages are lost here, {why}"
-                else:
-                    lost = order.missing
-            yield message._replace(lost=lost) if lost else message
-            if lost:
-                lost = order.missing = ""
-        self.lost, self._expected = lost, expected
-
-    def finish(self) -> None:
-        """Say what the next file has to begin with."""
-        if self._expected is not None:
-            self._order.expected = self._expected if self._counted else None
-
-    def _begin(self, block: Messages) -> None:
-        if self._expected is None:
-            first, expected = int(block.sequence[0]), self._order.expected
-            # A part that was written anew, by an edit, counts from 0 again.
-            self._expected = first if expected is None or first == 0 else expected
+    Left out are those that are too long, and those that came before: of a chunk that stands in the
+    file a second time. With `counted` a jump of the sequence numbers tells what is missing.
+    """
+    lost, expected = order.missing, -1
+    for block in blocks_of(pieces):
+        lost = lost or block.lost
+        rows = np.flatnonzero(block.end - block.start <= MESSAGE_BYTES)
+        notes = dict.fromkeys(np.flatnonzero(np.diff(rows, prepend=-1) > 1).tolist(), _TOO_LONG)
+        if counted and len(rows):
+            if expected < 0:
+                first = int(block.sequence[0])
+                # A part that was written anew, by an edit, counts from 0 again.
+                expected = first if order.expected is None or first == 0 else order.expected
+            ahead = (block.sequence[rows] - np.uint32(expected)).view(np.int32).astype(np.int64)
+            before = np.maximum.accumulate(np.append(-1, ahead))
+            expected = (expected + int(before[-1]) + 1) & 0xFFFF_FFFF
+            new = ahead > before[:-1]
+            rows, missing = rows[new], (ahead - before[:-1])[new] - 1
+            notes = {
+                at: f"{missing[at]} messages are lost here, "
+                f"{(order.missing if at == 0 else '') or 'the file is damaged'}"
+                for at in np.flatnonzero(missing).tolist()
+            }
+            lost = order.missing
+        if not len(rows):
+            continue
+        if lost:
+            notes.setdefault(0, lost)
+        lost = order.missing = ""
+        whole = block if len(rows) == len(block) else block.rows(rows)
+        for start, stop in pairwise([*sorted({0, *notes}), len(rows)]):
+            yield whole.rows(slice(start, stop), notes.get(start, ""))
+    order.expected = expected if counted and expected >= 0 else order.expected
+    if not counted:
+        order.expected = None
 
 
 def _pieces(

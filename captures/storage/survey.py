@@ -15,7 +15,7 @@ from bilprov.captures import topics
 from bilprov.captures.schemas import Line
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, blocks_of
-from bilprov.captures.storage.messages import WINDOW_MESSAGES, Contents, TimeWindow
+from bilprov.captures.storage.messages import Contents
 from bilprov.captures.storage.records import MAGIC, ChannelRecord, CutOff
 from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile
 from bilprov.captures.text import printable
@@ -51,9 +51,10 @@ class _Survey:
         self._times: list[int] = []  # first, earliest, latest
         self._too_long = 0
         self._bad_lines = 0
-        self._order: TimeWindow[None] = TimeWindow()
         self._in_order = True
-        self._kept = np.zeros(0, np.uint64), np.zeros(0, np.int64)  # times and sizes
+        self._held = np.zeros(0, np.uint64)  # times, of a foreign file in order of time
+        self._passed = np.uint64(0)
+        self._late = 0
         self._notes = [damage] if damage else []
         self._more_notes = 0
         self._lines: set[int] = set()
@@ -61,7 +62,7 @@ class _Survey:
         self._stated: int | None = None  # messages that the file's statistics count
 
     def walk(self) -> None:
-        for block, _ in blocks_of(self._pieces()):
+        for block in blocks_of(self._pieces()):
             self._count(block)
 
     def _pieces(self) -> Iterator[Piece]:
@@ -92,12 +93,9 @@ class _Survey:
             self._note(f"{self._bad_lines} messages on /line cannot be decoded and are left out")
         if unknown:
             self._note(f"{unknown} messages are on channels that the file does not describe")
-        for _ in self._order.rest():
-            pass
-        if self._order.late:
-            self._note(
-                f"{self._order.late} messages stand too far out of time order to be put right"
-            )
+        self._put_in_order(np.zeros(0, np.uint64))
+        if self._late:
+            self._note(f"{self._late} messages stand too far out of time order to be put right")
         held = self._counts.total() + self._too_long
         if not self._left_out and self._stated not in (None, held):
             # Whole records went or came, of which the rest of the file tells nothing.
@@ -182,7 +180,8 @@ class _Survey:
         first, earliest, latest = int(times[0]), int(times.min()), int(times.max())
         before = self._times or [first, earliest, earliest]
         if not self._records.own:
-            self._put_in_order(times, sizes, before[2])
+            self._in_order &= first >= before[2] and bool((times[1:] >= times[:-1]).all())
+            self._put_in_order(times)
         self._times = [before[0], min(before[1], earliest), max(before[2], latest)]
         for line in block.rows(np.isin(block.channel, list(self._lines))).single():
             try:
@@ -190,25 +189,13 @@ class _Survey:
             except records.JSON_ERRORS:
                 self._bad_lines += 1
 
-    def _put_in_order(
-        self, times: NDArray[np.uint64], sizes: NDArray[np.int64], latest: int
-    ) -> None:
-        """Pass the messages of a block through the window that puts them in order of time.
-
-        As long as all are in order, those that the window would hold are only kept.
-        """
-        if self._in_order:
-            straight = int(times[0]) >= latest and bool((times[1:] >= times[:-1]).all())
-            times = np.concatenate([self._kept[0], times])
-            sizes = np.concatenate([self._kept[1], sizes])
-            if straight:
-                self._order.pass_over(times[:-WINDOW_MESSAGES][-1:].tolist())
-                self._kept = times[-WINDOW_MESSAGES:], sizes[-WINDOW_MESSAGES:]
-                return
-            self._in_order = False
-        for time, size in zip(times.tolist(), sizes.tolist(), strict=True):
-            for _ in self._order.push(time, size, None):
-                pass
+    def _put_in_order(self, times: NDArray[np.uint64]) -> None:
+        """Count the messages that come too late to be put in order as reading does it."""
+        both = np.sort(np.append(self._held, times), kind="stable")
+        passed = both[: len(self._held)]
+        self._late += int(np.count_nonzero(passed < self._passed))
+        self._passed = passed.max(initial=self._passed)
+        self._held = both[len(passed) :]
 
     def _learn(self, channel: ChannelRecord, verified: bool) -> None:
         known = self._channels.get(channel.id)
