@@ -93,6 +93,13 @@ def test_a_file_of_the_name_comes_before_parts_of_the_name(tmp_path: Path) -> No
     assert [list(capture)[1:] for capture in both_ways(path)] == [chunks([2])] * 2
 
 
+def test_a_part_that_is_there_under_two_numbers_is_read_once(tmp_path: Path) -> None:
+    path = parts(tmp_path, 2)
+    part_path(path, 3).write_bytes(part_path(path, 2).read_bytes())
+    for capture in both_ways(path):
+        assert [event for event in capture if isinstance(event, Chunk)] == chunks([1, 2])
+
+
 @pytest.mark.parametrize(
     ("missing", "words"),
     [

@@ -408,6 +408,20 @@ def test_a_window_too_small_for_the_disorder_is_said(tmp_path: Path) -> None:
     assert capture.damage == ("1 messages stand too far out of time order to be put right",)
 
 
+def test_what_is_lost_between_chunks_out_of_order_stays_between_them(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        host, _ = raw_topics(writer)
+        for t in (20, 10, 7, 98, 2, 5, 4, 3):  # the channels and one, else two, fill a chunk
+            writer.add_message(host, t, bytes(300), 0)
+
+    path = foreign(tmp_path / "f.mcap", fill, chunk_size=400)
+    data = bytearray(path.read_bytes())
+    data[chunk_offsets(bytes(data))[1] + 60] ^= 0xFF
+    capture = open_capture(with_bytes(path, bytes(data)))
+    kept = [e.t + capture.start if isinstance(e, Chunk) else e.event for e in capture]
+    assert kept == [20, "gap", 2, 3, 4, 5, 98]
+
+
 def test_the_times_of_a_foreign_file_are_those_of_all_its_chunks(tmp_path: Path) -> None:
     def fill(writer: Writer) -> None:
         host, _ = raw_topics(writer)
