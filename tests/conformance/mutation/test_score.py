@@ -115,9 +115,9 @@ def test_each_level_has_its_floor_and_the_reference_must_pass() -> None:
 @pytest.mark.slow
 def test_the_choice_of_faults(protocol: Protocol) -> None:
     assert len(chosen_faults(protocol, 0)) > 300
-    assert list(chosen_faults(protocol, 3, ["random:*"])) == ["random:1", "random:2", "random:3"]
-    assert chosen_faults(protocol, 3, ["nothing"]) == {}
-    assert list(chosen_faults(protocol, 2, fault_seed=7)) == ["random:7.1", "random:7.2"]
+    assert list(chosen_faults(protocol, 2, ["random:*"])) == ["random:1", "random:2"]
+    assert chosen_faults(protocol, 1, ["nothing"]) == {}
+    assert list(chosen_faults(protocol, 1, ["r*"], fault_seed=7)) == ["random:7.1"]
 
 
 def test_the_command_scores_on_several_processes_and_writes_json() -> None:

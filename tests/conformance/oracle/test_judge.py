@@ -758,8 +758,9 @@ def only_moving(look: Look) -> Look:
 
 def test_a_probe_that_tells_only_moving_cannot_see_a_setting(protocol: Protocol) -> None:
     device = Simulator(protocol, Fault("x", "test", "", show=only_moving))
+    only = ("valid/LED/*", "valid/Forward", "valid/*/1", "unused-id/*/1", "*-*/S*/1", "*-*/LED/1*")
 
-    report = conform(device, grammar=protocol, options=Options(only=("valid/*", "*-*/*/1")))
+    report = conform(device, grammar=protocol, options=Options(only=only))
 
     assert report.exit == 3
     blind = [r for r in report.results if r.verdict is INCONCLUSIVE]
@@ -780,7 +781,9 @@ def test_a_probe_that_does_not_know_whether_it_moves_vouches_for_nothing(
 ) -> None:
     device = Simulator(protocol, Fault("x", "test", "", show=lambda look: CarLook(look.t, None)))
 
-    report = conform(device, grammar=protocol, options=Options(only=("*-*/*/1", "valid/Stop")))
+    report = conform(
+        device, grammar=protocol, options=Options(only=("unused-id/1?/1", "*-*/S*/1", "valid/Stop"))
+    )
 
     assert report.exit == 3
     assert FAIL not in {r.verdict for r in report.results}

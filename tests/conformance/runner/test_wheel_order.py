@@ -170,7 +170,9 @@ def test_a_probe_that_shows_no_speeds_leaves_the_cases_out(
 
 @pytest.mark.slow
 def test_no_legal_variant_fails(protocol: Protocol) -> None:
-    for name, variant in variants(protocol).items():
+    every = variants(protocol)
+    for name in [*list(every)[::3], "R-resolution=plateau"]:
+        variant = every[name]
         options = replace(ONLY, allow=(variant.allow,) if variant.allow else ())
         found = judged(protocol, variant.fault, options)
 
