@@ -55,8 +55,6 @@ def info(options: InfoOptions) -> None:
     Shows when and where it was recorded, and whether it is complete. The keys of the JSON are
     explained in analyzer/output/capture_info.py.
     """
-    from dataclasses import asdict
-
     from bilprov.analyzer.output.capture_info import drawn, summarized
     from bilprov.analyzer.output.console import show_as
     from bilprov.captures.reader import open_capture
@@ -65,7 +63,7 @@ def info(options: InfoOptions) -> None:
     summary = summarized(capture, protocol_in_use())
     show_as(
         "json" if options.as_json else options.style,
-        lambda: asdict(summary),
+        lambda: summary,
         lambda: drawn(summary, carried=bool(capture.grammar_text)),
     )
 
@@ -127,17 +125,15 @@ def cut(options: CutOptions) -> None:
     from bilprov.analyzer.replay.capture_decoding import opened_at, require_begun, said_about
     from bilprov.captures.reader import open_quickly
 
-    path, new = options.path, options.new
     window = options.span.window()
     if not window.bounded and options.expression is None:
         raise click.UsageError("name what OUT is to hold: --start, --end, --filter or some of them")
-    found = open_quickly(path)
+    found = open_quickly(options.path)
     protocol = protocol_of(found, copied=True)
     test = compiled(options.expression, protocol)
     opened = opened_at(found, protocol, window.first or 0)
     capture = opened.capture
     require_begun(capture, window.first)
-    require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
     note_each((*said_about(capture, protocol), opened.note if window.first else ""))
     metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
     times = 1 if test is None else 2
@@ -149,42 +145,32 @@ def cut(options: CutOptions) -> None:
             size = write_selected(
                 lambda t: opened_at(found, protocol, t), protocol, out, window, held, progress
             )
-    note(f"{new} holds {quantity(size, 'byte')} of {path}")
+    _note_size(options.new, size, str(options.path))
 
 
 @dataclass(frozen=True)
-class RepairOptions:
-    """The options of `capture repair`."""
+class CopyOptions:
+    """The options of `capture repair` and `capture decode`."""
 
-    path: Path = argument(metavar="BROKEN.mcap", type=click.Path(path_type=Path))
+    path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
     new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
     force: bool = force_option()
 
 
-@command(RepairOptions)
-def repair(options: RepairOptions) -> None:
+@command(CopyOptions)
+def repair(options: CopyOptions) -> None:
     """Examples:
       bilprov capture repair broken.mcap repaired.mcap
 
     OUT holds all raw bytes, line events and notes of conformance runs that can be read, with
-    metadata and attachments; a gap stands where something is lost. BROKEN may also be a capture
-    that was never finished, and stays as it is. bilprov capture check BROKEN.mcap reports what is
-    lost. Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT."""
-    from bilprov.analyzer.edit.cut import write_window
+    metadata and attachments; a gap stands where something is lost. IN may also be a capture that
+    was never finished, and stays as it is. bilprov capture check IN.mcap reports what is lost.
+    Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT."""
     from bilprov.analyzer.edit.new_capture import edited_metadata
-    from bilprov.analyzer.output.outputs import Window
-    from bilprov.analyzer.replay.capture_decoding import opened_at, said_about
-    from bilprov.captures.reader import open_capture
 
-    path, new = options.path, options.new
-    capture = open_capture(path)  # surveyed: an index tells nothing of damage
-    protocol = protocol_of(capture, copied=True)
-    require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
-    note_each(said_about(capture, protocol))
-    metadata = edited_metadata(capture, protocol, f"repair {printable(path.name)}")
-    with _copying(options, [capture], metadata, protocol) as (out, progress):
-        size = write_window(opened_at(capture, protocol, 0), protocol, out, Window(), progress)
-    note(f"{new} holds {quantity(size, 'byte')} of {path}")
+    capture, protocol = _opened(options)
+    about = edited_metadata(capture, protocol, f"repair {printable(options.path.name)}")
+    _note_size(options.new, _copied(options, capture, protocol, about), str(options.path))
     if capture.left_out or not capture.damage:
         note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
 
@@ -222,37 +208,20 @@ def join(options: JoinOptions) -> None:
     leaves no OUT.
     """
     from bilprov.analyzer.edit.join import Joined, write_joined
-    from bilprov.analyzer.replay.capture_decoding import said_about
-    from bilprov.captures.reader import open_capture
 
     if len(options.paths) < 2:
         raise click.UsageError("name two captures or more to join")
-    new = options.new
-    captures = [open_capture(path) for path in options.paths]
-    inputs = map(str, options.paths)
-    require_writable([("-o", str(new))], inputs, force=options.force, regular=True)
-    protocol = protocol_of(*captures, copied=True)
+    captures, protocol = opened_captures(options.paths, copied=True)
     joined = Joined(protocol, captures)
-    for capture in captures:
-        note_each(said_about(capture, protocol))
     note_each(joined.notes())
     inputs_in_order = [source.capture for source in joined.sources]
     with _copying(options, inputs_in_order, joined.metadata(), protocol) as (out, progress):
         size = write_joined(joined, protocol, out, progress)
-    note(f"{new} holds {quantity(size, 'byte')} of {len(captures)} captures")
+    _note_size(options.new, size, f"{len(captures)} captures")
 
 
-@dataclass(frozen=True)
-class DecodeOptions:
-    """The options of `capture decode`."""
-
-    path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
-    new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
-    force: bool = force_option()
-
-
-@command(DecodeOptions)
-def decode(options: DecodeOptions) -> None:
+@command(CopyOptions)
+def decode(options: CopyOptions) -> None:
     """Examples:
       bilprov capture decode drive.mcap whole.mcap
 
@@ -260,16 +229,11 @@ def decode(options: DecodeOptions) -> None:
     including those that were not written while traffic was heavy. IN may come from an older version
     or from another program, and may be unfinished or damaged. Ctrl-C leaves no OUT.
     """
-    from bilprov.analyzer.edit.new_capture import decoded_metadata, write_decoded
+    from bilprov.analyzer.edit.new_capture import decoded_metadata
 
-    path, new = options.path, options.new
-    (capture,), protocol = opened_captures([path], copied=True)
-    require_writable([("OUT", str(new))], [str(path)], force=options.force, regular=True)
-    metadata = decoded_metadata(capture, protocol)
-    # Each frame is written: that takes long, however few bytes there are.
-    with _copying(options, [capture], metadata, protocol, least=0) as (out, progress):
-        write_decoded(capture, protocol, out, progress)
-    note(f"{path} is in {new}, with everything decoded from it")
+    capture, protocol = _opened(options)
+    _copied(options, capture, protocol, decoded_metadata(capture, protocol), decoded=True)
+    note(f"{options.path} is in {options.new}, with everything decoded from it")
 
 
 @dataclass(frozen=True)
@@ -323,9 +287,38 @@ def diff(options: DiffOptions) -> int:
     return comparison.exit
 
 
+def _opened(options: CopyOptions) -> tuple[Capture, Protocol]:
+    (capture,), protocol = opened_captures([options.path], copied=True)
+    return capture, protocol
+
+
+def _copied(
+    options: CopyOptions,
+    capture: Capture,
+    protocol: Protocol,
+    metadata: Mapping[str, str],
+    *,
+    decoded: bool = False,
+) -> int:
+    """Write a whole capture anew, and return how many raw bytes it holds."""
+    from bilprov.analyzer.edit.cut import write_window
+    from bilprov.analyzer.output.outputs import Window
+    from bilprov.analyzer.replay.capture_decoding import Opened, capture_decoder
+
+    opened = Opened(capture, capture_decoder(capture, protocol))
+    # To write each frame takes long, however few bytes there are.
+    shown = {"least": 0} if decoded else {}
+    with _copying(options, [capture], metadata, protocol, **shown) as (out, progress):
+        return write_window(opened, protocol, out, Window(), progress, decoded=decoded)
+
+
+def _note_size(new: Path, size: int, of: str) -> None:
+    note(f"{new} holds {quantity(size, 'byte')} of {of}")
+
+
 @contextmanager
 def _copying(
-    options: CutOptions | RepairOptions | JoinOptions | DecodeOptions,
+    options: CutOptions | CopyOptions | JoinOptions,
     captures: Sequence[Capture],
     metadata: Mapping[str, str],
     protocol: Protocol,
@@ -337,6 +330,8 @@ def _copying(
     """
     from bilprov.analyzer.edit.new_capture import new_capture
 
+    inputs = [str(capture.path) for capture in captures]
+    require_writable([("OUT", str(options.new))], inputs, force=options.force, regular=True)
     for capture in captures:
         note_each(left_out(capture))
     start = min(capture.start for capture in captures)

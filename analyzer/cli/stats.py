@@ -46,9 +46,9 @@ def stats(options: StatsOptions) -> None:
     the last.
     """
     from bilprov.analyzer.output.capture_stats import file_stats, stats_of
-    from bilprov.analyzer.output.console import can_show, show
+    from bilprov.analyzer.output.console import show
     from bilprov.analyzer.output.stats_csv import stats_csv
-    from bilprov.analyzer.output.stats_tables import ASCII, BLOCKS, drawn
+    from bilprov.analyzer.output.stats_tables import drawn
     from bilprov.analyzer.replay.capture_decoding import capture_line, capture_totals
     from bilprov.analyzer.totals.totals import Totals
 
@@ -70,8 +70,7 @@ def stats(options: StatsOptions) -> None:
     if options.csv_file is not None:
         write_output(options.csv_file, stats_csv(found).encode())
     if STANDARD_OUTPUT not in named.values():
-        charts = BLOCKS if can_show(BLOCKS.steps + BLOCKS.fills) else ASCII
-        show(*drawn(found, charts, moves=protocol.at_rest is not None))
+        show(*drawn(found, moves=protocol.at_rest is not None))
 
 
 @dataclass(frozen=True)

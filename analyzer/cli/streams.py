@@ -24,6 +24,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, TextIO
 
 from bilprov.analyzer.cli.failures import say
+from bilprov.analyzer.output.console import NARROW
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -139,7 +140,7 @@ def _opened(name: str, nowhere: int) -> tuple[TextIO, _Descriptor] | None:
     text = io.TextIOWrapper(
         io.BufferedWriter(descriptor),
         encoding=stream.encoding if stream else "utf-8",
-        errors="backslashreplace",  # a narrow locale is no reason to fail
+        errors=NARROW,  # a narrow locale is no reason to fail
         line_buffering=bool(getattr(stream, "line_buffering", True)),
         write_through=bool(getattr(stream, "write_through", False)),
     )

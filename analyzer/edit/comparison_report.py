@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import RenderableType
 from rich.text import Text
 
+from bilprov.analyzer.output.capture_stats import grammar_json, spread_json
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.captures.text import printable, quantity
 from bilprov.spec.protocol import Protocol
@@ -44,11 +45,7 @@ SHOWN = 20  # differences on a screen
 def as_json(comparison: Comparison, protocol: Protocol, paths: tuple[str, str]) -> dict[str, Any]:
     """The comparison as one object; the module's docstring explains the keys."""
     return {
-        "grammar": {
-            "name": protocol.name,
-            "version": protocol.version,
-            "sha256": protocol.sha256,
-        },
+        "grammar": grammar_json(protocol),
         "a": paths[0],
         "b": paths[1],
         "exit": comparison.exit,
@@ -92,10 +89,8 @@ def _side(exchange: Exchange | None) -> dict[str, Any] | None:
 
 
 def _spread(spread: Spread | None) -> dict[str, Any] | None:
-    if spread is None:
-        return None
-    times = {"median": spread.median, "p95": spread.ninety_fifth, "max": spread.longest}
-    return {"count": spread.count} | {name: t / SECOND for name, t in times.items()}
+    said = spread_json(spread)
+    return said and {name: said[name] for name in ("count", "median", "p95", "max")}
 
 
 def drawn(comparison: Comparison, paths: tuple[str, str]) -> Iterator[RenderableType]:
@@ -182,7 +177,7 @@ def _row(name: str, first: Spread | None, second: Spread | None) -> tuple[str, .
     both = (first, second)
     counts = (f"{side.count:,}" if side else "0" for side in both)
     medians = (_ms(side.median) if side else "" for side in both)
-    most = (_ms(side.ninety_fifth) if side else "" for side in both)
+    most = (_ms(side.p95) if side else "" for side in both)
     shift = f"{(second.median - first.median) / 1e6:+.3f} ms" if first and second else ""
     return (name, *counts, *medians, shift, *most)
 

@@ -28,6 +28,7 @@ from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecor
 from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.edit.new_capture import (
+    BATCH_VALUES,
     Timed,
     batched,
     copy_batch,
@@ -35,6 +36,7 @@ from bilprov.analyzer.edit.new_capture import (
     first_state,
     size_of,
     timed,
+    write_records,
     write_resumption,
 )
 from bilprov.analyzer.output.outputs import Window
@@ -57,12 +59,19 @@ CUT_THROUGH = "cut here, in the middle of a frame or its answer, which continues
 
 
 def write_window(
-    opened: Opened, protocol: Protocol, out: RecordWriter, window: Window, progress: Progress
+    opened: Opened,
+    protocol: Protocol,
+    out: RecordWriter,
+    window: Window,
+    progress: Progress,
+    *,
+    decoded: bool = False,
 ) -> int:
     """Write what was recorded in a window, and return how many raw bytes that is.
 
-    `opened` stands at any place before the window. Raises CaptureError as `Capture.events` and the
-    writer do.
+    `opened` stands at any place before the window. With `decoded` each record that is decoded from
+    the bytes is written too, behind the event that completes it. Raises CaptureError as
+    `Capture.events` and the writer do.
     """
     settings = capture_settings(opened.capture, protocol)
     decoder = opened.decoder
@@ -82,9 +91,12 @@ def write_window(
     kept = 0
     behind: list[Timed] = []
     checkpoints = Checkpoints(protocol.sha256)
-    for batch in batched(_before(values, window.after, behind)):
-        kept = copy_batch(out, decoder, checkpoints, batch, kept)
+    together = 1 if decoded else BATCH_VALUES
+    for batch in batched(_before(values, window.after, behind), together):
+        kept = copy_batch(out, decoder, checkpoints, batch, kept, decoded=decoded)
         progress(size_of(batch))
+    if decoded:
+        write_records(out, decoder.finish())
     end = decoder.saved()
     if behind and end and _cuts_through(protocol, settings, end, chain(behind, values)):
         out.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)

@@ -7,17 +7,17 @@ copied; or written with all that can be decoded from its bytes.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.checkpoint import DecoderState, encoded, encoded_or_none
 from bilprov.analyzer.decode.records import shapes_of
-from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.files import replaced_whole
-from bilprov.analyzer.replay.capture_decoding import Progress, capture_settings
+from bilprov.analyzer.replay.capture_decoding import capture_settings
 from bilprov.analyzer.replay.recorder import (
     CHECKPOINT_STATE,
     Checkpoints,
@@ -29,11 +29,11 @@ from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Checkpoint, Chunk, Line, Recorded, Resumption, look_class
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Recorded, Resumption
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
-_BATCH_VALUES = 1 << 12
+BATCH_VALUES = 1 << 12
 _BATCH_BYTES = 1 << 15
 
 
@@ -51,8 +51,8 @@ def timed(values: Iterator[Recorded], now: int) -> Iterator[Timed]:
         yield Timed(now, value)
 
 
-def batched(values: Iterator[Timed]) -> Iterator[list[Timed]]:
-    """Yield values in lists of at most 4,096, with about 32 KiB of raw bytes.
+def batched(values: Iterator[Timed], most: int = BATCH_VALUES) -> Iterator[list[Timed]]:
+    """Yield values in lists of at most `most`, with about 32 KiB of raw bytes.
 
     No more is taken than is handed out: who stops in between can go on with the rest of `values`.
     """
@@ -61,7 +61,7 @@ def batched(values: Iterator[Timed]) -> Iterator[list[Timed]]:
     for one in values:
         batch.append(one)
         size += len(one.value.data) if isinstance(one.value, Chunk) else 0
-        if len(batch) >= _BATCH_VALUES or size >= _BATCH_BYTES:
+        if len(batch) >= most or size >= _BATCH_BYTES:
             yield batch
             batch, size = [], 0
     if batch:
@@ -104,18 +104,30 @@ def copy_batch(
     checkpoints: Checkpoints,
     batch: list[Timed],
     size: int,
+    *,
+    decoded: bool = False,
 ) -> int:
     """Write and decode a batch, and write a checkpoint if one is due.
 
-    `size` raw bytes were copied before; returns how many are now.
+    With `decoded` what it completes is written too. `size` raw bytes were copied before; returns
+    how many are now.
     """
     write_values(out, batch)
-    decoder.feed(events_in(batch))
+    records = decoder.feed(events_in(batch))
+    if decoded:
+        write_records(out, records)
     size += size_of(batch)
     made = checkpoints.made(batch[-1].now, size, lambda: encoded_or_none(decoder.saved()))
     if made:
         out.write(made, made.t)
     return size
+
+
+def write_records(out: RecordWriter, batches: Iterable[Batch]) -> None:
+    """Write all records of decoded batches."""
+    for batch in batches:
+        for record in batch.records():
+            out.record(record)
 
 
 def first_state(decoder: StreamDecoder) -> DecoderState:
@@ -221,29 +233,3 @@ def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
     about = dict(capture.contents.metadata)
     about.pop(topics.START_KEY, None)
     return about | grammar_metadata(protocol)
-
-
-def write_decoded(
-    capture: Capture, protocol: Protocol, out: RecordWriter, progress: Progress
-) -> None:
-    """Write what was recorded, and every record that is decoded from it.
-
-    Where messages are lost, the `gap` stands in the new file. Checkpoints are made anew. `progress`
-    is told of the raw bytes of each message. Raises CaptureError as `Capture.events` and the writer
-    do.
-    """
-    session = Session(protocol, **capture_settings(capture, protocol))
-    checkpoints, size = Checkpoints(protocol.sha256), 0
-    for value in capture.recorded(looks=look_class(protocol.state_type)):
-        progress(len(value.data) if isinstance(value, Chunk) else 0)
-        if isinstance(value, Chunk | Line):
-            out.event(value)
-            for record in session.feed(value):
-                out.record(record)
-            size += len(value.data) if isinstance(value, Chunk) else 0
-            if made := checkpoints.made(value.t, size, lambda: encoded_or_none(session.saved())):
-                out.write(made, value.t)
-        elif not isinstance(value, Checkpoint):
-            out.write(value, value.t)
-    for record in session.finish():
-        out.record(record)

@@ -1,7 +1,6 @@
 """The one-page summary of a capture that `bilprov capture info` shows, made without decoding it.
 
-The JSON of `--json` is one object. Moments are ISO 8601 in UTC, to the microsecond (a number, ns
-since 1970, where a file claims one outside the calendar):
+The JSON of `--json` is one object. Moments are ISO 8601 in UTC, to the microsecond:
 
 - `path`; `size` in bytes; `library`, the program that has written the file.
 - `parts`: the files, by name, of a recording that is kept in parts; of one file none.
@@ -21,8 +20,8 @@ since 1970, where a file claims one outside the calendar):
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -36,108 +35,83 @@ from bilprov.spec.protocol import Protocol
 SECOND = 1_000_000_000  # ns
 
 
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """The values that `bilprov capture info` shows; the module's docstring explains them."""
-
-    path: str
-    size: int
-    parts: tuple[str, ...]
-    library: str
-    start: str
-    end: str
-    zero: str
-    duration: float
-    host: str | None
-    kit: str | None
-    metadata: dict[str, str]
-    same_grammar: bool | None
-    counts: dict[str, int]
-    bytes: dict[str, int]
-    unfinished: bool
-    damage: tuple[str, ...]
-
-
-def summarized(capture: Capture, protocol: Protocol) -> Summary:
-    """Summarize an opened capture."""
+def summarized(capture: Capture, protocol: Protocol) -> dict[str, Any]:
+    """Summarize an opened capture; the module's docstring explains the keys."""
     contents = capture.contents
     begun_later = {HISTORY, CUT_START} & capture.metadata.keys() and contents.first
     start = contents.first if begun_later else capture.start
     end = max(start, contents.last)
     hashes = [value for key, value in capture.metadata.items() if key.endswith("sha256")]
-    return Summary(
-        path=str(capture.path),
-        size=contents.size,
-        parts=tuple(part.path.name for part in capture.volumes) if capture.in_parts else (),
-        library=capture.library,
-        start=_moment(start),
-        end=_moment(end),
-        zero=_moment(capture.start),
-        duration=(end - start) / SECOND,
-        host=capture.metadata.get(MACHINE) or None,
-        kit=capture.metadata.get("version") or None,
-        metadata=dict(capture.metadata),
-        same_grammar=protocol.sha256 in hashes if hashes else None,
-        counts=dict(contents.counts),
-        bytes={
+    return {
+        "path": str(capture.path),
+        "size": contents.size,
+        "parts": tuple(part.path.name for part in capture.volumes) if capture.in_parts else (),
+        "library": capture.library,
+        "start": _moment(start),
+        "end": _moment(end),
+        "zero": _moment(capture.start),
+        "duration": (end - start) / SECOND,
+        "host": capture.metadata.get(MACHINE) or None,
+        "kit": capture.metadata.get("version") or None,
+        "metadata": dict(capture.metadata),
+        "same_grammar": protocol.sha256 in hashes if hashes else None,
+        "counts": dict(contents.counts),
+        "bytes": {
             "host": contents.sizes.get(HOST_RAW, 0),
             "device": contents.sizes.get(DEVICE_RAW, 0),
         },
-        unfinished=capture.unfinished,
-        damage=capture.damage,
-    )
+        "unfinished": capture.unfinished,
+        "damage": capture.damage,
+    }
 
 
 def _moment(wall: int) -> str:
-    """Format a wall-clock time in ns as ISO 8601, or as a number if it is outside the calendar."""
-    try:
-        seconds, rest = divmod(wall, SECOND)
-        moment = datetime.fromtimestamp(seconds, UTC)
-        return moment.replace(microsecond=rest // 1000).isoformat(timespec="microseconds")
-    except (OverflowError, OSError, ValueError):
-        return str(wall)
+    """Format a wall-clock time in ns as ISO 8601."""
+    seconds, rest = divmod(wall, SECOND)
+    moment = datetime.fromtimestamp(seconds, UTC)
+    return moment.replace(microsecond=rest // 1000).isoformat(timespec="microseconds")
 
 
-def drawn(summary: Summary, *, carried: bool) -> Iterator[RenderableType]:
+def drawn(summary: dict[str, Any], *, carried: bool) -> Iterator[RenderableType]:
     """Yield the parts to print; `carried` is whether the file has its grammar's text."""
-    yield heading(printable(summary.path))
+    yield heading(printable(summary["path"]))
     yield facts(_about(summary, carried))
     yield Text()
     yield table(
         ("topic", "messages"),
-        [(topic, f"{count:,}") for topic, count in sorted(summary.counts.items())],
+        [(topic, f"{count:,}") for topic, count in sorted(summary["counts"].items())],
         right="messages",
     )
-    if summary.unfinished:
+    if summary["unfinished"]:
         yield Text()
         yield Text(
             "  The recording was not finished (killed or cut short); everything intact is read.",
             style="yellow",
         )
-    for sentence in summary.damage:
+    for sentence in summary["damage"]:
         yield Text(f"  damaged: {sentence}", style="yellow")
 
 
-def _about(summary: Summary, carried: bool) -> Iterator[tuple[str, str]]:
-    yield "size", quantity(summary.size, "byte")
-    if summary.parts:
-        named = printable(" to ".join(dict.fromkeys((summary.parts[0], summary.parts[-1]))))
-        yield "kept in", f"{quantity(len(summary.parts), 'part')}, {named}"
-    yield "written by", summary.library or "unknown"
-    yield "start", summary.start
-    yield "end", summary.end
-    if summary.zero != summary.start:
-        yield "times count from", summary.zero
-    yield "duration", f"{summary.duration:.3f} s"
-    yield "recorded on", summary.host or ""
-    yield "recorded by", f"bilprov {summary.kit}" if summary.kit else ""
-    for key, value in sorted(summary.metadata.items()):
+def _about(summary: dict[str, Any], carried: bool) -> Iterator[tuple[str, str]]:
+    yield "size", quantity(summary["size"], "byte")
+    if summary["parts"]:
+        named = printable(" to ".join(dict.fromkeys((summary["parts"][0], summary["parts"][-1]))))
+        yield "kept in", f"{quantity(len(summary['parts']), 'part')}, {named}"
+    yield "written by", summary["library"] or "unknown"
+    yield "start", summary["start"]
+    yield "end", summary["end"]
+    if summary["zero"] != summary["start"]:
+        yield "times count from", summary["zero"]
+    yield "duration", f"{summary['duration']:.3f} s"
+    yield "recorded on", summary["host"] or ""
+    yield "recorded by", f"bilprov {summary['kit']}" if summary["kit"] else ""
+    for key, value in sorted(summary["metadata"].items()):
         if key not in ("start", "version", MACHINE, CUT_START, CUT_END):  # shown above
             yield key.replace("_", " "), printable(value)
-    if summary.same_grammar:
+    if summary["same_grammar"]:
         yield "recorded with", "the grammar in use"
-    elif summary.same_grammar is False:
+    elif summary["same_grammar"] is False:
         which = "the grammar that is in the file" if carried else "not the grammar in use"
         yield "recorded with", which
-    yield "host sent", quantity(summary.bytes["host"], "byte")
-    yield "device sent", quantity(summary.bytes["device"], "byte")
+    yield "host sent", quantity(summary["bytes"]["host"], "byte")
+    yield "device sent", quantity(summary["bytes"]["device"], "byte")

@@ -46,9 +46,8 @@ Instructions and responses of the grammar are there even where the count is 0.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import msgspec
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.reader import Capture
@@ -61,202 +60,109 @@ if TYPE_CHECKING:
 
 SECOND = 1e9  # ns
 
-
-class Grammar(msgspec.Struct, frozen=True):
-    """The grammar by which the bytes were decoded."""
-
-    name: str
-    version: str
-    sha256: str
-
-
-class Latency(msgspec.Struct, frozen=True):
-    """How the latencies of the answers are spread, in s."""
-
-    count: int
-    min: float
-    median: float
-    p95: float
-    p99: float
-    max: float
-
-
-class LatencyBin(msgspec.Struct, frozen=True):
-    """How many latencies are from `least` up to, not including, `below`, in s."""
-
-    least: float
-    below: float
-    count: int
-
-
-class Load(msgspec.Struct, frozen=True):
-    """The share of what the line can carry that each side used, 0 to 1."""
-
-    host: float
-    device: float
-
-
-class InstructionCounts(msgspec.Struct, frozen=True):
-    """The counts of one instruction; the module's docstring explains the keys."""
-
-    frames: int
-    responses: dict[str, int]
-    anomalies: dict[str, int]
-    latency: Latency | None
-
-
-class Counts(msgspec.Struct, frozen=True, kw_only=True):
-    """The counts of one capture, or of several; the module's docstring explains the keys."""
-
-    duration: float
-    moving: float
-    load: Load | None
-    host_bytes: int
-    device_bytes: int
-    frames: int
-    truncated: int
-    garbage: int
-    peak: int
-    instructions: dict[str, int]
-    expected: dict[str, int]
-    responses: dict[str, int]
-    agreeing: int
-    disagreeing: int
-    anomalies: dict[str, int]
-    by_direction: dict[str, dict[str, int]]
-    by_instruction: dict[str, InstructionCounts]
-    latency: Latency | None
-    latency_bins: list[LatencyBin]
-
-
-class RateCounts(msgspec.Struct, frozen=True):
-    """Counts by time, in equal steps; the module's docstring explains the keys."""
-
-    start: float
-    step: float
-    frames: list[int]
-    faults: list[int]
-    host_bytes: list[int]
-    device_bytes: list[int]
-
-
-class FileStats(msgspec.Struct, frozen=True, kw_only=True):
-    """The statistics of one capture; the module's docstring explains the keys."""
-
-    path: str
-    unfinished: bool
-    damage: tuple[str, ...]
-    line: str
-    first: float | None
-    last: float | None
-    counts: Counts
-    rates: RateCounts | None
-
-
-class Stats(msgspec.Struct, frozen=True, kw_only=True):
-    """The statistics of some captures; the module's docstring explains the keys."""
-
-    grammar: Grammar
-    filter: str | None
-    files: list[FileStats]
-    total: Counts
+Json: TypeAlias = dict[str, Any]
+"""An object of the JSON; the module's docstring explains the keys."""
 
 
 def stats_of(
-    protocol: Protocol, files: list[FileStats], together: Totals, expression: str | None = None
-) -> Stats:
+    protocol: Protocol, files: list[Json], together: Totals, expression: str | None = None
+) -> Json:
     """The statistics of captures; `together` are the totals of all of them."""
-    duration = sum(file.counts.duration for file in files)
-    return Stats(
-        grammar=Grammar(protocol.name, protocol.version, protocol.sha256),
-        filter=expression,
-        files=files,
-        total=_counts(together, duration, _mean_load(files, duration)),
-    )
+    duration = sum(file["counts"]["duration"] for file in files)
+    return {
+        "grammar": grammar_json(protocol),
+        "filter": expression,
+        "files": files,
+        "total": _counts(together, duration, _mean_load(files, duration)),
+    }
 
 
-def file_stats(capture: Capture, totals: Totals, line: LineSettings) -> FileStats:
+def grammar_json(protocol: Protocol) -> Json:
+    """The grammar by which bytes were decoded."""
+    return {name: getattr(protocol, name) for name in ("name", "version", "sha256")}
+
+
+def file_stats(capture: Capture, totals: Totals, line: LineSettings) -> Json:
     """The statistics of one capture with these totals, recorded on such a line."""
     first, last = totals.first, totals.last
     duration = ((last or 0) - (first or 0)) / SECOND
     load = None
     if duration:
         share = line.byte_time / SECOND / duration  # of one byte
-        load = Load(totals.host_bytes * share, totals.device_bytes * share)
-    return FileStats(
-        path=str(capture.path),
-        unfinished=capture.unfinished,
-        damage=capture.damage,
-        line=str(line),
-        first=None if first is None else first / SECOND,
-        last=None if last is None else last / SECOND,
-        counts=_counts(totals, duration, load),
-        rates=_rates(totals.rates),
-    )
+        load = {"host": totals.host_bytes * share, "device": totals.device_bytes * share}
+    return {
+        "path": str(capture.path),
+        "unfinished": capture.unfinished,
+        "damage": capture.damage,
+        "line": str(line),
+        "first": None if first is None else first / SECOND,
+        "last": None if last is None else last / SECOND,
+        "counts": _counts(totals, duration, load),
+        "rates": _rates(totals.rates),
+    }
 
 
-def _mean_load(files: list[FileStats], duration: float) -> Load | None:
+def _mean_load(files: list[Json], duration: float) -> Json | None:
     if not duration:
         return None
-    host = device = 0.0
-    for file in files:
-        if load := file.counts.load:
-            host += load.host * file.counts.duration
-            device += load.device * file.counts.duration
-    return Load(host / duration, device / duration)
+    loads = [(file["counts"]["load"], file["counts"]["duration"]) for file in files]
+    return {
+        side: sum(load[side] * seconds for load, seconds in loads if load) / duration
+        for side in ("host", "device")
+    }
 
 
-def _rates(rates: Rates) -> RateCounts | None:
-    counts = [rates.series(name) for name in ("frames", "faults", "host_bytes", "device_bytes")]
-    if not counts[0]:
+def _rates(rates: Rates) -> Json | None:
+    names = ("frames", "faults", "host_bytes", "device_bytes")
+    if not rates.series("frames"):
         return None
-    return RateCounts(rates.start / SECOND, rates.width / SECOND, *counts)
+    series = {name: rates.series(name) for name in names}
+    return {"start": rates.start / SECOND, "step": rates.width / SECOND, **series}
 
 
-def _counts(totals: Totals, duration: float, load: Load | None) -> Counts:
+def _counts(totals: Totals, duration: float, load: Json | None) -> Json:
     instructions = totals.instructions()
     directions = {"host": "host", "device": "device", "neither": ""}
-    return Counts(
-        duration=duration,
-        moving=totals.moving / SECOND,
-        load=load,
-        host_bytes=totals.host_bytes,
-        device_bytes=totals.device_bytes,
-        frames=totals.frames,
-        truncated=totals.kinds["truncated"],
-        garbage=totals.kinds["garbage"],
-        peak=totals.peak,
-        instructions={name: found.frames for name, found in instructions.items()},
-        expected=totals.expected(),
-        responses=totals.responses(),
-        agreeing=totals.agreeing,
-        disagreeing=totals.disagreeing,
-        anomalies=dict(totals.faults.most_common()),
-        by_direction={
+    return {
+        "duration": duration,
+        "moving": totals.moving / SECOND,
+        "load": load,
+        "host_bytes": totals.host_bytes,
+        "device_bytes": totals.device_bytes,
+        "frames": totals.frames,
+        "truncated": totals.kinds["truncated"],
+        "garbage": totals.kinds["garbage"],
+        "peak": totals.peak,
+        "instructions": {name: found.frames for name, found in instructions.items()},
+        "expected": totals.expected(),
+        "responses": totals.responses(),
+        "agreeing": totals.agreeing,
+        "disagreeing": totals.disagreeing,
+        "anomalies": dict(totals.faults.most_common()),
+        "by_direction": {
             name: dict(totals.faults_of(side).most_common()) for name, side in directions.items()
         },
-        by_instruction={
-            name: InstructionCounts(
-                found.frames, found.responses, found.faults, _latency(found.latencies)
-            )
+        "by_instruction": {
+            name: {
+                "frames": found.frames,
+                "responses": found.responses,
+                "anomalies": found.faults,
+                "latency": spread_json(found.latencies),
+            }
             for name, found in instructions.items()
         },
-        latency=_latency(totals.latencies.spread()),
-        latency_bins=[
-            LatencyBin(start / SECOND, stop / SECOND, amount)
+        "latency": spread_json(totals.latencies.spread()),
+        "latency_bins": [
+            {"least": start / SECOND, "below": stop / SECOND, "count": amount}
             for start, stop, amount in totals.latencies.histogram()
         ],
-    )
+    }
 
 
-def _latency(spread: Spread | None) -> Latency | None:
+def spread_json(spread: Spread | None) -> Json | None:
+    """How latencies are spread, in seconds; None where there are none."""
     if spread is None:
         return None
-    return Latency(
-        spread.count,
-        spread.shortest / SECOND,
-        spread.median / SECOND,
-        spread.ninety_fifth / SECOND,
-        spread.ninety_ninth / SECOND,
-        spread.longest / SECOND,
-    )
+    return {
+        name: value if name == "count" else value / SECOND for name, value in asdict(spread).items()
+    }

@@ -5,6 +5,7 @@ Each function imports rich itself: many commands print JSON or nothing but plain
 
 from __future__ import annotations
 
+import codecs
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -38,13 +39,24 @@ def show(*parts: RenderableType) -> None:
     sys.stdout.write("\n".join(line.rstrip() for line in lines))
 
 
-def can_show(text: str) -> bool:
-    """Whether standard output's encoding has every character of a text."""
-    try:
-        text.encode(sys.stdout.encoding or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        return False
-    return True
+NARROW = "bilprov-narrow"
+"""The error handler of what is written in any encoding: signs that it lacks are ASCII ones."""
+_ASCII = dict(
+    zip(
+        "→←◆…▸▾█░┼●○▲▼▪■↻↺▁▂▃▄▅▆▇▏▎▍▌▋▊▉─━│┌┐└┘╭╮╰╯",
+        "><*~+-#.+*o^v.x)(..:-=+*#######-=|++++++++",
+        strict=True,
+    )
+)
+
+
+def _narrow(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    lacking = error.object[error.start : error.end]
+    return "".join(_ASCII.get(sign, "?") for sign in lacking), error.end
+
+
+codecs.register_error(NARROW, _narrow)
 
 
 def show_json(value: Any) -> None:

@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from bilprov.analyzer.output.console import can_show, facts, heading
+from bilprov.analyzer.output.console import facts, heading
 from bilprov.analyzer.output.protocol import reading_json
 from bilprov.spec.codec import spaced
 from bilprov.spec.data import plain_values
@@ -99,8 +99,7 @@ def _bits(groups: Sequence[BitGroup], data: bytes) -> RenderableType:
         grid.add_row(Text(str(byte), "dim"), Text(coded, "bold"), bits)
         at = 0
         for group, style in zip(row, styles, strict=True):
-            rule = "━" if can_show("━") else "="
-            line = Text(" " * at).append(rule * len(group.bits), style)
+            line = Text(" " * at).append("━" * len(group.bits), style)
             shown = (group.name, str(group.value), group.meaning)
             grid.add_row("", "", line, *(Text(part, style) for part in shown))
             at += len(group.bits) + 1

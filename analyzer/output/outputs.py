@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
 from bilprov.analyzer.decode.json_lines import encode_lines, json_lines
 from bilprov.analyzer.decode.records import Record, is_frame
-from bilprov.analyzer.output.console import can_show
-from bilprov.analyzer.output.text_lines import ASCII_ARROWS, LineRenderer, hex_width
+from bilprov.analyzer.output.text_lines import LineRenderer, hex_width
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
@@ -106,10 +105,8 @@ def stream_output(
     """
     if style == "jsonl":
         return StreamOutput(write, JsonText())
-    arrows = ("→", "←") if can_show("→←") else ASCII_ARROWS
-    colour = _wants_colour(sys.stdout)
-    width = hex_width(protocol)
-    return StreamOutput(write, LineRenderer(colour=colour, arrows=arrows, time=time, width=width))
+    colour, width = _wants_colour(sys.stdout), hex_width(protocol)
+    return StreamOutput(write, LineRenderer(colour=colour, time=time, width=width))
 
 
 def opened_output(

@@ -23,9 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from msgspec.structs import asdict
-
-from bilprov.analyzer.output.capture_stats import Counts, RateCounts, Stats
+from bilprov.analyzer.output.capture_stats import Json
 from bilprov.analyzer.output.csv_text import csv_cell
 
 HEADER = ("file", "group", "key", "measure", "value")
@@ -33,49 +31,49 @@ Row: TypeAlias = tuple[str, str | float, str, int | float]
 """Group, key, measure and value."""
 
 
-def stats_csv(stats: Stats) -> str:
+def stats_csv(stats: Json) -> str:
     """The whole table with its header."""
     rows: list[tuple[str | float, ...]] = [HEADER]
-    for file in stats.files:
-        rows += ((file.path, *row) for row in _rows(file.counts))
-        rows += ((file.path, *row) for row in (_rates(file.rates) if file.rates else ()))
-    if len(stats.files) > 1:
-        rows += (("", *row) for row in _rows(stats.total))
+    for file in stats["files"]:
+        rows += ((file["path"], *row) for row in _rows(file["counts"]))
+        rows += ((file["path"], *row) for row in (_rates(file["rates"]) if file["rates"] else ()))
+    if len(stats["files"]) > 1:
+        rows += (("", *row) for row in _rows(stats["total"]))
     return "".join(",".join(map(csv_cell, row)) + "\r\n" for row in rows)
 
 
-def _rows(counts: Counts) -> Iterator[Row]:
-    for measure, value in asdict(counts).items():
+def _rows(counts: Json) -> Iterator[Row]:
+    for measure, value in counts.items():
         if isinstance(value, int | float):
             yield "total", "", measure, value
-    if counts.load:
-        yield "total", "", "load.host", counts.load.host
-        yield "total", "", "load.device", counts.load.device
-    for name, count in counts.instructions.items():
+    if counts["load"]:
+        yield "total", "", "load.host", counts["load"]["host"]
+        yield "total", "", "load.device", counts["load"]["device"]
+    for name, count in counts["instructions"].items():
         yield "instruction", name, "frames", count
-    for name, count in counts.expected.items():
+    for name, count in counts["expected"].items():
         yield "response", name, "expected", count
-    for name, count in counts.responses.items():
+    for name, count in counts["responses"].items():
         yield "response", name, "given", count
-    for side, kinds in counts.by_direction.items():
+    for side, kinds in counts["by_direction"].items():
         for kind, count in kinds.items():
             yield "anomaly", kind, side, count
-    latencies = {"": counts.latency}
-    latencies |= {name: found.latency for name, found in counts.by_instruction.items()}
+    latencies = {"": counts["latency"]}
+    latencies |= {name: found["latency"] for name, found in counts["by_instruction"].items()}
     for name, latency in latencies.items():
-        for measure, value in (asdict(latency) if latency else {}).items():
+        for measure, value in (latency or {}).items():
             yield "latency", name, measure, value
-    for name, found in counts.by_instruction.items():
-        for response, count in found.responses.items():
+    for name, found in counts["by_instruction"].items():
+        for response, count in found["responses"].items():
             yield "answer", name, response, count
-        for kind, count in found.anomalies.items():
+        for kind, count in found["anomalies"].items():
             yield "instruction anomaly", name, kind, count
-    for bin in counts.latency_bins:
-        yield "latency bin", bin.least, "count", bin.count
+    for bin in counts["latency_bins"]:
+        yield "latency bin", bin["least"], "count", bin["count"]
 
 
-def _rates(rates: RateCounts) -> Iterator[Row]:
-    series = {name: value for name, value in asdict(rates).items() if isinstance(value, list)}
-    for place in range(len(rates.frames)):
+def _rates(rates: Json) -> Iterator[Row]:
+    series = {name: value for name, value in rates.items() if isinstance(value, list)}
+    for place in range(len(rates["frames"])):
         for name, counts in series.items():
-            yield "rate", rates.start + place * rates.step, name, counts[place]
+            yield "rate", rates["start"] + place * rates["step"], name, counts[place]

@@ -3,51 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 from rich.console import RenderableType
 from rich.text import Text
 
-from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency, RateCounts, Stats
+from bilprov.analyzer.output.capture_stats import Json
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.captures.text import printable, quantity
 
+_STEPS = "▁▂▃▄▅▆▇█"
+"""The signs of a sparkline from the lowest to the highest, without one for 0."""
+_FILLS = "▏▎▍▌▋▊▉█"
+"""The parts of a bar's last cell from the smallest to a full one."""
 
-@dataclass(frozen=True, slots=True)
-class Charts:
-    """Draws with these characters.
 
-    `steps` are those of a sparkline from the lowest to the highest, without one for 0, `fills` the
-    parts of a bar's last cell from the smallest to a full one.
+def spark(values: Sequence[float], width: int) -> str:
+    """Values side by side, the largest as high as can be; a mean of several for want of room.
+
+    What is 0 is blank, and what is not is never blank.
     """
-
-    steps: str
-    fills: str
-
-    def spark(self, values: Sequence[float], width: int) -> str:
-        """Values side by side, the largest as high as can be; a mean of several for want of room.
-
-        What is 0 is blank, and what is not is never blank.
-        """
-        columns = means(values, width)
-        most = max(columns, default=0)
-        return "".join(self._step(value / most) if value > 0 else " " for value in columns)
-
-    def bar(self, share: float, width: int) -> str:
-        """A bar as long as a share (0 to 1) of the width; what is not 0 is never blank."""
-        parts = round(share * width * len(self.fills))
-        if share > 0:
-            parts = max(parts, 1)
-        full, rest = divmod(parts, len(self.fills))
-        return self.fills[-1] * full + (self.fills[rest - 1] if rest else "")
-
-    def _step(self, share: float) -> str:
-        return self.steps[min(int(share * len(self.steps)), len(self.steps) - 1)]
+    columns = means(values, width)
+    most = max(columns, default=0)
+    last = len(_STEPS) - 1
+    return "".join(
+        _STEPS[min(int(value / most * len(_STEPS)), last)] if value > 0 else " "
+        for value in columns
+    )
 
 
-BLOCKS = Charts("▁▂▃▄▅▆▇█", "▏▎▍▌▋▊▉█")
-ASCII = Charts(".:-=+*%#", "#")
+def bar(share: float, width: int) -> str:
+    """A bar as long as a share (0 to 1) of the width; what is not 0 is never blank."""
+    full, rest = divmod(max(round(share * width * 8), int(share > 0)), 8)
+    return _FILLS[-1] * full + (_FILLS[rest - 1] if rest else "")
 
 
 def means(values: Sequence[float], most: int) -> list[float]:
@@ -65,123 +53,125 @@ _BAR = 36  # columns of the longest bar
 _FEWEST = 4  # counts by time that are worth a sparkline
 
 
-def drawn(stats: Stats, charts: Charts, *, moves: bool) -> Iterator[RenderableType]:
+def drawn(stats: Json, *, moves: bool) -> Iterator[RenderableType]:
     """Yield the parts to print; text from the files is escaped."""
-    if stats.filter is not None:
-        yield Text(f"Only what passes {printable(stats.filter)} is counted.")
+    if stats["filter"] is not None:
+        yield Text(f"Only what passes {printable(stats['filter'])} is counted.")
         yield Text()
-    for number, file in enumerate(stats.files):
+    for number, file in enumerate(stats["files"]):
         if number:
             yield Text()
-        yield from _part(printable(file.path), file.counts, file, charts, moves=moves)
-    if len(stats.files) > 1:
+        yield from _part(printable(file["path"]), file["counts"], file, moves=moves)
+    if len(stats["files"]) > 1:
         yield Text()
         yield from _part(
-            f"{len(stats.files)} captures together", stats.total, None, charts, moves=moves
+            f"{len(stats['files'])} captures together", stats["total"], None, moves=moves
         )
 
 
-def _part(
-    title: str, counts: Counts, file: FileStats | None, charts: Charts, *, moves: bool
-) -> Iterator[RenderableType]:
+def _part(title: str, counts: Json, file: Json | None, *, moves: bool) -> Iterator[RenderableType]:
     yield heading(title)
     yield facts(_about(counts, file, moves=moves))
-    if file and file.rates and len(file.rates.frames) >= _FEWEST:
-        yield from _rates(counts, file.rates, charts)
+    if file and file["rates"] and len(file["rates"]["frames"]) >= _FEWEST:
+        yield from _rates(counts, file["rates"])
     yield from _instructions(counts)
     yield from _responses(counts)
     yield from _anomalies(counts)
-    yield from _histogram(counts, charts)
+    yield from _histogram(counts)
 
 
-def _about(counts: Counts, file: FileStats | None, *, moves: bool) -> Iterator[tuple[str, str]]:
-    share = f" ({_share(counts.moving / counts.duration)})" if counts.duration else ""
-    moving = f", moving for {counts.moving:.3f} s{share}" if moves else ""
-    yield "span of traffic", f"{counts.duration:.3f} s{moving}"
-    yield "host", f"{quantity(counts.host_bytes, 'byte')}, {_frames(counts)}"
-    yield "device", quantity(counts.device_bytes, "byte")
-    if counts.load:
-        line = f"{file.line}, " if file else ""
-        load = f"host {_share(counts.load.host)}, device {_share(counts.load.device)}"
+def _about(counts: Json, file: Json | None, *, moves: bool) -> Iterator[tuple[str, str]]:
+    share = f" ({_share(counts['moving'] / counts['duration'])})" if counts["duration"] else ""
+    moving = f", moving for {counts['moving']:.3f} s{share}" if moves else ""
+    yield "span of traffic", f"{counts['duration']:.3f} s{moving}"
+    yield "host", f"{quantity(counts['host_bytes'], 'byte')}, {_frames(counts)}"
+    yield "device", quantity(counts["device_bytes"], "byte")
+    if counts["load"]:
+        line = f"{file['line']}, " if file else ""
+        load = f"host {_share(counts['load']['host'])}, device {_share(counts['load']['device'])}"
         yield "line", f"{line}load: {load}"
-    if counts.frames:
-        rate = f"{counts.frames / counts.duration:,.0f} a second, " if counts.duration else ""
-        yield "frames", f"{rate}{counts.peak:,} in the busiest second"
-    if counts.agreeing or counts.disagreeing:
-        yield "answers", f"{counts.agreeing:,} as expected, {counts.disagreeing:,} not"
-    if counts.latency:
-        median, p95, p99, longest = _percentiles(counts.latency)
-        least = _ms(counts.latency.min)
+    if counts["frames"]:
+        rate = (
+            f"{counts['frames'] / counts['duration']:,.0f} a second, " if counts["duration"] else ""
+        )
+        yield "frames", f"{rate}{counts['peak']:,} in the busiest second"
+    if counts["agreeing"] or counts["disagreeing"]:
+        yield "answers", f"{counts['agreeing']:,} as expected, {counts['disagreeing']:,} not"
+    if counts["latency"]:
+        median, p95, p99, longest = _percentiles(counts["latency"])
+        least = _ms(counts["latency"]["min"])
         said = f"min {least} ms, median {median}, 95 % {p95}, 99 % {p99}, max {longest}"
         yield "latency", said
 
 
-def _frames(counts: Counts) -> str:
-    said = quantity(counts.frames, "frame")
-    if counts.truncated:
-        said += f", {counts.truncated:,} of them truncated"
-    if counts.garbage:
-        said += f", {quantity(counts.garbage, 'piece of garbage', 'pieces of garbage')}"
+def _frames(counts: Json) -> str:
+    said = quantity(counts["frames"], "frame")
+    if counts["truncated"]:
+        said += f", {counts['truncated']:,} of them truncated"
+    if counts["garbage"]:
+        said += f", {quantity(counts['garbage'], 'piece of garbage', 'pieces of garbage')}"
     return said
 
 
-def _rates(counts: Counts, rates: RateCounts, charts: Charts) -> Iterator[RenderableType]:
+def _rates(counts: Json, rates: Json) -> Iterator[RenderableType]:
     """How much there was a second, from the first second to the last."""
     series = {
-        "frames": rates.frames,
-        "anomalies": rates.faults,
-        "host bytes": rates.host_bytes,
-        "device bytes": rates.device_bytes,
+        "frames": rates["frames"],
+        "anomalies": rates["faults"],
+        "host bytes": rates["host_bytes"],
+        "device bytes": rates["device_bytes"],
     }
     rows = []
     for name, amounts in series.items():
-        mean = sum(amounts) / counts.duration if counts.duration else 0
-        peak = _number(max(amounts) / rates.step)
+        mean = sum(amounts) / counts["duration"] if counts["duration"] else 0
+        peak = _number(max(amounts) / rates["step"])
         if peak != "0":
-            rows.append((name, charts.spark(amounts, _SPARK), _number(mean), peak))
+            rows.append((name, spark(amounts, _SPARK), _number(mean), peak))
     yield Text()
     yield table(("a second", "from begin to end", "mean", "peak"), rows, right="mean peak")
 
 
-def _instructions(counts: Counts) -> Iterator[RenderableType]:
+def _instructions(counts: Json) -> Iterator[RenderableType]:
     rows = []
-    for name, found in counts.by_instruction.items():
-        if found.frames:
-            answers, odd = sum(found.responses.values()), sum(found.anomalies.values())
-            latency = _percentiles(found.latency) if found.latency else ("",) * 4
-            rows.append((printable(name), *map(_count, (found.frames, answers, odd)), *latency))
+    for name, found in counts["by_instruction"].items():
+        if found["frames"]:
+            answers, odd = sum(found["responses"].values()), sum(found["anomalies"].values())
+            latency = _percentiles(found["latency"]) if found["latency"] else ("",) * 4
+            rows.append((printable(name), *map(_count, (found["frames"], answers, odd)), *latency))
     columns = ("instruction", "frames", "answers", "odd", "median/ms", "p95", "p99", "max")
     yield from _table(columns, rows)
 
 
-def _responses(counts: Counts) -> Iterator[RenderableType]:
-    names = dict.fromkeys([*counts.expected, *counts.responses])
-    pairs = {name: (counts.expected.get(name, 0), counts.responses.get(name, 0)) for name in names}
+def _responses(counts: Json) -> Iterator[RenderableType]:
+    names = dict.fromkeys([*counts["expected"], *counts["responses"]])
+    pairs = {
+        name: (counts["expected"].get(name, 0), counts["responses"].get(name, 0)) for name in names
+    }
     rows = [(printable(name), *map(_count, pair)) for name, pair in pairs.items() if any(pair)]
     yield from _table(("response", "expected", "given"), rows)
 
 
-def _anomalies(counts: Counts) -> Iterator[RenderableType]:
-    sides = counts.by_direction
+def _anomalies(counts: Json) -> Iterator[RenderableType]:
+    sides = counts["by_direction"]
     rows = [
         (printable(kind), _count(count), *(_count(by.get(kind, 0)) for by in sides.values()))
-        for kind, count in counts.anomalies.items()
+        for kind, count in counts["anomalies"].items()
     ]
     yield from _table(("anomaly", "count", *sides), rows)
 
 
-def _histogram(counts: Counts, charts: Charts) -> Iterator[RenderableType]:
-    bins = counts.latency_bins
-    most = max((bin.count for bin in bins), default=0)
+def _histogram(counts: Json) -> Iterator[RenderableType]:
+    bins = counts["latency_bins"]
+    most = max((one["count"] for one in bins), default=0)
     if not most:
         return
-    width = bins[0].below - bins[0].least
+    width = bins[0]["below"] - bins[0]["least"]
     decimals = next(n for n in range(7) if round(width * 1000, n) == round(width * 1000, 7))
     rows = []
-    for bin in bins:
-        least, below = (f"{edge * 1000:.{decimals}f}" for edge in (bin.least, bin.below))
-        bar = charts.bar(bin.count / most, _BAR)
-        rows.append((least, below, f"{bin.count:,}", bar))
+    for one in bins:
+        least, below = (f"{edge * 1000:.{decimals}f}" for edge in (one["least"], one["below"]))
+        drawn_bar = bar(one["count"] / most, _BAR)
+        rows.append((least, below, f"{one['count']:,}", drawn_bar))
     yield Text()
     yield table(("from/ms", "to/ms", "answers", "latency"), rows, right="from/ms to/ms answers")
 
@@ -193,9 +183,9 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[Re
         yield table(columns, rows, right=" ".join(columns[1:]))
 
 
-def _percentiles(latency: Latency) -> tuple[str, str, str, str]:
-    median, p95, p99 = _ms(latency.median), _ms(latency.p95), _ms(latency.p99)
-    return median, p95, p99, _ms(latency.max)
+def _percentiles(latency: Json) -> tuple[str, str, str, str]:
+    median, p95, p99 = _ms(latency["median"]), _ms(latency["p95"]), _ms(latency["p99"])
+    return median, p95, p99, _ms(latency["max"])
 
 
 def _ms(seconds: float) -> str:

@@ -56,24 +56,20 @@ def hex_width(protocol: Protocol) -> int:
 class LineRenderer:
     """Renders records for one output.
 
-    `colour` adds ANSI colour codes, which only a terminal should get. `arrows` are the signs for
-    host and device bytes; give `ASCII_ARROWS` where the output's encoding has no others. `time`
-    writes a time (ns since the start), which is in seconds without it. The bytes have `width`
-    columns.
+    `colour` adds ANSI colour codes, which only a terminal should get. `time` writes
+    a time (ns since the start), which is in seconds without it. The bytes have `width` columns.
     """
 
     def __init__(
         self,
         *,
         colour: bool,
-        arrows: tuple[str, str] = ("→", "←"),
         time: Callable[[int], str] | None = None,
         width: int = HEX_WIDTH,
     ) -> None:
         self._colour = colour
         self._width = width
         self._time = time or _seconds
-        self._to_device, self._to_host = arrows
         self._host = PerFrame(self._host_text)
         self._device = lru_cache(maxsize=8192)(self._device_text)
         self._state = lru_cache(maxsize=8192)(self._state_text)
@@ -97,7 +93,7 @@ class LineRenderer:
         """What stands before the state, and behind it."""
         severity = severity_of(record)
         body = f"{record.hex:<{self._width}}  {record.words:<{WORDS_WIDTH}}"
-        text = f"{self._to_device} {self._paint(body, severity)}"
+        text = f"→ {self._paint(body, severity)}"
         return text, self._why(record.reason, severity)
 
     def _device_line(self, record: DeviceRecord) -> str:
@@ -111,7 +107,7 @@ class LineRenderer:
 
     def _device_text(self, coded: str, name: str, severity: Severity | None) -> str:
         body = f"{coded:<{self._width}}  {name:<13}"
-        return f"{self._to_host} {self._paint(body, severity)}"
+        return f"← {self._paint(body, severity)}"
 
     def _fault_line(self, fault: Anomaly) -> str:
         words = f"{fault.kind}: {fault.reason}"
@@ -128,9 +124,6 @@ class LineRenderer:
 
     def _paint(self, text: str, severity: Severity | None) -> str:
         return painted(text, severity) if self._colour else text
-
-
-ASCII_ARROWS = (">", "<")
 
 
 def painted(text: str, severity: Severity | None) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 from bilprov.analyzer.html.markup import Safe, bar, joined, json_block, tag
 from bilprov.analyzer.html.page import html_page
-from bilprov.analyzer.output.capture_stats import Counts, FileStats, Latency
+from bilprov.analyzer.output.capture_stats import Json
 from bilprov.analyzer.totals.timeline import Mark, Range, Timeline, numbers_of, word_of
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
@@ -26,7 +26,7 @@ _KEYS = (
 
 
 def plot_page(
-    capture: Capture, protocol: Protocol, timeline: Timeline, stats: FileStats, kit: str
+    capture: Capture, protocol: Protocol, timeline: Timeline, stats: Json, kit: str
 ) -> str:
     """The page about one capture: its timeline, and the numbers of the same recording.
 
@@ -47,8 +47,8 @@ def plot_page(
                 "main",
                 _facts(capture, protocol, stats, kit),
                 _picture(protocol, timeline),
-                _latencies(stats.counts),
-                _anomalies(marks, step, stats.counts),
+                _latencies(stats["counts"]),
+                _anomalies(marks, step, stats["counts"]),
             ),
             json_block("data", plot_data(protocol, timeline)),
         ]
@@ -105,26 +105,28 @@ def _range(values: Range, *, exact: bool) -> dict[str, list[int] | None]:
     }
 
 
-def _facts(capture: Capture, protocol: Protocol, stats: FileStats, kit: str) -> Safe:
-    counts = stats.counts
-    told: dict[str, object] = {"recorded": _moment(capture.start)}
-    told["span of traffic"] = _span(counts.duration)
-    moving = f" ({counts.moving / counts.duration:.0%})" if counts.duration else ""
+def _facts(capture: Capture, protocol: Protocol, stats: Json, kit: str) -> Safe:
+    counts = stats["counts"]
+    told: dict[str, object] = {
+        "recorded": f"{datetime.fromtimestamp(capture.start // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    }
+    told["span of traffic"] = _span(counts["duration"])
+    moving = f" ({counts['moving'] / counts['duration']:.0%})" if counts["duration"] else ""
     if protocol.at_rest:
-        told["moving"] = _span(counts.moving) + moving
-    cut = f", {counts.truncated:,} of them truncated" if counts.truncated else ""
-    told["frames"] = f"{counts.frames:,}{cut}"
-    told["answers"] = f"{counts.agreeing:,} as expected, {counts.disagreeing:,} not"
-    told["anomalies"] = f"{sum(counts.anomalies.values()):,}"
-    load = counts.load
-    used = f", host uses {load.host:.1%} of it, device {load.device:.1%}" if load else ""
-    told["line"] = f"{stats.line}{used}"
+        told["moving"] = _span(counts["moving"]) + moving
+    cut = f", {counts['truncated']:,} of them truncated" if counts["truncated"] else ""
+    told["frames"] = f"{counts['frames']:,}{cut}"
+    told["answers"] = f"{counts['agreeing']:,} as expected, {counts['disagreeing']:,} not"
+    told["anomalies"] = f"{sum(counts['anomalies'].values()):,}"
+    load = counts["load"]
+    used = f", host uses {load['host']:.1%} of it, device {load['device']:.1%}" if load else ""
+    told["line"] = f"{stats['line']}{used}"
     sha = tag("code", protocol.sha256[:12], title=protocol.sha256)
     told["grammar"] = tag("span", f"{protocol.name} {protocol.version} ", sha)
     told["bilprov"] = kit
     facts = [tag("div", tag("dt", name), tag("dd", value)) for name, value in told.items()]
-    notes = [f"Part of the file is damaged and left out: {why}" for why in stats.damage]
-    if stats.unfinished:
+    notes = [f"Part of the file is damaged and left out: {why}" for why in stats["damage"]]
+    if stats["unfinished"]:
         notes.insert(0, "The recording was never finished: everything intact is shown.")
     return tag(
         "section",
@@ -133,13 +135,6 @@ def _facts(capture: Capture, protocol: Protocol, stats: FileStats, kit: str) -> 
         id="facts",
         aria_label="Recording",
     )
-
-
-def _moment(start: int) -> str:
-    try:
-        return datetime.fromtimestamp(start // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    except (ValueError, OverflowError, OSError):
-        return "at an impossible time"  # only a forged file has it
 
 
 def _picture(protocol: Protocol, timeline: Timeline) -> Safe:
@@ -217,23 +212,25 @@ def _reduced(timeline: Timeline) -> str:
     )
 
 
-def _latencies(counts: Counts) -> Safe:
-    if not counts.latency:
+def _latencies(counts: Json) -> Safe:
+    if not counts["latency"]:
         empty = tag("p", "No answer was paired with its instruction.", class_="dim")
         return tag("section", tag("h2", "Latency"), empty, id="latency")
-    most = max(one.count for one in counts.latency_bins)
+    most = max(one["count"] for one in counts["latency_bins"])
     bins = [
         tag(
             "tr",
-            tag("th", f"{_span(one.least)} to {_span(one.below)}", scope="row"),
-            tag("td", f"{one.count:,}", class_="number"),
-            tag("td", bar(100, [("0", f"{one.count / most * 100:.2f}", "done")])),
+            tag("th", f"{_span(one['least'])} to {_span(one['below'])}", scope="row"),
+            tag("td", f"{one['count']:,}", class_="number"),
+            tag("td", bar(100, [("0", f"{one['count'] / most * 100:.2f}", "done")])),
         )
-        for one in counts.latency_bins
+        for one in counts["latency_bins"]
     ]
-    each = [("all", counts.latency)]
+    each = [("all", counts["latency"])]
     each += [
-        (name, found.latency) for name, found in counts.by_instruction.items() if found.latency
+        (name, found["latency"])
+        for name, found in counts["by_instruction"].items()
+        if found["latency"]
     ]
     heads = ("instruction", "answers", "min", "median", "95 %", "99 %", "max")
     spreads = [_latency(name, spread) for name, spread in each]
@@ -272,16 +269,16 @@ def _row(cell: str, texts: tuple[str, ...], **attributes: object) -> Safe:
     return tag("tr", *(tag(cell, text, **attributes) for text in texts))
 
 
-def _latency(name: str, spread: Latency) -> Safe:
-    times = (spread.min, spread.median, spread.p95, spread.p99, spread.max)
-    cells = [f"{spread.count:,}", *map(_span, times)]
+def _latency(name: str, spread: Json) -> Safe:
+    count, *times = spread.values()
+    cells = [f"{count:,}", *map(_span, times)]
     return tag(
         "tr", tag("th", name, scope="row"), *(tag("td", cell, class_="number") for cell in cells)
     )
 
 
-def _anomalies(marks: list[Mark], step: int, counts: Counts) -> Safe:
-    kinds = ", ".join(f"{kind}: {count:,}" for kind, count in counts.anomalies.items())
+def _anomalies(marks: list[Mark], step: int, counts: Json) -> Safe:
+    kinds = ", ".join(f"{kind}: {count:,}" for kind, count in counts["anomalies"].items())
     first = f" Listed is the first in each {_span(step / SECOND)}." if step else ""
     said = tag("p", f"{kinds}." if kinds else "None.", first)
     if not marks:

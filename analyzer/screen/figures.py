@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from rich.text import Text
 
 from bilprov.analyzer.output.statistics import Rates
-from bilprov.analyzer.screen.signs import DEVICE_FAULT, HOST_FAULT, LEVELS, LINE_FAULT
+from bilprov.analyzer.output.stats_tables import spark
+from bilprov.analyzer.screen.signs import DEVICE_FAULT, HOST_FAULT, LINE_FAULT
 from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.text import printable, quantity
 
@@ -26,7 +25,7 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
     )
     load = max(rates.bytes) * byte_time / 1e9
     lines = [
-        Text(_levels(totals.rates.series("frames"), width)),
+        Text(spark(totals.rates.series("frames"), width)),
         Text(quantity(totals.frames, "frame")),
         Text(quantity(totals.answers, "answer")),
         Text(f"{rates.frames:,.0f} frames/s, {load:.0%} full"),
@@ -34,7 +33,7 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
     spread = totals.latencies.spread()
     if spread:
         lines.append(Text(f"latency {_ms(spread.median)} ms"))
-        lines.append(Text(f"p95 {_ms(spread.ninety_fifth)}, max {_ms(spread.longest)} ms"))
+        lines.append(Text(f"p95 {_ms(spread.p95)}, max {_ms(spread.max)} ms"))
     for side, look in _SIDES.items():
         kinds = totals.faults_of(side)
         if kinds:
@@ -52,14 +51,6 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
         line.truncate(width - digits - _LATE - 1, overflow="ellipsis", pad=True)
         lines.append(line.append(f" {one.frames:>{digits},}{late:>{_LATE}}"))
     return lines
-
-
-def _levels(counts: Sequence[int], width: int) -> str:
-    """The last counts as a row of bars; a long recording's are summed up to fit."""
-    step = -(-len(counts) // width) or 1
-    sums = [sum(counts[at : at + step]) for at in range(0, len(counts), step)]
-    most = max(sums, default=0) or 1
-    return "".join(LEVELS[-(-count * (len(LEVELS) - 1) // most)] for count in sums)
 
 
 def _ms(t: int) -> str:

@@ -1,4 +1,4 @@
-"""The signs that the screen is drawn with, also for terminals that have no others than ASCII.
+"""The signs that the screen is drawn with; `output.console` has others for narrow encodings.
 
 What matters in a row is one of four looks, the same in every pane: a sign and a colour.
 """
@@ -52,19 +52,3 @@ TO_DEVICE, TO_HOST, NEITHER = "→", "←", " "
 MARK, CUT, RECORDS = "◆", "…", "●"
 CHOSEN, UNCHOSEN = "●", "○"
 FOLDED, UNFOLDED = "▸ ", "▾ "
-LEVELS = " ▁▂▃▄▅▆▇█"
-
-_ASCII = dict(
-    zip(
-        "→←◆…▸▾█░┼●○▲▼▪■↻↺▁▂▃▄▅▆▇─━│┌┐└┘╭╮╰╯",
-        "><*~+-#.+*o^v.x)(..:-=+*--|++++++++",
-        strict=True,
-    )
-)
-
-
-def plain(error: UnicodeError) -> tuple[str, int]:
-    """What is shown of text that an encoding lacks; a handler for `codecs.register_error`."""
-    assert isinstance(error, UnicodeEncodeError)
-    lacking = error.object[error.start : error.end]
-    return "".join(_ASCII.get(sign, "?") for sign in lacking), error.end

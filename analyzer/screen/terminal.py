@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import os
 import sys
 import termios
@@ -11,13 +10,10 @@ from typing import Any
 
 from textual.drivers.linux_driver import LinuxDriver
 
+from bilprov.analyzer.output.console import NARROW
 from bilprov.analyzer.screen.browser import Browser, Told
 from bilprov.analyzer.screen.feeds import Feed, reader_first
-from bilprov.analyzer.screen.signs import plain
 from bilprov.analyzer.transport.signals import Stopper
-
-_PLAIN = "plain-signs"
-codecs.register_error(_PLAIN, plain)
 
 
 class TerminalDriver(LinuxDriver):
@@ -51,7 +47,7 @@ class _Terminal:
 
     def write(self, text: str) -> None:
         """Write text at once."""
-        data = memoryview(text.encode(self._encoding, _PLAIN))
+        data = memoryview(text.encode(self._encoding, NARROW))
         with suppress(OSError):
             while data:
                 data = data[os.write(self._descriptor, data) :]

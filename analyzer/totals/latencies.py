@@ -32,11 +32,11 @@ class Spread:
     """
 
     count: int
-    shortest: int
+    min: int
     median: int
-    ninety_fifth: int
-    ninety_ninth: int
-    longest: int
+    p95: int
+    p99: int
+    max: int
 
 
 class Bin(NamedTuple):

@@ -128,7 +128,7 @@ def require_agreement(path: Path, protocol: Protocol) -> None:
     answers = [r for r in records if isinstance(r, DeviceRecord)]
     latencies = [r.latency for r in answers if r.latency is not None]
     spread = totals.latencies.spread()
-    assert (spread and (spread.count, spread.shortest, spread.longest)) == (
+    assert (spread and (spread.count, spread.min, spread.max)) == (
         (len(latencies), min(latencies), max(latencies)) if latencies else None
     )
 

@@ -16,7 +16,9 @@ from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.edit.new_capture import decoded_metadata, new_capture, write_decoded
+from bilprov.analyzer.edit.cut import write_window
+from bilprov.analyzer.edit.new_capture import decoded_metadata, new_capture
+from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter
 from bilprov.captures import topics
@@ -211,11 +213,12 @@ def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(
             os.truncate(live, live.stat().st_size // 4)
 
     about = decoded_metadata(capture, protocol)
+    opened = opened_at(capture, protocol, 0)
     with (
         pytest.raises(CaptureError, match="changed while it was read"),
         new_capture(tmp_path / "new.mcap", START, about, protocol, force=False) as out,
     ):
-        write_decoded(capture, protocol, out, progress)
+        write_window(opened, protocol, out, Window(), progress, decoded=True)
     assert not list(tmp_path.glob("*new*"))
 
 

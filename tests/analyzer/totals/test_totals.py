@@ -97,10 +97,10 @@ def require_spread(spread: Spread | None, latencies: list[Any]) -> None:
     latencies.sort()
     assert spread
     assert spread.count == len(latencies)
-    assert (spread.shortest, spread.longest) == (latencies[0], latencies[-1])
+    assert (spread.min, spread.max) == (latencies[0], latencies[-1])
     rounded = [max(latency // 1000 * 1000, latencies[0]) for latency in latencies]
     exact = np.percentile(rounded, [50, 95, 99])
-    assert [spread.median, spread.ninety_fifth, spread.ninety_ninth] == pytest.approx(exact, abs=1)
+    assert [spread.median, spread.p95, spread.p99] == pytest.approx(exact, abs=1)
 
 
 def require_bins(bins: list[Bin], latencies: list[Any]) -> None:
@@ -244,7 +244,7 @@ def test_latencies_out_of_range_count_for_its_ends(protocol: Protocol) -> None:
 
     spread = latencies.spread()
     assert spread
-    assert (spread.count, spread.shortest, spread.longest) == (4, -(1 << 60), 1 << 60)
+    assert (spread.count, spread.min, spread.max) == (4, -(1 << 60), 1 << 60)
     assert spread.median == (1_234_000 - 1_000) // 2  # the mean of the middle two
 
 
