@@ -4,87 +4,28 @@ from __future__ import annotations
 
 import errno
 import os
-import select
 import stat
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from io import RawIOBase
 from pathlib import Path
 from typing import BinaryIO
-
-PIPE_PATIENCE = 5.0
-"""How long (s) a pipe may stay without a writer, a reader or the next byte."""
 
 
 def read_bounded(path: Path, most: int, *, pipes: bool = False) -> bytes:
     """The content of a regular file (or, with `pipes`, of a pipe) of at most `most` bytes.
 
-    Raises OSError, whose `strerror` says why, for any other, and for a pipe to which nothing is
-    written for PIPE_PATIENCE.
+    Raises OSError, whose `strerror` says why, for any other.
     """
     try:
         if path.exists() and not (path.is_file() or (pipes and path.is_fifo())):
             raise OSError(errno.EINVAL, "it is not a regular file")
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with os.fdopen(descriptor, "rb", buffering=0) as file:
-            is_pipe = stat.S_ISFIFO(os.fstat(descriptor).st_mode)
-            data = _from_pipe(descriptor, most + 1) if is_pipe else _read(file, most + 1)
+        with path.open("rb") as file:
+            data = file.read(most + 1)
     except ValueError as error:
         raise OSError(errno.EINVAL, "no file can have this name") from error
     if len(data) > most:
         raise OSError(errno.EFBIG, f"it is larger than {most >> 20} MiB")
     return data
-
-
-def _read(file: RawIOBase, most: int) -> bytes:
-    """Up to `most` bytes of a regular file."""
-    parts: list[bytes] = []
-    while most > 0 and (part := file.read(most)):
-        parts.append(part)
-        most -= len(part)
-    return b"".join(parts)
-
-
-def _from_pipe(descriptor: int, most: int) -> bytes:
-    """Up to `most` bytes of a pipe, until its writers have closed it."""
-    parts: list[bytes] = []
-    os.set_blocking(descriptor, True)  # a pipe without a writer is no end yet: poll tells
-    while most > 0:
-        if not _ready(descriptor, select.POLLIN):
-            raise OSError(
-                errno.ETIMEDOUT, f"nothing came through this pipe for {PIPE_PATIENCE:g} s"
-            )
-        part = os.read(descriptor, min(most, 1 << 16))
-        if not part:
-            break
-        parts.append(part)
-        most -= len(part)
-    return b"".join(parts)
-
-
-def _ready(descriptor: int, event: int) -> bool:
-    """Whether a pipe can be read or has ended, within PIPE_PATIENCE."""
-    poll = select.poll()
-    poll.register(descriptor, event)
-    return bool(poll.poll(PIPE_PATIENCE * 1000))
-
-
-def _opened_for_writing(pipe: Path) -> BinaryIO:
-    """A pipe or device, opened for writing. Raises OSError where a pipe has no reader."""
-    until = time.monotonic() + PIPE_PATIENCE
-    while True:
-        try:
-            descriptor = os.open(pipe, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        except OSError as error:
-            if error.errno != errno.ENXIO or not pipe.is_fifo():
-                raise
-            if time.monotonic() > until:
-                raise OSError(errno.ENXIO, "nobody reads from this pipe", str(pipe)) from error
-            time.sleep(0.05)
-        else:
-            os.set_blocking(descriptor, True)
-            return os.fdopen(descriptor, "wb")
 
 
 def real_path(path: str | Path) -> Path:
@@ -149,7 +90,7 @@ def whole_file(file: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
     """
     file = _target(file)
     if file.exists() and not file.is_file():
-        with _opened_for_writing(file) as pipe:
+        with file.open("wb") as pipe:
             yield pipe
         return
     if not replace and file.exists():  # before all the work
