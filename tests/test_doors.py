@@ -40,7 +40,7 @@ from bilprov.analyzer.client.probes import ProbeError, parse_look
 from bilprov.analyzer.filters.moments import instant
 from bilprov.analyzer.foreign import LARGEST_NUMBER, LONGEST_TEXT, from_json, from_toml
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.row_columns import ColumnError, chosen_columns
+from bilprov.analyzer.output.row_columns import ColumnError, chosen_columns, columns_of
 from bilprov.analyzer.transport.line_settings import line_named
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.streams import parse_address
@@ -370,7 +370,7 @@ def test_what_stands_behind_an_option_is_a_value_or_a_sentence(text: str) -> Non
     conversions: tuple[Callable[[], object], ...] = (
         lambda: instant(text),
         lambda: parse_address(text),
-        lambda: chosen_columns(text, protocol),
+        lambda: chosen_columns(text, columns_of(protocol)),
         lambda: parse_allowed(protocol, (text,)),
         lambda: Finite(0).convert(text, None, None),
         lambda: line_named(protocol, text),

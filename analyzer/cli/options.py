@@ -156,7 +156,13 @@ class RowOptions:
         written that is not among the columns; a setting is left alone there. Raises ColumnError for
         what is no column.
         """
-        from bilprov.analyzer.output.row_columns import TIME, RowStyle, TimeStyle, chosen_columns
+        from bilprov.analyzer.output.row_columns import (
+            TIME,
+            RowStyle,
+            TimeStyle,
+            chosen_columns,
+            columns_of,
+        )
 
         if format == "jsonl":
             if asked_here("time_style") or asked_here("columns"):
@@ -166,7 +172,8 @@ class RowOptions:
                 )
             return RowStyle()
         with naming_file("columns"):
-            chosen = None if self.columns is None else chosen_columns(self.columns, protocol)
+            known = columns_of(protocol)
+            chosen = None if self.columns is None else chosen_columns(self.columns, known)
         if asked_here("time_style") and chosen and TIME not in chosen:
             raise click.UsageError(
                 f"--time {self.time_style} is how the column time is written: name it in --columns "

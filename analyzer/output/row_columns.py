@@ -311,13 +311,13 @@ class ColumnError(UserError, ValueError):
     """A column was asked for that is none. The message is one sentence."""
 
 
-def chosen_columns(names: str, protocol: Protocol) -> tuple[Column, ...]:
+def chosen_columns(names: str, known: Mapping[str, Column]) -> tuple[Column, ...]:
     """The columns that `--columns` asks for: names with commas between, in any case.
 
-    Raises ColumnError for a name that is no column, and where one is named twice.
+    `known` are all that there are, as `columns_of` has them. Raises ColumnError for a name that is
+    no column, and where one is named twice.
     """
-    known = columns_of(protocol)
-    by_lower = {name.lower(): column for name, column in reversed(known.items())}
+    by_lower = {name.lower(): column for name, column in reversed([*known.items()])}
     chosen: dict[str, Column] = {}
     for name in (word.strip() for word in names.split(",")):
         column = known.get(name) or by_lower.get(name.lower())

@@ -21,16 +21,21 @@ from textual.widgets import Input, Static
 from textual.worker import Worker, get_current_worker
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
-from bilprov.analyzer.filters.completion import completions
+from bilprov.analyzer.filters.completion import Completion, completions
 from bilprov.analyzer.filters.filter import Filter, compile_filter
-from bilprov.analyzer.filters.syntax import FilterError
 from bilprov.analyzer.grammar_file import grammar_words
-from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle, columns_of
+from bilprov.analyzer.output.row_columns import (
+    Column,
+    RowStyle,
+    TimeStyle,
+    chosen_columns,
+    columns_of,
+)
 from bilprov.analyzer.replay.spool import new_name
 from bilprov.analyzer.screen.bars import head_line, status_line
 from bilprov.analyzer.screen.car import picture
 from bilprov.analyzer.screen.details import FieldTree
-from bilprov.analyzer.screen.dialogs import ColumnChoice, Help
+from bilprov.analyzer.screen.dialogs import Help
 from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
 from bilprov.analyzer.screen.figures import figures
 from bilprov.analyzer.screen.frame_list import OWN, SHOWN_ONLY, FrameList
@@ -38,7 +43,7 @@ from bilprov.analyzer.screen.keys import ALIASES, BINDINGS
 from bilprov.analyzer.screen.places import REFUSAL, row_of
 from bilprov.analyzer.screen.prompt import Prompt, Question
 from bilprov.analyzer.screen.recording import Recording, View
-from bilprov.analyzer.screen.row_export import export, new_file_refusal, refusal
+from bilprov.analyzer.screen.row_export import export, new_file, rows_file
 from bilprov.captures.text import quantity
 from bilprov.spec.codec import spaced
 
@@ -370,21 +375,14 @@ class Browser(App[str | None]):
         """Ask for a filter, whose rows are seen then."""
         protocol, start = self._recording.protocol, self.told.start_wall
 
-        def compiled(text: str) -> Filter | None:
-            return compile_filter(text, protocol).started(start) if text else None
-
-        def refusal(text: str) -> str:
-            try:
-                compiled(text)
-            except FilterError as error:
-                return error.sentence
-            return ""
+        def read(text: str) -> tuple[str, Filter | None]:
+            return text, compile_filter(text, protocol).started(start) if text else None
 
         question = Question(
             "filter /",
             "Tab completes, Enter filters, Esc goes back",
-            refusal,
-            lambda text: self._filter(text, compiled(text)),
+            read,
+            lambda found: self._filter(*found),
             lambda text, at: completions(text, at, protocol),
         )
         self._ask(question, self.filter_text, replaced=True)
@@ -414,13 +412,7 @@ class Browser(App[str | None]):
         row = partial(
             row_of, start_wall=self.told.start_wall, zone=zone, row_at=self._recording.row_at
         )
-        question = Question(
-            "go to :",
-            f"{REFUSAL}; Esc goes back",
-            lambda text: REFUSAL if row(text) is None else "",
-            lambda text: self._go_to(row(text) or 0),
-        )
-        self._ask(question)
+        self._ask(Question("go to :", f"{REFUSAL}; Esc goes back", row, self._go_to))
 
     def _go_to(self, row: int) -> None:
         self.frames.go_to(row)
@@ -491,20 +483,28 @@ class Browser(App[str | None]):
         else:
             self._say("there is no frame to copy in this row")
 
-    async def action_columns(self) -> None:
+    def action_columns(self) -> None:
         """Ask which columns are shown."""
         known = OWN | columns_of(self._recording.protocol) | OWN
 
-        def choose(names: list[str] | None) -> None:
-            if names is not None:
-                chosen = tuple(known[name] for name in names)
-                self.frames.columns = None if chosen in ((), tuple(OWN.values())) else chosen
-                self.frames.changed()
+        def choose(chosen: tuple[Column, ...]) -> None:
+            self.frames.columns = None if chosen in ((), tuple(OWN.values())) else chosen
+            self.frames.changed()
 
-        shown = [column.name for column in self.frames.columns or OWN.values()]
-        dialog = ColumnChoice({name: column.says for name, column in known.items()}, shown)
-        await self.push_screen(dialog, choose)
-        dialog.set_focus(dialog.listed)
+        def ways_on(text: str, at: int) -> list[Completion]:
+            start = text.rfind(",", 0, at) + 1
+            named = (column for name, column in known.items() if name.startswith(text[start:at]))
+            return [Completion(column.name, start, column.says) for column in named]
+
+        question = Question(
+            "columns",
+            "names with commas between, as for --columns; Tab completes, Esc goes back",
+            lambda text: chosen_columns(text, known) if text else (),
+            choose,
+            ways_on,
+        )
+        shown = ",".join(column.name for column in self.frames.columns or OWN.values())
+        self._ask(question, shown, replaced=True)
 
     def action_export(self) -> None:
         """Ask for a file, and write the rows of the view into it."""
@@ -521,7 +521,9 @@ class Browser(App[str | None]):
         rows = quantity(view.count - view.first, "row")
         hint = "NAME.csv or NAME.jsonl; Enter writes it, Esc goes back"
         if not self._working("export"):
-            self._ask(Question(f"write {rows} to", hint, refusal, write), "rows.csv", replaced=True)
+            self._ask(
+                Question(f"write {rows} to", hint, rows_file, write), "rows.csv", replaced=True
+            )
 
     def action_keys(self) -> None:
         """Show the help."""
@@ -549,7 +551,7 @@ class Browser(App[str | None]):
             return
         label = f"Save the capture of {quantity(rows, 'row')} as"
         hint = "Enter saves it and leaves, Ctrl-C discards it, Esc goes back"
-        self._ask(Question(label, hint, new_file_refusal, self.exit), new_name(), replaced=True)
+        self._ask(Question(label, hint, new_file, self.exit), new_name(), replaced=True)
 
     def action_end(self) -> None:
         """Quit without a question, as Ctrl-C does everywhere."""

@@ -12,10 +12,8 @@ _UNITS = {"us": 1e3, "ms": 1e6, "s": 1e9}
 REFUSAL = "give the number of a row like 120, or a time like 12.5s, 300ms or 14:03:20"
 
 
-def row_of(
-    text: str, start_wall: int, zone: tzinfo | None, row_at: Callable[[int], int]
-) -> int | None:
-    """The row (from 0) that a text stands for; None if it is no place.
+def row_of(text: str, start_wall: int, zone: tzinfo | None, row_at: Callable[[int], int]) -> int:
+    """The row (from 0) that a text stands for. Raises ValueError if it is no place.
 
     `row_at` gives the row at a time (ns since the start), which is `start_wall` (ns since 1970). A
     time of day is one in this zone (None: the zone here), after the start.
@@ -28,7 +26,7 @@ def row_of(
     try:
         at = clock.fromisoformat(text)
     except ValueError:
-        return None
+        raise ValueError(REFUSAL) from None
     start = datetime.fromtimestamp(start_wall / 1e9, zone)
     moment = datetime.combine(start, at, zone)
     if moment < start:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from os.path import commonprefix
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from rich.text import Text
 from textual.app import ComposeResult
@@ -13,22 +13,31 @@ from textual.containers import Horizontal, Vertical
 from textual.widgets import Input, Static
 
 from bilprov.analyzer.filters.completion import Completion
+from bilprov.analyzer.filters.syntax import FilterError
 from bilprov.captures.text import printable
 
 
 class Question(NamedTuple):
     """What is asked for.
 
-    `label` stands before the line and `hint` under it while it is empty or will do. `refusal` says
-    why a text will not do, "" if it will; `given` takes it. `completions` are the ways to go on
-    at a place of the text.
+    `label` stands before the line and `hint` under it while it is empty or will do. `read` makes a
+    value of a text, or raises ValueError that says why it will not do; `given` takes the value.
+    `completions` are the ways to go on at a place of the text.
     """
 
     label: str
     hint: str
-    refusal: Callable[[str], str]
-    given: Callable[[str], None]
+    read: Callable[[str], Any]
+    given: Callable[[Any], None]
     completions: Callable[[str, int], list[Completion]] = lambda text, at: []
+
+    def refusal(self, text: str) -> str:
+        """Why a text will not do, "" if it will."""
+        try:
+            self.read(text)
+        except ValueError as error:
+            return error.sentence if isinstance(error, FilterError) else str(error)
+        return ""
 
 
 class _Line(Input):
@@ -113,7 +122,7 @@ class Prompt(Vertical):
             self._refuse(wrong)
         else:
             self.leave()
-            question.given(text)
+            question.given(question.read(text))
 
     def _tell(self, text: str) -> None:
         """Say what may come next, or what the text lacks."""

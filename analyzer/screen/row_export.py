@@ -16,22 +16,26 @@ _TOGETHER = 4096  # rows
 _FORMATS = ("csv", "jsonl")
 
 
-def refusal(name: str) -> str:
-    """Why rows cannot be written into a file of this name, "" if they can."""
+def rows_file(name: str) -> str:
+    """The name of a new file for rows. Raises ValueError if they cannot be written there."""
     if Path(name).suffix[1:] not in _FORMATS:
-        return "the name ends in .csv or .jsonl, which sets the format"
-    return new_file_refusal(name)
+        raise ValueError("the name ends in .csv or .jsonl, which sets the format")
+    return new_file(name)
 
 
-def new_file_refusal(name: str) -> str:
-    """Why no new file can have this name, "" if one can."""
+def new_file(name: str) -> str:
+    """The name of a new file. Raises ValueError if none can have it."""
     path = Path(name)
     try:
-        if path.exists() or path.is_symlink():
-            return f"{printable(name)} exists and is never overwritten: choose another name"
-        return why_not_writable(path)
+        there = path.exists() or path.is_symlink()
+        why = why_not_writable(path)
     except (OSError, ValueError) as error:
-        return f"no file can have this name: {printable(error)}"
+        raise ValueError(f"no file can have this name: {printable(error)}") from error
+    if there:
+        raise ValueError(f"{printable(name)} exists and is never overwritten: choose another name")
+    if why:
+        raise ValueError(why)
+    return name
 
 
 def export(

@@ -50,5 +50,4 @@ def look_of(record: Record) -> Look:
 
 TO_DEVICE, TO_HOST, NEITHER = "→", "←", " "
 MARK, CUT, RECORDS = "◆", "…", "●"
-CHOSEN, UNCHOSEN = "●", "○"
 FOLDED, UNFOLDED = "▸ ", "▾ "

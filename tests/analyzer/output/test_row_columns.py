@@ -83,7 +83,9 @@ def test_delta_counts_from_the_row_shown_before_and_may_be_negative() -> None:
 
 
 def test_cells_are_for_people_and_values_for_programs(protocol: Protocol) -> None:
-    columns = chosen_columns("time,t_ns,NAME,rgb,id,len,data,latency,state.moving,agrees", protocol)
+    columns = chosen_columns(
+        "time,t_ns,NAME,rgb,id,len,data,latency,state.moving,agrees", columns_of(protocol)
+    )
     said, answered = rows(protocol, (b"\x81\x05", b"\0"))
 
     assert cells(said, columns, Times()) == [
@@ -96,7 +98,7 @@ def test_cells_are_for_people_and_values_for_programs(protocol: Protocol) -> Non
 
 
 def test_each_kind_of_row_has_the_columns_of_its_kind_and_no_others(protocol: Protocol) -> None:
-    columns = chosen_columns("kind,id,len,data,response,judgement", protocol)
+    columns = chosen_columns("kind,id,len,data,response,judgement", columns_of(protocol))
     lines = rows(protocol, (b"\x81\x05", b"\0"), (b"\x11", b""))  # the second is cut short
 
     assert [[column.value(line) for column in columns] for line in lines] == [
@@ -121,7 +123,7 @@ def test_columns_are_the_grammars_own_fields_too(each_protocol: Protocol) -> Non
     names = {part.name for spec in each_protocol.instructions for part in spec.fields}
 
     for name in names - set(COLUMNS):
-        plain, dotted = chosen_columns(f"{name},fields.{name}", each_protocol)
+        plain, dotted = chosen_columns(f"{name},fields.{name}", columns_of(each_protocol))
         assert (plain.name, dotted.name) == (name, f"fields.{name}")
     assert set(COLUMNS) < set(columns_of(each_protocol))
 
@@ -138,7 +140,7 @@ def test_columns_are_the_grammars_own_fields_too(each_protocol: Protocol) -> Non
 )
 def test_a_wrong_column_is_one_sentence(protocol: Protocol, names: str, sentence: str) -> None:
     with pytest.raises(ColumnError) as error:
-        chosen_columns(names, protocol)
+        chosen_columns(names, columns_of(protocol))
 
     assert str(error.value).startswith(sentence)
     assert str(error.value).isprintable()

@@ -23,7 +23,7 @@ from tests.support.traffic import told
 
 KEYS = (
     *("enter", "j", "j", "k", "h", "l", "escape", "t", "t", "t", "r", "r", "m", "j", "apostrophe"),
-    *("n", "N", "e", "e", "y", "c", "space", "enter", "question_mark", "escape", "f", "f", "G"),
+    *("n", "N", "e", "e", "y", "c", "enter", "question_mark", "escape", "f", "f", "G"),
 )
 
 
