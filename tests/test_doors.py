@@ -43,7 +43,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.row_columns import ColumnError, chosen_columns, columns_of
 from bilprov.analyzer.transport.line_settings import line_named
 from bilprov.analyzer.transport.machine import Machine
-from bilprov.analyzer.transport.streams import parse_address
+from bilprov.analyzer.transport.server import parse_address
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator

@@ -95,7 +95,7 @@ HOMES = {
         "analyzer/decode/columns.py",
         "analyzer/decode/column_batch.py",
         "analyzer/totals/",
-        "analyzer/filters/columns.py",
+        "analyzer/filters/masks.py",
         "analyzer/filters/masks.py",
         "analyzer/screen/",
         "conformance/causes/learner.py",

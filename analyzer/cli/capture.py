@@ -263,14 +263,13 @@ def diff(options: DiffOptions) -> int:
     does not shift the rest; after more than 20,000 missing at one place they are listed one by one.
     Reported are frames that only one of them has, different or missing answers, bytes that answer
     nothing, and latencies that differ by more than --latency; times of day and pauses are not
-    compared. The keys of the JSON are explained in analyzer/edit/comparison_report.py.
+    compared. The keys of the JSON are explained in analyzer/edit/compare.py.
 
     Exit code 1 if anything differs, 0 if nothing does, 3 if only one of them holds answers and
     nothing else differs; 2 if not all of it could be shown.
     """
     from bilprov.analyzer.cli.streams import promise_verdict
-    from bilprov.analyzer.edit.compare import compared
-    from bilprov.analyzer.edit.comparison_report import as_json, drawn
+    from bilprov.analyzer.edit.compare import as_json, compared, drawn
     from bilprov.analyzer.output.console import show
 
     promise_verdict()

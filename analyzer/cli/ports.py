@@ -175,7 +175,7 @@ class Findings:
         """Begin the findings of a port, or of what is heard on both."""
         self._section = section
         if not self._as_json:
-            from bilprov.analyzer.doctor.drawing import title
+            from bilprov.analyzer.doctor.finding import title
             from bilprov.analyzer.output.console import heading
 
             show(heading(title(section)))
@@ -186,7 +186,7 @@ class Findings:
             self.found.append(finding)
             self._ports.append(self._section)
             if not self._as_json:
-                from bilprov.analyzer.doctor.drawing import INDENT, drawn
+                from bilprov.analyzer.doctor.finding import INDENT, drawn
 
                 show(drawn(finding))
                 if finding.command:  # by itself: it must stay on one line to be copied
@@ -205,7 +205,7 @@ class Findings:
             ]
             show_json({"ports": list(names), "usable": not code, "exit": code, "findings": found})
         else:
-            from bilprov.analyzer.doctor.drawing import conclusion
+            from bilprov.analyzer.doctor.finding import conclusion
 
             show(conclusion(names, self.found))
         return code

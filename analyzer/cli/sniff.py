@@ -45,12 +45,10 @@ from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.grammar_file import not_carried
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
-from bilprov.analyzer.output.outputs import NoOutput, Shown, opened_output
+from bilprov.analyzer.output.outputs import NoOutput, Shown, TextQueue, opened_output
 from bilprov.analyzer.output.statistics import Statistics
-from bilprov.analyzer.output.text_queue import TextQueue
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.recorder import Recorder, session_metadata
-from bilprov.analyzer.replay.rotation import Rotation, rotation_at
+from bilprov.analyzer.replay.recorder import Recorder, Rotation, rotation_at, session_metadata
 from bilprov.analyzer.replay.spool import Spool, new_name
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import SIM, LinkError

@@ -41,13 +41,12 @@ def stats(options: StatsOptions) -> None:
 
     Counted are frames, answers, anomalies, latencies, load and time moving. Each capture is decoded
     from its raw bytes, as replay does, and counted by itself; where there are several, all of them
-    together too. The keys of the JSON are explained in analyzer/output/capture_stats.py, the CSV in
-    stats_csv.py beside it. With --filter only what passes is counted, from the first such byte to
-    the last.
+    together too. The keys of the JSON and the CSV are explained in
+    analyzer/output/capture_stats.py. With --filter only what passes is counted, from the first such
+    byte to the last.
     """
-    from bilprov.analyzer.output.capture_stats import file_stats, stats_of
+    from bilprov.analyzer.output.capture_stats import file_stats, stats_csv, stats_of
     from bilprov.analyzer.output.console import show
-    from bilprov.analyzer.output.stats_csv import stats_csv
     from bilprov.analyzer.output.stats_tables import drawn
     from bilprov.analyzer.replay.capture_decoding import capture_line, capture_totals
     from bilprov.analyzer.totals.totals import Totals

@@ -21,7 +21,7 @@ import msgspec
 
 from bilprov.analyzer.foreign import from_json
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.streams import parse_address
+from bilprov.analyzer.transport.server import parse_address
 from bilprov.captures.schemas import Look, look_class
 from bilprov.captures.text import printable, quantity
 from bilprov.captures.topics import CarLook

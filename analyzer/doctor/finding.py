@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 
-from bilprov.analyzer.transport.errors import LinkError
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from bilprov.analyzer.transport.errors import LinkError, path_in
+from bilprov.analyzer.transport.machine import Machine
+from bilprov.captures.text import escape_controls, quantity
 
 _SHORT = 100  # characters of a command that fits into a note
 
@@ -45,3 +53,55 @@ def refused(check: str, error: LinkError) -> Finding:
 def usable(findings: Iterable[Finding]) -> bool:
     """Whether the port can be used as it is."""
     return all(finding.grade is not Grade.BLOCKS for finding in findings)
+
+
+INDENT = 2 + max(len(grade) for grade in Grade) + 2
+"""Columns before a sentence, and before the command below it."""
+_STYLES = {
+    Grade.FINE: "green",
+    Grade.ADVICE: "yellow",
+    Grade.UNSEEN: "dim",
+    Grade.BLOCKS: "bold red",
+}
+
+
+def title(name: str, machine: Machine | None = None) -> str:
+    """The name of a port with what the system knows of its device: a title, ids, its driver."""
+    machine = machine or Machine()
+    path = path_in(name)
+    if not path or Path(path).is_file():
+        return name or "''"
+    device = machine.device(path)
+    usb = machine.usb(path)
+    driver = machine.driver(path)
+    leads = device != path and machine.file(device).exists()
+    says = [f"leads to {device}" if leads else "", usb.title if usb else ""]
+    says += [
+        f"USB {usb.identity}" if usb else "",
+        f"serial {usb.serial}" if usb and usb.serial else "",
+    ]
+    says += [f"driver {driver}" if driver else ""]
+    known = ", ".join(part for part in says if part)
+    return f"{name}: {known}" if known else name
+
+
+def drawn(finding: Finding) -> RenderableType:
+    """A finding without its command, which must stay on one line to be copied."""
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    grid.add_column(no_wrap=True, min_width=INDENT - 4)
+    grid.add_column()
+    grade = Text(finding.grade.value, style=_STYLES[finding.grade])
+    grid.add_row(grade, Text(escape_controls(finding.sentence)))
+    return Padding(grid, (0, 0, 0, 2), expand=False)
+
+
+def conclusion(names: Sequence[str], findings: Sequence[Finding]) -> Text:
+    """The last line: whether the ports can be used."""
+    which = escape_controls(" and ".join(name or "''" for name in names))
+    if not usable(findings):
+        return Text(
+            f"{which} cannot be used as {'they are' if len(names) > 1 else 'it is'}", "bold"
+        )
+    advice = sum(finding.grade is Grade.ADVICE for finding in findings)
+    more = f"; {quantity(advice, 'thing')} to fix" if advice else ""
+    return Text(f"{which} can be used{more}", "bold")

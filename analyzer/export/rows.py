@@ -15,15 +15,16 @@ from typing import Any, BinaryIO
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.filters.fields import Kind, fields_of
-from bilprov.analyzer.output.csv_text import CsvText, usual_columns
 from bilprov.analyzer.output.outputs import JsonText, TextForm
 from bilprov.analyzer.output.row_columns import (
     AS_USUAL,
     COLUMNS,
     Column,
+    CsvText,
     RowStyle,
     Value,
     converted,
+    usual_columns,
 )
 from bilprov.analyzer.replay.capture_decoding import Chosen
 from bilprov.captures.errors import CaptureError
@@ -33,7 +34,7 @@ from bilprov.spec.protocol import Protocol
 
 
 def write_csv(chosen: Chosen, stream: BinaryIO, rows: RowStyle = AS_USUAL) -> None:
-    """Write the chosen rows as CSV in UTF-8; see `csv_text`.
+    """Write the chosen rows as CSV in UTF-8; see `row_columns`.
 
     Raises OSError if the stream cannot be written, CaptureError if the capture cannot be read.
     """

@@ -3,27 +3,404 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from operator import attrgetter
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.decode.batch import Batch, Mask, Selection
-from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.filters import tree
-from bilprov.analyzer.filters.columns import (
-    NOTHING,
-    Column,
-    Columns,
-    Numbers,
-    Octets,
-    Words,
-    device_columns,
-    host_columns,
-    line_columns,
+from bilprov.analyzer.decode.batch import (
+    GARBAGE,
+    INSTRUCTION,
+    KINDS,
+    Batch,
+    DeviceRows,
+    HostRows,
+    Mask,
+    Selection,
+    StateColumns,
 )
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
+from bilprov.analyzer.filters import tree
+from bilprov.analyzer.filters.fields import Kind, fields_of
+from bilprov.analyzer.filters.moments import DAY, STEP, offset
+from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
+from bilprov.spec.arrays.layouts import (
+    BAD_DATA,
+    OUTCOMES,
+    VALID,
+    WIDEST,
+    field_values,
+    part_values,
+)
+from bilprov.spec.codec import judge
+from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.layout import Role
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import NOT_KNOWN
+
+
+class Numbers(NamedTuple):
+    """Numbers, or one for all rows, and in which rows there are any (None: in all).
+
+    Where a row may have several, the first axis counts them and the last one the rows.
+    """
+
+    value: NDArray[Any] | float
+    present: Mask | None = None
+
+
+class Words(NamedTuple):
+    """Words or the like: each row's place in `words`, of which one may be None where it lacks."""
+
+    code: NDArray[np.integer]
+    words: Sequence[Any]
+
+
+class Octets(NamedTuple):
+    """Bytes: of each row `size` bytes of `data` from `start` on; those with size -1 have none."""
+
+    data: NDArray[np.uint8]
+    start: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+
+Column: TypeAlias = Numbers | Words | Octets
+
+
+Makers: TypeAlias = Mapping[str, Callable[[], Column]]
+
+NOTHING = Numbers(np.zeros((), np.int64), np.zeros((), np.bool_))
+"""The column of a name that none of the rows has."""
+
+
+class Columns:
+    """The columns of so many rows, each made by its maker when it is asked for."""
+
+    def __init__(self, count: int, *makers: Makers) -> None:
+        self._count = count
+        self._makers = {key: make for each in makers for key, make in each.items()}
+        self._columns: dict[str, Column] = {}
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, key: str) -> Column:
+        if key not in self._columns:
+            make = self._makers.get(key)
+            self._columns[key] = make() if make else NOTHING
+        return self._columns[key]
+
+
+def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Columns:
+    """The columns of the host's rows.
+
+    `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
+    """
+    garbage, faulty = rows.kind == GARBAGE, rows.verdict != VALID
+
+    def length() -> Column:
+        if protocol.plain:
+            return _part_of(protocol, rows, "length")
+        around = protocol.layout.head + protocol.layout.tail
+        return Numbers(np.maximum(rows.size - around, 0), ~garbage)
+
+    def data() -> Column:
+        head, tail = protocol.layout.head, protocol.layout.tail
+        size = np.maximum(rows.size - head - np.where(rows.kind == INSTRUCTION, tail, 0), 0)
+        return Octets(rows.data, rows.offset + head, np.where(garbage, -1, size))
+
+    def name() -> Column:
+        specs = [protocol.by_id.get(identity) for identity in protocol.keys]
+        code = np.where(garbage, np.int64(len(specs)), rows.header)
+        return Words(code, [spec.name if spec else None for spec in (*specs, None)])
+
+    def reason() -> Column:
+        odd = np.flatnonzero(faulty)
+        return _words(rows.reasons(odd), odd, len(rows))
+
+    makers: Makers = {
+        "id": lambda: _part_of(protocol, rows, "id"),
+        "len": length,
+        "address": lambda: _part_of(protocol, rows, "address"),
+        "hex": lambda: Octets(rows.data, rows.offset, rows.size),
+        "data": data,
+        "direction": lambda: _one("host"),
+        "kind": lambda: Words(rows.kind, KINDS),
+        "name": name,
+        "faulty": lambda: _truth(faulty),
+        "reason": reason,
+        "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
+    }
+
+    def register(name: str) -> Column:
+        writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
+        found = np.flatnonzero((rows.kind == INSTRUCTION) & np.isin(rows.header, writing))
+        judged = (judge(protocol, frame) for frame in rows.frames(found))
+        return _told(name, (one.told for one in judged), found, len(rows))
+
+    fields = _of_fields(protocol, partial(_requests, protocol, rows), rows.data, len(rows))
+    fields = {**fields, **_of_registers(protocol, register)}
+    both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
+    return Columns(len(rows), makers, fields, *both)
+
+
+def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> Columns:
+    """The columns of the device's rows."""
+    answers = rows.answers
+
+    def name() -> Column:
+        return Words(answers.name, answers.names)
+
+    def address() -> Column:
+        return Numbers(answers.address, answers.address >= 0)
+
+    def octets() -> Column:
+        return Octets(answers.data, answers.offset, answers.size)
+
+    def faulty() -> Column:
+        return _truth(rows.answering & (rows.verdict != VALID) | rows.faults.serious)
+
+    def reason() -> Column:
+        odd = np.flatnonzero(rows.odd)
+        return _words((record.reason for record in rows.samples(odd)), odd, len(rows))
+
+    makers: Makers = {
+        "address": address,
+        "hex": octets,
+        "direction": lambda: _one("device"),
+        "kind": lambda: _one("response"),
+        "name": name,
+        "response": lambda: Numbers(rows.byte, rows.byte >= 0),
+        "faulty": faulty,
+        "reason": reason,
+        "answers": lambda: Numbers(rows.sequence, rows.answering),
+        "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
+        "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
+    }
+
+    def register(name: str) -> Column:
+        reading = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.reads]
+        found = np.flatnonzero(rows.answering & np.isin(rows.header, reading))
+        replies = (record.reply for record in rows.samples(found))
+        return _told(name, (one.told if one else () for one in replies), found, len(rows))
+
+    fields = _of_fields(protocol, partial(_answers, protocol, rows), answers.data, len(rows))
+    fields = {**fields, **_of_registers(protocol, register)}
+    both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
+    return Columns(len(rows), makers, fields, *both)
+
+
+def line_columns(lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | None) -> Columns:
+    """The columns of the other rows, which are few: each is a JSON line, and came at `t` (ns)."""
+    none = np.zeros(len(lines), np.int64)
+
+    def listed(value: Callable[[JsonLine], Any]) -> Callable[[], Column]:
+        return lambda: _listed([value(line) for line in lines])
+
+    kinds = [type(line.state) for line in lines[:1]]
+    states = [f"state.{name}" for kind in kinds for name in kind.__struct_fields__]
+    as_they_are = ("direction", "kind", "name", "reason", "sequence", *states)
+    makers: Makers = {
+        **{name: listed(attrgetter(name)) for name in as_they_are},
+        "hex": lambda: Octets(np.zeros(1, np.uint8), none, none),
+        "faulty": listed(lambda line: bool(line.faults)),
+        "faults": listed(lambda line: frozenset(line.faults)),
+    }
+    return Columns(len(lines), makers, _of_time(t, start))
+
+
+def _of_side(protocol: Protocol, rows: HostRows | DeviceRows) -> Makers:
+    """What the rows of both sides have."""
+
+    def judgement() -> Column:
+        codes = np.array([*(protocol.answers[outcome].code for outcome in OUTCOMES), -1])
+        code = codes.take(rows.verdict)
+        return Numbers(code, code >= 0)
+
+    def faults() -> Column:
+        return Words(rows.faults.code, list(map(frozenset, rows.faults.kinds)))
+
+    return {"judgement": judgement, "faults": faults}
+
+
+def _of_time(t: NDArray[np.int64], start: int | None) -> Makers:
+    """The times of the rows (ns)."""
+    since: Makers = {"t": lambda: Numbers(t / 1e9)}
+    if start is None:
+        return since
+
+    def time_of_day() -> Column:
+        step, place = np.unique((t + start) // STEP, return_inverse=True)
+        offsets = np.array([offset(one) for one in step.tolist()], np.int64)
+        return Numbers((t + start + offsets[place]) % DAY)
+
+    return {**since, DATE: lambda: Numbers(t + start), TIME_OF_DAY: time_of_day}
+
+
+def _of_state(states: StateColumns) -> Makers:
+    """The variables of the predicted state, and whether the device moves."""
+
+    def variable(name: str) -> Column:
+        column, words = states[name], states.kind.words.get(name)
+        known = column != NOT_KNOWN
+        if words is None:
+            return Numbers(column, known)
+        return Words(np.where(known, column, len(words)), (*words, None))
+
+    kind = states.kind
+    makers: Makers = {f"state.{name}": partial(variable, name) for name in kind.variables}
+    if kind.at_rest is None:
+        return makers
+    return {**makers, "state.moving": lambda: _truth(states.moving)}
+
+
+def _part_of(protocol: Protocol, rows: HostRows, role: Role) -> Column:
+    """A part of the frames, where what stands before the data is whole."""
+    layout = protocol.layout
+    part = layout.part(role)
+    there = (rows.kind != GARBAGE) & (rows.size >= layout.head)
+    if part is None or part.size > WIDEST:
+        return NOTHING
+    found = np.flatnonzero(there)
+    value = np.zeros(len(rows), np.int64)
+    start = rows.offset[found]
+    value[found] = part_values(part, rows.data, start, start + rows.size[found])
+    return Numbers(value, there)
+
+
+class _Carried(NamedTuple):
+    """Which rows carry fields: the rows, and where their data begin and how many bytes they are."""
+
+    rows: NDArray[np.int64]
+    at: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+
+def _requests(protocol: Protocol, rows: HostRows) -> Iterator[tuple[DataSpec, _Carried]]:
+    """The data of each instruction that has some, and the rows with it."""
+    head, tail = protocol.layout.head, protocol.layout.tail
+    judged = (rows.kind == INSTRUCTION) & np.isin(rows.verdict, (VALID, BAD_DATA))
+    for spec in protocol.instructions:
+        if spec.fields:
+            found = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
+            size = rows.size[found] - head - tail
+            yield spec.data, _Carried(found, rows.offset[found] + head, size)
+
+
+def _answers(protocol: Protocol, rows: DeviceRows) -> Iterator[tuple[DataSpec, _Carried]]:
+    """The data of the answers to each instruction, and the rows with them."""
+    there = rows.answering & (rows.answers.fields_size >= 0)
+    for spec in protocol.instructions:
+        if spec.answer and spec.answer.fields:
+            found = np.flatnonzero(there & (rows.header == protocol.key_of(spec.id)))
+            at, size = rows.answers.fields_at[found], rows.answers.fields_size[found]
+            yield spec.answer, _Carried(found, at, size)
+
+
+def _of_fields(
+    protocol: Protocol,
+    carried: Callable[[], Iterable[tuple[DataSpec, _Carried]]],
+    data: NDArray[np.uint8],
+    count: int,
+) -> Makers:
+    """The fields of the rows of one side, by their keys."""
+
+    def made(name: str, *, as_bytes: bool) -> Column:
+        parts = [
+            (part, part is spec.fields[-1] and spec.counted is not None, these)
+            for spec, these in carried()
+            for part in spec.fields
+            if part.name == name and part.constant is None
+        ]
+        return (_octets if as_bytes else _numbers)(parts, data, count)
+
+    known = {name: field for name, field in fields_of(protocol).items() if name == field.key}
+    return {
+        key: partial(made, key.removeprefix("fields."), as_bytes=field.kind is Kind.BYTES)
+        for key, field in known.items()
+        if key.startswith("fields.")
+    }
+
+
+def _of_registers(protocol: Protocol, made: Callable[[str], Column]) -> Makers:
+    """The named registers by their keys."""
+    return {f"fields.{name}": partial(made, name) for name in protocol.named_registers}
+
+
+def _told(
+    name: str, told: Iterable[Iterable[tuple[str, Any]]], rows: NDArray[np.int64], count: int
+) -> Column:
+    """A register that some rows may tell; those are decoded one by one.
+
+    A row that writes it at several devices has several values.
+    """
+    found = [[(one.partition("@")[0], value) for one, value in fields] for fields in told]
+    counts = [Counter(one for one, _ in fields) for fields in found]
+    most = max((max(each.values(), default=1) for each in counts), default=1)
+    value, present = np.zeros((most, count), object), np.zeros((most, count), np.bool_)
+    for row, fields in zip(rows.tolist(), found, strict=True):
+        values = [value for one, value in fields if one == name]
+        value[: len(values), row] = values
+        present[: len(values), row] = True
+    return Numbers(value, present)
+
+
+_Parts: TypeAlias = Sequence[tuple[FieldSpec, bool, _Carried]]
+"""A field with its rows, and whether it goes to the end of the data."""
+
+
+def _numbers(parts: _Parts, data: NDArray[np.uint8], count: int) -> Column:
+    """A field that is a number wherever it is one."""
+    value, present = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    for part, _, carried in parts:
+        values = field_values(part, data, carried.at)
+        if values.dtype.kind != "i":  # wider than 64 bits with a sign
+            value = value.astype(object)
+        value[carried.rows] = values
+        present[carried.rows] = True
+    return Numbers(value, present)
+
+
+def _octets(parts: _Parts, data: NDArray[np.uint8], count: int) -> Column:
+    """The bytes of a field that is bytes, or several numbers, somewhere."""
+    start, size = np.zeros(count, np.int64), np.full(count, -1, np.int64)
+    for part, to_end, carried in parts:
+        before = part.many.prefix.size if part.many and part.many.prefix else 0
+        start[carried.rows] = carried.at + part.offset + before
+        whole = carried.size - part.offset if to_end else part.size
+        size[carried.rows] = np.maximum(whole - before, 0)
+    return Octets(data, start, size)
+
+
+def _listed(values: Sequence[Any]) -> Column:
+    """A column of values of one kind."""
+    numbers = [type(value) is int for value in values]
+    if any(numbers):
+        return Numbers(np.array([value or 0 for value in values]), np.array(numbers))
+    return _words(values, np.arange(len(values)), len(values), None)
+
+
+def _truth(mask: Mask) -> Words:
+    return Words(mask.view(np.uint8), (False, True))
+
+
+def _one(word: str) -> Words:
+    return Words(np.zeros((), np.int64), (word,))
+
+
+def _words(
+    values: Iterable[Hashable], rows: NDArray[np.int64], count: int, others: Hashable = ""
+) -> Words:
+    """A column with these values in some of `count` rows, and `others` in all others."""
+    places = {others: 0}
+    code = np.zeros(count, np.int64)
+    code[rows] = [places.setdefault(value, len(places)) for value in values]
+    return Words(code, list(places))
+
 
 # What compares two values; all but the last two also compare two arrays value by value.
 _COMPARING: Mapping[str, Callable[[Any, Any], Any]] = {

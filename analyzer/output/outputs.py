@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TextIO
@@ -16,6 +18,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 from bilprov.analyzer.decode.json_lines import encode_lines, json_lines
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.text_lines import LineRenderer, hex_width
+from bilprov.captures.closing import Closing
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
@@ -122,7 +125,7 @@ def opened_output(
     """
     times = rows.times(start_wall)
     if style == "csv":
-        from bilprov.analyzer.output.csv_text import CsvText, usual_columns
+        from bilprov.analyzer.output.row_columns import CsvText, usual_columns
 
         columns = rows.columns or usual_columns(protocol, time=rows.time is not None)
         form = CsvText(columns, times)
@@ -213,3 +216,74 @@ class Shown:
 def _wants_colour(stream: TextIO) -> bool:
     # https://no-color.org: any value that is not empty.
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+MOST_WAITING = 16 * 1024 * 1024  # characters that may wait; then the writer does
+
+
+class TextQueue(Closing):
+    """Text for a stream that may be slower than the line; a context manager.
+
+    A thread writes it, in order. Nothing is dropped: when 16 MiB wait, `write` waits too, and
+    `waited_ns` tells how long it did in all. What the stream raises is raised by the next call.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.waited_ns = 0
+        self._stream = stream
+        self._texts: list[str] = []
+        self._size = 0
+        self._changed = threading.Condition()
+        self._failure: BaseException | None = None
+        self._closing = False
+        self._thread = threading.Thread(target=self._drain, name="output", daemon=True)
+        self._thread.start()
+
+    def write(self, text: str) -> None:
+        """Let text be written as soon as the stream takes it. Raises what the stream raised.
+
+        Without text it only does that: what the stream raises while nothing is shown counts too.
+        """
+        with self._changed:
+            if self._size and self._size + len(text) > MOST_WAITING:
+                began = time.monotonic_ns()
+                self._changed.wait_for(lambda: self._size < MOST_WAITING)
+                self.waited_ns += time.monotonic_ns() - began
+            self._raise()
+            if text:
+                self._texts.append(text)
+                self._size += len(text)
+                self._changed.notify_all()
+
+    def close(self) -> None:
+        """Wait until all text is written. Raises what the stream raised."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join()
+        self._raise()
+
+    def _drain(self) -> None:
+        """Write what waits, in the thread, until the queue is closed and empty."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._texts or self._closing)
+                texts, self._texts = self._texts, []
+            if not texts:
+                return
+            text = "".join(texts)
+            try:
+                self._stream.write(text)
+                self._stream.flush()
+            except BaseException as error:
+                self._failure = error
+            with self._changed:
+                self._size = 0 if self._failure else self._size - len(text)
+                self._changed.notify_all()
+            if self._failure:
+                return
+
+    def _raise(self) -> None:
+        if self._failure is not None:
+            failure, self._failure = self._failure, None
+            raise failure

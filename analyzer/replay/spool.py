@@ -12,8 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from bilprov.analyzer.replay.recorder import Recorder, RecordWriter
-from bilprov.analyzer.replay.rotation import Rotation
+from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, Rotation
 from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError

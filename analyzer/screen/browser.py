@@ -32,16 +32,12 @@ from bilprov.analyzer.output.row_columns import (
     columns_of,
 )
 from bilprov.analyzer.replay.spool import new_name
-from bilprov.analyzer.screen.bars import head_line, status_line
-from bilprov.analyzer.screen.car import picture
 from bilprov.analyzer.screen.details import FieldTree
-from bilprov.analyzer.screen.dialogs import Help
 from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
-from bilprov.analyzer.screen.figures import figures
 from bilprov.analyzer.screen.frame_list import OWN, SHOWN_ONLY, FrameList
-from bilprov.analyzer.screen.keys import ALIASES, BINDINGS
-from bilprov.analyzer.screen.places import REFUSAL, row_of
-from bilprov.analyzer.screen.prompt import Prompt, Question
+from bilprov.analyzer.screen.keys import ALIASES, BINDINGS, Help
+from bilprov.analyzer.screen.panes import figures, head_line, picture, status_line
+from bilprov.analyzer.screen.prompt import REFUSAL, Prompt, Question, row_of
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.row_export import export, new_file, rows_file
 from bilprov.captures.text import quantity

@@ -1,8 +1,18 @@
-"""The keys: the action that each starts, its word in the footer, and what the help says of it."""
+"""The keys: the action that each starts, its word in the footer, and the help about them."""
 
 from __future__ import annotations
 
-from textual.binding import Binding
+from typing import ClassVar
+
+from rich.table import Table
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import VerticalScroll
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from bilprov.analyzer.screen.signs import LOOKS
 
 
 def _key(keys: str, action: str, shown: str, says: str, word: str = "") -> Binding:
@@ -55,3 +65,25 @@ ALIASES = {
     "ctrl+u": "pageup",
 }
 """Keys of less and vim, and those of Textual's widgets that they stand for."""
+
+
+class Help(ModalScreen[None]):
+    """The keys and what they do, and the signs."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("escape,q,question_mark", "dismiss", show=False)
+    ]
+
+    def compose(self) -> ComposeResult:
+        """A table of keys, which scrolls on a small screen."""
+        table = Table.grid(padding=(0, 2, 0, 0))
+        table.add_column(no_wrap=True)
+        table.add_column()
+        keys = {key.key_display or "": key.tooltip for key in BINDINGS if key.tooltip}
+        for key, says in (MOVES | keys).items():
+            table.add_row(Text(key, "bold"), Text(says))
+        table.add_row()
+        for look, says in LOOKS.items():
+            table.add_row(Text(look.sign, look.style), Text(says))
+        with VerticalScroll(classes="box"):
+            yield Static(table)

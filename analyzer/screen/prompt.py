@@ -1,8 +1,14 @@
-"""The line at the bottom to type a filter, a place or a name in, with what it lacks under it."""
+"""The line at the bottom to type a filter, a place or a name in, with what it lacks under it.
+
+A place in a recording is a row's number, a time since the start, or a time of day.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from datetime import datetime, timedelta, tzinfo
+from datetime import time as clock
 from os.path import commonprefix
 from typing import Any, ClassVar, NamedTuple
 
@@ -145,3 +151,30 @@ class Prompt(Vertical):
 
     def _refuse(self, wrong: str) -> None:
         self._under.update(Text(printable(wrong), "red", no_wrap=True))
+
+
+_NUMBER = re.compile(r"(?P<number>\d+(?:\.\d*)?) ?(?P<unit>us|ms|s)?")
+_UNITS = {"us": 1e3, "ms": 1e6, "s": 1e9}
+REFUSAL = "give the number of a row like 120, or a time like 12.5s, 300ms or 14:03:20"
+
+
+def row_of(text: str, start_wall: int, zone: tzinfo | None, row_at: Callable[[int], int]) -> int:
+    """The row (from 0) that a text stands for. Raises ValueError if it is no place.
+
+    `row_at` gives the row at a time (ns since the start), which is `start_wall` (ns since 1970). A
+    time of day is one in this zone (None: the zone here), after the start.
+    """
+    match = _NUMBER.fullmatch(text)
+    if match and not match["unit"] and "." not in text:
+        return max(0, int(text) - 1)
+    if match:
+        return row_at(round(float(match["number"]) * _UNITS[match["unit"] or "s"]))
+    try:
+        at = clock.fromisoformat(text)
+    except ValueError:
+        raise ValueError(REFUSAL) from None
+    start = datetime.fromtimestamp(start_wall / 1e9, zone)
+    moment = datetime.combine(start, at, zone)
+    if moment < start:
+        moment += timedelta(days=1)
+    return row_at(round((moment - start).total_seconds() * 1e9))

@@ -1,29 +1,180 @@
 """All rows of a recording as packed batches, and the view of those that pass a filter.
 
+A batch is packed to about a tenth of the size of its records.
+
 One thread adds batches while others read: what is added is there as a whole or not at all.
 """
 
 from __future__ import annotations
 
+import pickle
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from itertools import groupby
 from threading import Lock, RLock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import zstandard
+from numpy.typing import NDArray
 
 from bilprov.analyzer.decode.batch import Batch, Records
+from bilprov.analyzer.decode.column_batch import Decoding
 from bilprov.analyzer.decode.records import Record
-from bilprov.analyzer.screen.packed import PackedBatch
-from bilprov.analyzer.screen.row_set import RowSet
 from bilprov.analyzer.totals.totals import Totals
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 
 if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
+
+_LEVEL = 1  # of zstd
+_SHARED = (Decoding, InstructionSpec, ResponseSpec)
+
+
+class PackedBatch:
+    """A batch as compressed bytes; what it rests on, its grammar and tables, is left out."""
+
+    def __init__(self, batch: Batch) -> None:
+        self._shared: list[Any] = []
+        packed = BytesIO()
+        with zstandard.ZstdCompressor(_LEVEL).stream_writer(packed, closefd=False) as file:
+            pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
+            # A persistent id is asked for each object: packing records would be twice as slow.
+            pickler.dispatch_table = {np.ndarray: _steps, **dict.fromkeys(_SHARED, self._share)}
+            pickler.dump(batch)
+        self._packed = packed.getvalue()
+
+    def _share(self, value: Any) -> tuple[Any, ...]:
+        """Keep a value beside the packed bytes, which have its place there."""
+        self._shared.append(value)
+        return _shared, (len(self._shared) - 1,)
+
+    def batch(self) -> Batch:
+        """The batch again."""
+        data = zstandard.ZstdDecompressor().decompressobj().decompress(self._packed)
+        batch: Batch = _Unpacker(BytesIO(data), self._shared).load()
+        return batch
+
+    @property
+    def nbytes(self) -> int:
+        """How much memory it takes, in bytes."""
+        return len(self._packed)
+
+
+def _steps(array: NDArray[Any]) -> Any:
+    """How an array is packed: 64-bit integers as steps, in as few bytes as each of them takes."""
+    if array.dtype != np.int64 or array.ndim != 1 or not len(array):
+        return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+    steps = np.diff(array)
+    ends = (steps.min(initial=0), steps.max(initial=0))
+    small = np.result_type(*map(np.min_scalar_type, ends))
+    return _summed, (int(array[0]), steps.astype(small))
+
+
+def _summed(first: int, steps: NDArray[np.integer]) -> NDArray[np.int64]:
+    """The integers with these steps between them."""
+    array = np.empty(len(steps) + 1, np.int64)
+    array[0], array[1:] = first, steps
+    return array.cumsum(out=array)
+
+
+def _shared(place: int) -> Any:
+    """The name under which a packed batch asks for what it shares; `_Unpacker` looks it up."""
+    raise AssertionError(f"place {place} was not looked up by _Unpacker")
+
+
+class _Unpacker(pickle.Unpickler):
+    """Takes what is shared out of the list again."""
+
+    def __init__(self, file: BytesIO, shared: list[Any]) -> None:
+        super().__init__(file)
+        self._shared = shared
+
+    def find_class(self, module: str, name: str) -> Any:
+        """What a name stands for."""
+        found = super().find_class(module, name)
+        return self._shared.__getitem__ if found is _shared else found
+
+
+PAGE = 1 << 16  # rows of a page
+
+
+class RowSet:
+    """A growing set of row numbers, which tells its n-th member and how many are before a row.
+
+    A row takes one byte. Rows are only ever added at the end, by one thread; any thread may ask.
+    `members` is how many there are.
+    Sets that are asked about each other share a `lock`.
+    """
+
+    def __init__(self, lock: RLock) -> None:
+        self._lock = lock
+        self._bytes = bytearray()  # grows in place, as no array does
+        self._upto = [0]  # members before each page
+        self.rows = 0
+        self.members = 0
+
+    def append(self, mask: NDArray[np.bool_]) -> None:
+        """Add the next rows: whether each of them is a member."""
+        with self._lock:
+            self._bytes += mask.tobytes()
+            self.rows = len(self._bytes)
+            while len(self._upto) * PAGE <= self.rows:
+                end = len(self._upto) * PAGE
+                self._upto.append(self._upto[-1] + self._bytes.count(1, end - PAGE, end))
+            self.members = self.before(self.rows)
+
+    def before(self, row: int) -> int:
+        """How many members are before a row."""
+        with self._lock:
+            row = min(row, self.rows)
+            page = row // PAGE
+            return self._upto[page] + self._bytes.count(1, page * PAGE, row)
+
+    def slice(self, first: int, stop: int) -> list[int]:
+        """The rows of the members from the `first` to before the `stop`, counted from 0."""
+        with self._lock:
+            page = bisect_right(self._upto, first) - 1
+            after = bisect_left(self._upto, stop)
+            members = np.flatnonzero(self._bits(page * PAGE, after * PAGE)) + page * PAGE
+            base = self._upto[page]
+            found: list[int] = members[first - base : max(stop, first) - base].tolist()
+            return found
+
+    def next(self, row: int, among: RowSet | None = None) -> int | None:
+        """The first member from a row on, that is a member `among` others too; None without."""
+        with self._lock:
+            for at in range(row, self.rows, PAGE):
+                found = self._common(at, at + PAGE, among)
+                if len(found):
+                    return at + int(found[0])
+        return None
+
+    def last(self, row: int, among: RowSet | None = None) -> int | None:
+        """The last member before a row, that is a member `among` others too; None without."""
+        with self._lock:
+            for end in range(min(row, self.rows), 0, -PAGE):
+                at = max(0, end - PAGE)
+                found = self._common(at, end, among)
+                if len(found):
+                    return at + int(found[-1])
+        return None
+
+    def _bits(self, first: int, stop: int) -> NDArray[np.bool_]:
+        """Whether some rows are members, as a copy: a view would keep the bytes from growing."""
+        return np.frombuffer(self._bytes[first:stop], np.bool_)
+
+    def _common(self, first: int, stop: int, among: RowSet | None) -> NDArray[np.intp]:
+        bits = self._bits(first, stop)
+        if among is None:
+            return np.flatnonzero(bits)
+        others = among._bits(first, stop)
+        some = min(len(bits), len(others))
+        return np.flatnonzero(bits[:some] & others[:some])
+
 
 TOGETHER = 1024  # rows; smaller batches are packed together
 _UNPACKED = 4  # batches that stay unpacked

@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing, contextmanager
 from typing import NamedTuple
 
 from benchmarks.commands import bilprov_words, started
-from bilprov.analyzer.transport.streams import parse_address
+from bilprov.analyzer.transport.server import parse_address
 
 
 class Probe:

@@ -9,7 +9,7 @@ _NAMED = {"\\": "\\", "t": "\t", "n": "\n", "r": "\r"}
 
 
 def plain(cell: str) -> str:
-    """The text that `csv_text.neutral` was given."""
+    """The text that `row_columns.neutral` was given."""
     return _ESCAPED.sub(
         lambda found: _NAMED.get(found[1]) or chr(int(found[1][1:], 16)), cell.removeprefix("'")
     )

@@ -25,9 +25,8 @@ from bilprov.analyzer.client.operations import (
     Reply,
     drive,
 )
-from bilprov.analyzer.transport.server import serve
+from bilprov.analyzer.transport.server import parse_address, serve
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.analyzer.transport.streams import parse_address
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases

@@ -15,8 +15,7 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.recorder import Recorder
-from bilprov.analyzer.replay.rotation import Rotation
+from bilprov.analyzer.replay.recorder import Recorder, Rotation
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.parts import part_path, part_paths

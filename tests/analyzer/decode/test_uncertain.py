@@ -25,9 +25,8 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.csv_text import CsvText, usual_columns
 from bilprov.analyzer.output.outputs import JsonText
-from bilprov.analyzer.output.row_columns import Times
+from bilprov.analyzer.output.row_columns import CsvText, Times, usual_columns
 from bilprov.analyzer.output.text_lines import LineRenderer
 from bilprov.analyzer.replay import target as of_target
 from bilprov.analyzer.screen.details import details

@@ -10,8 +10,8 @@ from io import TextIOWrapper
 
 import pytest
 
-from bilprov.analyzer.output import text_queue
-from bilprov.analyzer.output.text_queue import TextQueue
+from bilprov.analyzer.output import outputs
+from bilprov.analyzer.output.outputs import TextQueue
 
 Pipe = tuple[int, TextIOWrapper]
 
@@ -60,7 +60,7 @@ def test_a_reader_that_pauses_holds_nobody_up_and_misses_nothing(pipe: Pipe) -> 
 def test_a_full_queue_makes_the_writer_wait_and_tells_how_long(
     pipe: Pipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(text_queue, "MOST", 100_000)
+    monkeypatch.setattr(outputs, "MOST_WAITING", 100_000)
     ours, stream = pipe
     texts = ["x" * 50_000] * 8
     queue = TextQueue(stream)

@@ -15,9 +15,15 @@ from hypothesis import strategies as st
 from bilprov.analyzer.decode.json_lines import JsonLine
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.csv_text import CsvText, csv_cell, neutral
 from bilprov.analyzer.output.outputs import JsonText
-from bilprov.analyzer.output.row_columns import Times, TimeStyle, columns_of
+from bilprov.analyzer.output.row_columns import (
+    CsvText,
+    Times,
+    TimeStyle,
+    columns_of,
+    csv_cell,
+    neutral,
+)
 from bilprov.analyzer.output.text_lines import HEX_WIDTH, LineRenderer, hex_width
 from bilprov.captures.schemas import Line
 from bilprov.spec.protocol import Protocol, load

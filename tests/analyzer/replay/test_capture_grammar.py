@@ -13,8 +13,7 @@ from bilprov import read_capture
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
 from bilprov.analyzer.replay.capture_decoding import capture_protocol
-from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, session_metadata
-from bilprov.analyzer.replay.rotation import Rotation
+from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, Rotation, session_metadata
 from bilprov.captures import topics
 from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk

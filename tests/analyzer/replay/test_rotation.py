@@ -20,8 +20,7 @@ from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import opened_at, said_about
-from bilprov.analyzer.replay.recorder import Recorder, session_metadata
-from bilprov.analyzer.replay.rotation import Rotation, rotation_at
+from bilprov.analyzer.replay.recorder import Recorder, Rotation, rotation_at, session_metadata
 from bilprov.captures import topics
 from bilprov.captures.parts import part_path, part_paths
 from bilprov.captures.reader import (

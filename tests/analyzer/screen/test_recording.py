@@ -16,10 +16,7 @@ from bilprov.analyzer.decode.records import serious_faults
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.screen import recording as recordings
-from bilprov.analyzer.screen import row_set
-from bilprov.analyzer.screen.packed import PackedBatch
-from bilprov.analyzer.screen.recording import Recording, View
-from bilprov.analyzer.screen.row_set import RowSet
+from bilprov.analyzer.screen.recording import PackedBatch, Recording, RowSet, View
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS
@@ -182,7 +179,7 @@ def test_a_row_set_counts_and_finds_as_a_list_does(
     masks: list[list[bool]], others: list[bool], row: int
 ) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(row_set, "PAGE", 16)
+        patch.setattr(recordings, "PAGE", 16)
         lock = RLock()
         found, other = RowSet(lock), RowSet(lock)
         for mask in masks:

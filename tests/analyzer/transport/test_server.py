@@ -14,9 +14,15 @@ import pytest
 
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port, wait_readable
-from bilprov.analyzer.transport.server import PROBE_LIMIT, REQUEST_LIMIT, UNREAD_LIMIT, serve
+from bilprov.analyzer.transport.server import (
+    PROBE_LIMIT,
+    REQUEST_LIMIT,
+    UNREAD_LIMIT,
+    Listener,
+    parse_address,
+    serve,
+)
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.analyzer.transport.streams import Listener, parse_address
 from tests.support.robots import PATIENCE
 from tests.support.wires import read_from, running
 

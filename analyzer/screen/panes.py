@@ -1,0 +1,209 @@
+"""What the panes show: the line above and the line below, the figures, the predicted state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.text import Text
+
+from bilprov.analyzer.output.statistics import Rates
+from bilprov.analyzer.output.stats_tables import spark
+from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.frame_list import FrameList
+from bilprov.analyzer.screen.keys import BINDINGS
+from bilprov.analyzer.screen.signs import DEVICE_FAULT, HOST_FAULT, LINE_FAULT, RECORDS
+from bilprov.analyzer.totals.totals import Totals
+from bilprov.captures.text import printable, quantity
+from bilprov.spec.motion import Wheels
+from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State, VariableSpec
+
+_SIDES = {"host": HOST_FAULT, "device": DEVICE_FAULT, "": LINE_FAULT}
+_LATE = 9  # columns of a latency, with a space before it
+_KINDS = 4  # kinds of faults of each side that are named
+
+
+def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> list[Text]:
+    """The lines. Rates are those of the last two seconds where they are those of a `live` line,
+    else the mean over the recording. `byte_time` is ns a byte on the line.
+    """
+    seconds = ((totals.last or 0) - (totals.first or 0)) / 1e9 or 1.0
+    rates = live or Rates(
+        totals.frames / seconds, (totals.host_bytes / seconds, totals.device_bytes / seconds)
+    )
+    load = max(rates.bytes) * byte_time / 1e9
+    lines = [
+        Text(spark(totals.rates.series("frames"), width)),
+        Text(quantity(totals.frames, "frame")),
+        Text(quantity(totals.answers, "answer")),
+        Text(f"{rates.frames:,.0f} frames/s, {load:.0%} full"),
+    ]
+    spread = totals.latencies.spread()
+    if spread:
+        lines.append(Text(f"latency {_ms(spread.median)} ms"))
+        lines.append(Text(f"p95 {_ms(spread.p95)}, max {_ms(spread.max)} ms"))
+    for side, look in _SIDES.items():
+        kinds = totals.faults_of(side)
+        if kinds:
+            lines.append(Text())
+            name = side or "line"
+            lines.append(Text(f"{look.sign} {kinds.total():,} from the {name}", look.style))
+        for kind, count in kinds.most_common(_KINDS):
+            lines.append(Text(f"  {printable(kind)}: {count:,}", "dim"))
+    lines.append(Text())
+    said = {name: said for name, said in totals.instructions().items() if said.frames}
+    digits = max((len(f"{one.frames:,}") for one in said.values()), default=0)
+    for name, one in said.items():
+        late = f"{_ms(one.latencies.median)} ms" if one.latencies else ""
+        line = Text(printable(name), "dim")
+        line.truncate(width - digits - _LATE - 1, overflow="ellipsis", pad=True)
+        lines.append(line.append(f" {one.frames:>{digits},}{late:>{_LATE}}"))
+    return lines
+
+
+def _ms(t: int) -> str:
+    ms = t / 1e6
+    return f"{ms:.3g}" if abs(ms) < 100 else f"{ms:.0f}"
+
+
+WIDTH = 26
+ROWS = 8
+_BAR = 14
+_SIGNS = {(1, 1): "▲", (-1, -1): "▼", (1, -1): "↻", (-1, 1): "↺"}  # by how the wheels turn
+# Screen colours for the letters of a colour field; other letters are shown in yellow.
+_COLOURS = {"R": "red", "G": "green", "B": "blue"}
+
+
+def picture(protocol: Protocol, state: State) -> list[Text]:
+    """The rows of the picture, at most 26 columns wide."""
+    if protocol.wheels:
+        return [*_car(protocol, protocol.wheels, state), *_bits(protocol, state)][:ROWS]
+    return [_variable(spec, getattr(state, spec.name)) for spec in protocol.variables.values()][
+        :ROWS
+    ]
+
+
+def _car(protocol: Protocol, car: Wheels, state: State) -> list[Text]:
+    full = max((abs(end) for end in protocol.limits.get(car.steering, (0, 0))), default=0)
+    left, right = car.wheels(state, full)
+    style = "bold" if state.moving else "dim"
+    motion = getattr(state, car.by)
+    sign = _SIGNS[car.turns[motion]] if motion in car.turns else "■"
+    axle = (_turning(left), _turning(right))
+    return [
+        Text("┌───────┐".join(axle).center(WIDTH)),
+        Text.assemble("        │   ", (sign, style), "   │"),
+        Text("└───────┘".join(axle).center(WIDTH)),
+        Text(_caption(motion, state.moving, motion in car.turns).center(WIDTH), style),
+        Text(f"wheels {left:+d} {right:+d}".center(WIDTH), "dim"),
+        _speed(protocol, car, getattr(state, car.speed)),
+        _steering(full, getattr(state, car.steering)),
+    ]
+
+
+def _turning(speed: int) -> str:
+    return "▲" if speed > 0 else "▼" if speed else "▪"
+
+
+def _caption(motion: str, moving: bool, directed: bool) -> str:
+    words = motion.replace("_", " ")
+    return words if moving or not directed else f"{words}, speed 0"
+
+
+def _speed(protocol: Protocol, car: Wheels, speed: int) -> Text:
+    most = max(protocol.limits.get(car.speed, (0, 0))) or 1
+    filled = round(_BAR * speed / most)
+    rest = "░" * (_BAR - filled)
+    return Text.assemble(("speed ", "dim"), "█" * filled, (rest, "dim"), f" {speed}")
+
+
+def _steering(full: int, steering: int) -> Text:
+    half = _BAR // 2
+    place = half + round(half * steering / (full or 1))
+    track = ["─"] * (_BAR + 1)
+    track[half] = "┼"
+    track[place] = "●"
+    return Text.assemble(("steer ", "dim"), "".join(track), f" {steering:+d}")
+
+
+def _bits(protocol: Protocol, state: State) -> list[Text]:
+    """A row for each variable of bits."""
+    specs = [spec for spec in protocol.variables.values() if spec.bits]
+    return [_variable(spec, getattr(state, spec.name)) for spec in specs]
+
+
+def _variable(spec: VariableSpec, value: int | str | None) -> Text:
+    """A variable with its value; bits are lamps."""
+    line = Text.assemble((f"{spec.name[:10]:<5} ", "dim"))
+    if not spec.bits or value is None:
+        return line.append("not known" if value is None else str(value))
+    for at, name in enumerate(spec.bits):
+        on = bool(int(value) >> (len(spec.bits) - 1 - at) & 1)
+        colour = f"bold {_COLOURS.get(name, 'yellow')}"
+        line.append("●" if on else "○", colour if on else "dim")
+        line.append(f" {name}  ", "" if on else "dim")
+    return line
+
+
+_LEAST = "  ? help  q quit"  # the keys beside what is told
+
+
+def head_line(
+    title: str, feed: Feed[Any], frames: FrameList, doing: str, expression: str, width: int
+) -> Text:
+    """What is shown and recorded, and how many rows of how many, which is never cut.
+
+    `doing` is how the chosen row moves by itself, `expression` the filter; both "" for none.
+    """
+    left = Text(f"/ {printable(expression)}  " if expression else "", "bold cyan", end="")
+    left = Text.assemble(left, (printable(title), "bold"))
+    if feed.captured:
+        left.append(f"  {RECORDS} {printable(feed.captured)}")
+    shown, rows = frames.count - frames.view.first, feed.recording.rows - feed.recording.first
+    share = feed.progress  # its thread may be done at any moment
+    right = Text(f"  reading {share:.0%}" if share is not None else f"  {doing}")
+    if frames.held is not None:
+        waiting = frames.view.count - frames.count
+        right = Text.assemble("  ", (f"paused, {waiting:,} waiting", "bold reverse"))
+    right.append(f"  {shown:,} of {rows:,}" if expression else f"  {quantity(rows, 'row')}", "bold")
+    return _spread(left, right, width)
+
+
+def status_line(doing: str, feed: Feed[Any], said: str, width: int) -> Text:
+    """What takes long just now, else what has to be told; else the keys.
+
+    `doing` is what takes long, and `said` answers the last key; both are "" for nothing.
+    """
+    told = _told(doing, feed, said)
+    if told:
+        fits = width - told.cell_len >= len(_LEAST)
+        return _spread(told, Text(_LEAST if fits else "", "dim"), width)
+    line = Text()
+    keys = [key for key in BINDINGS if key.show]
+    room = width + 3 - sum(len(f"{key.key_display} {key.description}") + 3 for key in keys[-2:])
+    for key in keys:
+        shown = Text.assemble((key.key_display or "", "bold"), (f" {key.description}   ", "dim"))
+        if line.cell_len + shown.cell_len <= room or key in keys[-2:]:
+            line.append_text(shown)
+    line.truncate(width, overflow="crop")
+    return line
+
+
+def _told(doing: str, feed: Feed[Any], said: str) -> Text:
+    if doing:
+        return Text(f"{doing}, Esc stops it", "bold")
+    if feed.said:
+        return Text(printable(feed.said), "bold red")
+    said = said or feed.notice
+    if feed.let_go and not said:
+        recording = feed.recording
+        (oldest,) = recording.records([recording.first]) or (None,)
+        since = f"{oldest.t / 1e9:.3f} s" if oldest else "the first row"
+        said = f"no room for all rows: the oldest were dropped, the rest begins at {since}"
+    return Text(said, "bold")
+
+
+def _spread(left: Text, right: Text, width: int) -> Text:
+    """Two texts at the ends of a line, of which the right one is never cut."""
+    left.truncate(max(0, width - right.cell_len), overflow="crop", pad=True)
+    return left + right
