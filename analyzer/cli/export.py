@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import BinaryIO, Literal, cast
 
 import click
 
@@ -23,39 +23,28 @@ from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option, req
 from bilprov.analyzer.cli.reading import opened_captures, reading
 from bilprov.spec.errors import UserError
 
-if TYPE_CHECKING:
-    from bilprov.analyzer.output.row_columns import RowStyle
-
-
-class Format(NamedTuple):
-    """A format: whether a terminal can show it (`text`), and what it has a choice of."""
-
-    text: bool = False
-    columns: bool = False
-    times: bool = False
-
-
-FORMATS = {
-    "csv": Format(text=True, columns=True, times=True),
-    "jsonl": Format(text=True),
-    "parquet": Format(columns=True),
-    "pcapng": Format(),
-}
+FORMATS = ("csv", "jsonl", "parquet", "pcapng")
+TEXTS = ("csv", "jsonl")  # what a terminal can show
+CHOICES = {"columns": ("csv", "parquet"), "time_style": ("csv",)}
+"""The formats that have a choice of these parameters."""
 
 
 @dataclass(frozen=True)
 class ExportOptions:
     """The options of `export`."""
 
-    path: str | None = argument(metavar="[FILE.mcap]", required=False)
+    path: str = argument(metavar="FILE.mcap")
     style: str | None = option(
         "--format",
         metavar="FORMAT",
         type=click.Choice(list(FORMATS)),
         help=f"What is written: {', '.join(FORMATS)}. Without it the ending of OUT's name decides.",
     )
-    output: str | None = option(
-        "-o", "--output", metavar="OUT", help="The file to write; - is standard output."
+    output: str = option(
+        *("-o", "--output"),
+        metavar="OUT",
+        required=True,
+        help="The file to write; - is standard output.",
     )
     expression: str | None = filter_option()
     span: WindowOptions = group(WindowOptions)
@@ -74,61 +63,37 @@ def export(options: ExportOptions) -> None:
     event, for Wireshark; bilprov spec emit wireshark writes the dissector. Memory does not grow
     with the capture. OUT appears when it is complete.
     """
-    from bilprov.analyzer.replay.capture_decoding import Chosen, require_begun
+    from bilprov.analyzer.export import pcapng, rows
+    from bilprov.analyzer.replay.capture_decoding import require_begun
 
     path, output = options.path, options.output
-    if path is None or output is None:
-        raise click.UsageError(
-            "name what to write and where: bilprov export FILE.mcap -o OUT.csv (- is standard "
-            "output)"
-        )
     style = options.style or Path(output).suffix.removeprefix(".").lower()
     if style not in FORMATS:
         raise click.UsageError(
             f"-o {output} names no format: let it end in .{', .'.join(FORMATS)}, or add --format "
             f"{'|'.join(FORMATS)}"
         )
-    form = FORMATS[style]
+    for parameter, able in CHOICES.items():
+        if asked_here(parameter) and style not in able:
+            spelling = parameter.removesuffix("_style")
+            raise click.UsageError(f"--{spelling} is for {' and '.join(able)}, not for {style}")
     window = options.span.window()
     (capture,), protocol = opened_captures([path])
-    more = _choices(form, style, options.rows.style(protocol))
+    chosen_rows = options.rows.style(protocol)
     test = compiled(options.expression, protocol)
     require_begun(capture, window.first)
-    write = _writer(style)
     started = test and test.started(capture.start)
     with (
-        _opened(output, [path], options.force, text=form.text) as stream,
+        _opened(output, [path], options.force, text=style in TEXTS) as stream,
         reading([capture]) as progress,
     ):
-        write(Chosen(capture, protocol, started, window, progress), stream, **more)
-
-
-def _writer(style: str) -> Callable[..., None]:
-    """The writer of a format, imported now.
-
-    It is called with what is Chosen, a binary stream, and `rows` if it has a choice of columns.
-    """
-    if style == "parquet":
-        from bilprov.analyzer.export.rows import write_parquet
-
-        return write_parquet
-    if style == "pcapng":
-        from bilprov.analyzer.export.pcapng import write_pcapng
-
-        return write_pcapng
-    from bilprov.analyzer.export.rows import write_csv, write_jsonl
-
-    return write_csv if style == "csv" else write_jsonl
-
-
-def _choices(form: Format, style: str, rows: RowStyle) -> dict[str, RowStyle]:
-    """The arguments of a writer that has a choice of columns. Raises UsageError for one more."""
-    for parameter, able in (("columns", "columns"), ("time_style", "times")):
-        if asked_here(parameter) and not getattr(form, able):
-            others = " and ".join(name for name, one in FORMATS.items() if getattr(one, able))
-            spelling = parameter.removesuffix("_style")
-            raise click.UsageError(f"--{spelling} is for {others}, not for {style}")
-    return {"rows": rows} if form.columns else {}
+        chosen = rows.Chosen(capture, protocol, started, window, progress, chosen_rows)
+        if style == "pcapng":
+            pcapng.write_pcapng(chosen, stream)
+        elif style == "parquet":
+            rows.write_parquet(chosen, stream)
+        else:
+            rows.write_text(chosen, stream, cast(Literal["csv", "jsonl"], style))
 
 
 @contextmanager

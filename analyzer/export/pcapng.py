@@ -31,10 +31,10 @@ from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.export.rows import Chosen
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_decoding import (
     TEXT_BATCH,
-    Chosen,
     capture_decoder,
     capture_line,
     event_batches,
@@ -104,7 +104,7 @@ def write_pcapng(chosen: Chosen, stream: BinaryIO) -> None:
     An instruction that passes the filter brings its answer, so that a reader can pair them. Raises
     OSError if the stream cannot be written, CaptureError if the capture cannot be read.
     """
-    capture, protocol, test, window, progress = chosen
+    capture, protocol, test, window, progress, _ = chosen
     stream.write(_section(capture, protocol))
     for tap in _TAPS:
         stream.write(_interface(capture, protocol, tap))

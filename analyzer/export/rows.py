@@ -10,48 +10,64 @@ digits. pyarrow, which writes it, is an extra of the kit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.filters.fields import Kind, fields_of
-from bilprov.analyzer.output.outputs import JsonText, TextForm
+from bilprov.analyzer.output.outputs import NoOutput, Shown, Window, opened_output
 from bilprov.analyzer.output.row_columns import (
     AS_USUAL,
     COLUMNS,
     Column,
-    CsvText,
     RowStyle,
     Value,
     converted,
     usual_columns,
 )
-from bilprov.analyzer.replay.capture_decoding import Chosen
+from bilprov.analyzer.replay.capture_decoding import TEXT_BATCH, Progress, decoded_batches
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.reader import Capture
 from bilprov.captures.text import escape_controls, printable
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
+if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
+    from bilprov.analyzer.filters.filter import Filter
 
-def write_csv(chosen: Chosen, stream: BinaryIO, rows: RowStyle = AS_USUAL) -> None:
-    """Write the chosen rows as CSV in UTF-8; see `row_columns`.
+
+class Chosen(NamedTuple):
+    """What of a capture is exported: the rows in a window that pass a filter (None: all)."""
+
+    capture: Capture
+    protocol: Protocol
+    test: Filter | None
+    window: Window
+    progress: Progress
+    rows: RowStyle = AS_USUAL
+
+    def batches(self) -> Iterator[Batch]:
+        """Yield the rows. Raises CaptureError if the capture cannot be read."""
+        shown = Shown(NoOutput(), self.test, window=self.window)
+        batches = decoded_batches(
+            self.capture, self.protocol, self.progress, self.window, TEXT_BATCH
+        )
+        return map(shown.show, batches)
+
+
+def write_text(chosen: Chosen, stream: BinaryIO, style: Literal["csv", "jsonl"]) -> None:
+    """Write the chosen rows as CSV or as JSON lines in UTF-8; see `row_columns`, `json_lines`.
 
     Raises OSError if the stream cannot be written, CaptureError if the capture cannot be read.
     """
-    columns = rows.columns or usual_columns(chosen.protocol, time=rows.time is not None)
-    form = CsvText(columns, rows.times(chosen.capture.start))
-    stream.write(form.header.encode())
-    _write_text(chosen, stream, form)
 
+    def write(text: str) -> None:
+        stream.write(text.encode("utf-8", "backslashreplace"))
 
-def write_jsonl(chosen: Chosen, stream: BinaryIO) -> None:
-    """Write the chosen rows as JSON lines in UTF-8; see `json_lines`. Raises as `write_csv`."""
-    _write_text(chosen, stream, JsonText())
-
-
-def _write_text(chosen: Chosen, stream: BinaryIO, form: TextForm) -> None:
+    output = opened_output(style, chosen.protocol, chosen.rows, chosen.capture.start, write)
     for batch in chosen.batches():
-        stream.write(form.text(batch.records()).encode("utf-8", "backslashreplace"))
+        output.show(batch)
 
 
 ROWS = 1 << 16
@@ -72,15 +88,15 @@ class NoPyarrow(UserError):
     """pyarrow is not installed. The message says how it comes."""
 
 
-def write_parquet(chosen: Chosen, stream: BinaryIO, rows: RowStyle = AS_USUAL) -> None:
+def write_parquet(chosen: Chosen, stream: BinaryIO) -> None:
     """Write the chosen rows as a Parquet file.
 
-    Raises as `write_csv`; NoPyarrow as well, and CaptureError for a time that the format cannot
+    Raises as `write_text`; NoPyarrow as well, and CaptureError for a time that the format cannot
     hold.
     """
     pa, parquet = _pyarrow()
     capture = chosen.capture
-    columns = rows.columns or _usual_columns(chosen.protocol)
+    columns = chosen.rows.columns or _usual_columns(chosen.protocol)
     schema = pa.schema([(one.name, _type(pa, one.name, chosen.protocol)) for one in columns])
     with parquet.ParquetWriter(stream, schema, compression="zstd") as writer:
         waiting: list[Any] = []

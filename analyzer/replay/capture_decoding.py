@@ -14,7 +14,7 @@ from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
-from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
+from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
 from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture
@@ -260,24 +260,6 @@ WHOLE = Window()
 
 Progress = Callable[[int], object]
 """Gets how many bytes of the line were read more; what it raises ends the work."""
-
-
-class Chosen(NamedTuple):
-    """What of a capture is exported: the rows in a window that pass a filter (None: all)."""
-
-    capture: Capture
-    protocol: Protocol
-    test: Filter | None
-    window: Window
-    progress: Progress
-
-    def batches(self) -> Iterator[Batch]:
-        """Yield the rows. Raises CaptureError if the capture cannot be read."""
-        shown = Shown(NoOutput(), self.test, window=self.window)
-        batches = decoded_batches(
-            self.capture, self.protocol, self.progress, self.window, TEXT_BATCH
-        )
-        return map(shown.show, batches)
 
 
 def event_batches(

@@ -27,7 +27,7 @@ from bilprov.analyzer.edit.cut import write_selected, write_window
 from bilprov.analyzer.edit.join import Joined, write_joined
 from bilprov.analyzer.edit.new_capture import cut_metadata, edited_metadata, new_capture
 from bilprov.analyzer.export.pcapng import write_pcapng
-from bilprov.analyzer.export.rows import write_csv, write_jsonl
+from bilprov.analyzer.export.rows import Chosen, write_text
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.capture_info import summarized
@@ -35,7 +35,6 @@ from bilprov.analyzer.output.capture_stats import file_stats
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.plot.page import plot_page
 from bilprov.analyzer.replay.capture_decoding import (
-    Chosen,
     capture_decoder,
     capture_line,
     capture_settings,
@@ -179,10 +178,10 @@ def exported(path: Path) -> None:
 def _export(capture: Capture, test: Filter | None) -> None:
     chosen = Chosen(capture, load_protocol(), test, Window(), _told)
     table, lines, packets = io.BytesIO(), io.BytesIO(), io.BytesIO()
-    write_csv(chosen, table)
+    write_text(chosen, table, "csv")
     rows = list(csv.reader(io.StringIO(table.getvalue().decode(), newline="")))
     require(len({len(row) for row in rows}) == 1, "rows of CSV differ in length")
-    write_jsonl(chosen, lines)
+    write_text(chosen, lines, "jsonl")
     for line in lines.getvalue().splitlines():
         require(isinstance(json.loads(line), dict), "a line is no JSON object")
     write_pcapng(chosen, packets)

@@ -10,6 +10,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.export.rows import NoPyarrow, write_csv, write_jsonl, write_parquet
+from bilprov.analyzer.export.rows import NoPyarrow, write_parquet, write_text
 from bilprov.analyzer.output.outputs import JsonText, Shown, StreamOutput, stream_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
@@ -90,9 +91,12 @@ def require_agreement(path: Path, protocol: Protocol) -> None:
     table = [flat(row) for row in rows]
 
     assert json_rows(browsed(capture, protocol)) == rows
-    for text in (sniffed(capture, protocol), written_by(write_jsonl, capture, protocol)):
+    for text in (
+        sniffed(capture, protocol),
+        written_by(partial(write_text, style="jsonl"), capture, protocol),
+    ):
         assert [json.loads(line) for line in text.splitlines()] == rows
-    assert csv_rows(written_by(write_csv, capture, protocol)) == table
+    assert csv_rows(written_by(partial(write_text, style="csv"), capture, protocol)) == table
     try:
         typed = parquet_rows(written_by(write_parquet, capture, protocol))
     except NoPyarrow:

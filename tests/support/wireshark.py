@@ -13,10 +13,10 @@ from typing import NamedTuple
 import pytest
 
 from bilprov.analyzer.export.pcapng import write_pcapng
+from bilprov.analyzer.export.rows import Chosen
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import dissector_program
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.capture_decoding import Chosen
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Line

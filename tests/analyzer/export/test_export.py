@@ -9,18 +9,18 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 
-from bilprov.analyzer.cli.export import FORMATS
+from bilprov.analyzer.cli.export import CHOICES, FORMATS
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.export.rows import write_csv, write_jsonl
+from bilprov.analyzer.export.rows import Chosen, write_text
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.capture_decoding import Chosen
 from bilprov.captures.reader import Capture, open_capture
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol
@@ -120,8 +120,8 @@ def test_each_format_has_the_records_of_a_session_one_by_one(
         texts = [encode(line) for record in records if (line := json_line(record))]
         lines = [json.loads(text) for text in texts]
 
-        said = written_by(write_jsonl, capture, each_protocol)
-        table = csv_rows(written_by(write_csv, capture, each_protocol))
+        said = written_by(partial(write_text, style="jsonl"), capture, each_protocol)
+        table = csv_rows(written_by(partial(write_text, style="csv"), capture, each_protocol))
         rows = parquet_rows(written_by(write_parquet, capture, each_protocol))
 
     assert said == b"".join(text + b"\n" for text in texts)
@@ -261,7 +261,7 @@ finally:
 @pytest.mark.waits
 @pytest.mark.parametrize("style", FORMATS)
 def test_memory_does_not_grow_with_the_capture(tmp_path: Path, style: str) -> None:
-    columns = ["--columns", "t,name"] if FORMATS[style].columns else []
+    columns = ["--columns", "t,name"] if style in CHOICES["columns"] else []
     peaks = []
     for size in (250, 500):
         path = much(tmp_path / f"{size}.mcap", size)
