@@ -213,7 +213,6 @@ def join(options: JoinOptions) -> None:
         raise click.UsageError("name two captures or more to join")
     captures, protocol = opened_captures(options.paths, copied=True)
     joined = Joined(protocol, captures)
-    note_each(joined.notes())
     inputs_in_order = [source.capture for source in joined.sources]
     with _copying(options, inputs_in_order, joined.metadata(), protocol) as (out, progress):
         size = write_joined(joined, protocol, out, progress)

@@ -89,17 +89,6 @@ def _lock_file(port: Subject) -> Finding | None:
     return Finding("lock file", Grade.ADVICE, sentence, f"sudo rm {quote(lock[0])}")
 
 
-def _console(port: Subject) -> Finding | None:
-    title = port.machine.title(port.name)
-    if port.machine.is_pty(port.name) or not port.machine.is_console(port.name):
-        return None
-    sentence = (
-        f"the kernel writes its messages to it: take console={title} out of the kernel's command "
-        "line; until the next start this keeps all but the gravest messages off it"
-    )
-    return Finding("console", Grade.ADVICE, sentence, "sudo dmesg --console-off")
-
-
 def _pty(port: Subject) -> Finding | None:
     if not port.machine.is_pty(port.name):
         return None
@@ -165,7 +154,6 @@ CHECKS = (
     _permission,
     _holder,
     _lock_file,
-    _console,
     _modem_manager,
     _brltty,
     _latency_timer,

@@ -96,22 +96,6 @@ class Joined:
         self._protocol = protocol
         self.settings = _settings(self.sources)
 
-    def notes(self) -> Iterator[str]:
-        """Yield what the user should know, each one line."""
-        taps = [source for source in self.sources if source.tap]
-        spans = {tap: _span(taps, tap) for tap in ("host", "device")}
-        host, device = spans["host"], spans["device"]
-        if not any(source.tap == "" for source in self.sources) and host and device:
-            alone = max(host[0], device[0]) - min(host[0], device[0])
-            alone += max(host[1], device[1]) - min(host[1], device[1])
-            if alone >= SECOND:
-                yield (
-                    f"only one of host and device was recorded for {alone / SECOND:.1f} s at the "
-                    "ends: instructions or answers are missing there"
-                )
-        if len({source.settings["timeout"] for source in self.sources}) > 1:
-            yield "the truncation time-outs of the recordings differ: the longest one is used"
-
     def metadata(self) -> dict[str, str]:
         """The metadata of all: what they agree on, and the rest with the number of its capture."""
         abouts = [source.capture.contents.metadata for source in self.sources]
@@ -262,11 +246,3 @@ def _overlap(early: _Source, late: _Source, sides: str) -> str:
 
 def _clock(wall: int) -> str:
     return datetime.fromtimestamp(wall / SECOND, UTC).strftime("%H:%M:%S.%f")[:-3] + " UTC"
-
-
-def _span(sources: Sequence[_Source], tap: str) -> tuple[int, int] | None:
-    """The first and the last moment of the captures with that tap, None without any."""
-    of_tap = [source for source in sources if source.tap == tap]
-    if not of_tap:
-        return None
-    return min(source.first for source in of_tap), max(source.last for source in of_tap)

@@ -1,6 +1,6 @@
 """Exports a capture as pcapng for Wireshark: a packet for each frame, answer and line event.
 
-The link type is RTAC serial (250): twelve bytes of time, event and modem lines before the bytes
+The link type is RTAC serial (250): twelve bytes of time and event before the bytes
 (https://www.tcpdump.org/linktypes/LINKTYPE_RTAC_SERIAL.html). The interfaces are the two taps. All
 bytes of the capture are in it, in order, and its events tell what decoding knows of them:
 
@@ -17,7 +17,6 @@ missing answers) is left to the dissector that `bilprov spec emit wireshark` wri
 
 from __future__ import annotations
 
-import re
 import struct
 from bisect import bisect_right
 from collections import deque
@@ -77,7 +76,6 @@ _LINE_EVENTS = {
     "break": Event.SERIAL_BREAK,
     "overrun": Event.SERIAL_OVERFLOW,
 }
-_MODEM_LINES = {"cts": 1, "dcd": 2, "dsr": 4, "rts": 8, "dtr": 16, "ri": 32, "ring": 32}
 _TAPS = ("host", "device")  # the interfaces, in order
 
 _CUT_SHORT = "the frame before it was cut short"
@@ -85,17 +83,13 @@ _ELSEWHERE = "the instruction that it answers is not in this file"
 
 
 class Packet(NamedTuple):
-    """A packet: its time (ns since the capture's start), interface, event, bytes and comment.
-
-    `lines` are the modem lines of the interface from then on, None where they stay as they are.
-    """
+    """A packet: its time (ns since the capture's start), interface, event, bytes and comment."""
 
     t: int
     interface: int
     event: Event
     data: bytes = b""
     comment: str = ""
-    lines: int | None = None
 
 
 def write_pcapng(chosen: Chosen, stream: BinaryIO) -> None:
@@ -110,12 +104,12 @@ def write_pcapng(chosen: Chosen, stream: BinaryIO) -> None:
         stream.write(_interface(capture, protocol, tap))
     decoder = capture_decoder(capture, protocol)
     packets = _Packets(test, window, paired=heard(capture) >= BOTH)
-    blocks = _Blocks(capture.start)
     for events in event_batches(capture.batches(), progress, window, TEXT_BATCH):
         packets.take(decoder.decode(events))
-        stream.write(blocks.of(packets.settled(decoder, int(events.t[-1]))))
+        settled = packets.settled(decoder, int(events.t[-1]))
+        stream.write(_blocks(settled, capture.start))
     packets.take(decoder.finish())
-    stream.write(blocks.of(packets.rest()))
+    stream.write(_blocks(packets.rest(), capture.start))
 
 
 class _Packets:
@@ -206,11 +200,7 @@ def _of_line(line: Line) -> Packet:
     interface = _TAPS.index(line.tap or "host")
     event = _LINE_EVENTS.get(line.event, Event.STATUS_CHANGE)
     comment = f"{line.event}: {line.detail}" if line.detail else line.event
-    lines = None
-    if line.event == "modem":
-        words = re.findall(r"[a-z]+", line.detail.lower())
-        lines = sum({_MODEM_LINES[word] for word in words if word in _MODEM_LINES})
-    return Packet(line.t, interface, event, b"", comment, lines)
+    return Packet(line.t, interface, event, b"", comment)
 
 
 _MOST_ASKED = 1 << 18
@@ -228,32 +218,20 @@ _LATEST = (1 << 64) - 1  # ns
 _LONGEST = 4_000  # characters of a text that a foreign capture may make long
 
 
-class _Blocks:
-    """Writes packets as blocks; `start` is the wall clock (ns) at t = 0."""
+def _blocks(packets: Iterable[Packet], start: int) -> bytes:
+    """Packets as blocks; `start` is the wall clock (ns) at t = 0."""
+    return b"".join(_block(packet, start + packet.t) for packet in packets)
 
-    def __init__(self, start: int) -> None:
-        self._start = start
-        self._lines = [0, 0]  # the modem lines of each interface, as last told
 
-    def of(self, packets: Iterable[Packet]) -> bytes:
-        """The blocks of these packets."""
-        return b"".join(map(self._block, packets))
-
-    def _block(self, packet: Packet) -> bytes:
-        t, interface, event, data, comment, lines = packet
-        if lines is not None:
-            self._lines[interface] = lines
-        # The times of a forged capture may be any.
-        wall = min(max(self._start + t, 0), _LATEST)
-        seconds, rest = divmod(wall, 1_000_000_000)
-        data = (
-            _RTAC_FRONT.pack(seconds & 0xFFFFFFFF, rest // 1000, event, self._lines[interface], 0)
-            + data
-        )
-        size = len(data)
-        front = _PACKET_FRONT.pack(interface, wall >> 32, wall & 0xFFFFFFFF, size, size)
-        options = _options((_COMMENT, _utf8(comment))) if comment else b""
-        return _any_block(_ENHANCED_PACKET, front + _padded(data) + options)
+def _block(packet: Packet, wall: int) -> bytes:
+    wall = min(max(wall, 0), _LATEST)  # the times of a forged capture may be any
+    seconds, rest = divmod(wall, 1_000_000_000)
+    front = _RTAC_FRONT.pack(seconds & 0xFFFFFFFF, rest // 1000, packet.event, 0, 0)
+    data = front + packet.data
+    size = len(data)
+    front = _PACKET_FRONT.pack(packet.interface, wall >> 32, wall & 0xFFFFFFFF, size, size)
+    options = _options((_COMMENT, _utf8(packet.comment))) if packet.comment else b""
+    return _any_block(_ENHANCED_PACKET, front + _padded(data) + options)
 
 
 def _section(capture: Capture, protocol: Protocol) -> bytes:

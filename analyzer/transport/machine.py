@@ -183,11 +183,6 @@ class Machine:
         """Whether a process of that id runs."""
         return self.file(f"/proc/{pid}").exists()
 
-    def is_console(self, name: str) -> bool:
-        """Whether the kernel writes its messages to the port."""
-        used = self._read("/sys/class/tty/console/active").split()
-        return self.title(name) in used
-
     # Permission
 
     def owner(self, name: str) -> Owner | None:

@@ -12,7 +12,6 @@ import socket
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from types import FrameType
 from typing import Any, Self
 
@@ -147,14 +146,7 @@ def handled_from_now_on(handler: Handler) -> None:
 
 def unhandled(numbers: Iterable[int]) -> list[int]:
     """Those of the signals that the program neither handles nor ignores."""
-    caught = _caught()
-    found = []
-    for number in numbers:
-        handler = signal.getsignal(number)
-        in_c = handler is signal.SIG_DFL and caught >> (number - 1) & 1
-        if handler in _lasting and not in_c:
-            found.append(number)
-    return found
+    return [number for number in numbers if signal.getsignal(number) in _lasting]
 
 
 def as_usual(number: int) -> None:
@@ -183,14 +175,3 @@ def _heeded() -> set[int]:
     handlers = {number: signal.getsignal(number) for number in ENDINGS}
     ignored = {n for n in (signal.SIGINT, signal.SIGTERM) if handlers[n] is signal.SIG_IGN}
     return ignored.union(unhandled(ENDINGS), (n for n in ENDINGS if callable(handlers[n])))
-
-
-def _caught() -> int:
-    """A bit for each signal that has a handler, also those set in C, which Python does not know of.
-
-    A profiler and `faulthandler.register` set such; 0 where the system does not tell.
-    """
-    with contextlib.suppress(OSError, ValueError):
-        _, caught = Path("/proc/self/status").read_bytes().split(b"SigCgt:")
-        return int(caught.split()[0], 16)
-    return 0

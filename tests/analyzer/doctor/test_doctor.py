@@ -102,7 +102,6 @@ SET_LATENCY = "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_tim
     ("check", "options", "file", "text", "mends"),
     [
         ("lock file", {}, "/run/lock/LCK..ttyUSB0", "42", "sudo rm /run/lock/LCK..ttyUSB0"),
-        ("console", {}, "/sys/class/tty/console/active", "ttyUSB0", "sudo dmesg --console-off"),
         ("brltty", {"usb_udev": BRAILLE}, "", "", NO_BRAILLE),
         ("latency timer", {"latency": 16}, "", "", SET_LATENCY),
     ],

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import faulthandler
 import select
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
-from tempfile import TemporaryFile
 
 import pytest
 
@@ -87,20 +85,6 @@ def test_a_signal_that_is_ignored_stays_ignored(number: signal.Signals) -> None:
         assert unhandled([number]) == []
         signal.raise_signal(number)
         assert not _asked(stopper)
-
-
-def test_a_handler_that_python_does_not_know_of_stays() -> None:
-    with handled(signal.SIGUSR1, signal.SIG_DFL), TemporaryFile() as told:
-        faulthandler.register(signal.SIGUSR1, file=told)
-        try:
-            with Stopper() as stopper:
-                assert unhandled([signal.SIGUSR1]) == []
-                signal.raise_signal(signal.SIGUSR1)
-                assert not _asked(stopper)
-        finally:
-            faulthandler.unregister(signal.SIGUSR1)
-        told.seek(0)
-        assert b"test_signals.py" in told.read()
 
 
 def test_postponed_signals_come_to_the_programs_own_handler_and_only_afterwards() -> None:
