@@ -25,7 +25,7 @@ from msgspec.structs import replace
 
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecord, Record
-from bilprov.analyzer.decode.session import BOTH, Session, SessionSettings
+from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.edit.new_capture import (
     BATCH_VALUES,
@@ -97,9 +97,12 @@ def write_window(
         progress(size_of(batch))
     if decoded:
         write_records(out, decoder.finish())
-    end = decoder.saved()
-    if behind and end and _cuts_through(protocol, settings, end, chain(behind, values)):
-        out.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)
+    if behind and window.after is not None:
+        decoder.advance(window.after - 1)
+        end = decoder.saved()
+        soon = end and behind[0].now <= end.time + AFTERMATH
+        if end and soon and (end.frame or end.held):  # which may go on behind the window
+            out.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)
     return kept
 
 
@@ -327,43 +330,3 @@ def _state_at(
         decoder.advance(start - 1)
         state = decoder.saved() or state
     return state, chain(since, behind, values)
-
-
-def _cuts_through(
-    protocol: Protocol, settings: SessionSettings, end: DecoderState, behind: Iterator[Timed]
-) -> bool:
-    """Whether a recording that ends in a state tells other frames than it does with what follows.
-
-    Frames that began before the end are compared, not those of which every byte comes behind it.
-    """
-    if not end.frame and not end.held:
-        return False
-    ended, going_on = (Session(protocol, **settings) for _ in range(2))
-    for session in (ended, going_on):
-        session.resume(end)
-    here = [_seen(record) for record in ended.finish() if _is_frame_before(record, end)]
-    there: list[object] = []
-    for one in behind:
-        if one.now > end.time + AFTERMATH or len(there) >= len(here):
-            break
-        if isinstance(one.value, Chunk | Line):
-            records = going_on.feed(one.value)
-            there += [_seen(record) for record in records if _is_frame_before(record, end)]
-    if len(there) < len(here):
-        records = going_on.finish()
-        there += [_seen(record) for record in records if _is_frame_before(record, end)]
-    return here != there[: len(here)]
-
-
-def _is_frame_before(record: Record, end: DecoderState) -> bool:
-    """Whether a frame is one that was open or held at the end."""
-    if isinstance(record, HostRecord):
-        return bool(end.frame) and record.t == end.frame_start
-    return isinstance(record, DeviceRecord) and (record.t, record.byte) in end.held
-
-
-def _seen(record: Record) -> object:
-    if isinstance(record, HostRecord):
-        return record.kind, record.data
-    assert isinstance(record, DeviceRecord)
-    return record.data, record.instruction
