@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -96,26 +96,6 @@ class Trigger(typing.Protocol):
         """Whether the device misbehaves at this frame; `memory` is the trigger's, over a run."""
 
 
-class History(typing.NamedTuple):
-    """What a fault reads of the frames before.
-
-    `counts` are (counter of Event, the part of its value that matters), `previous` the parts that
-    matter of the frame before (its judgement, None after power-on, and its kind). `timed` is true
-    if the time since that frame matters.
-    """
-
-    counts: tuple[tuple[str, Callable[[int], int]], ...] = ()
-    previous: tuple[Callable[[Judgement | None, str], Hashable], ...] = ()
-    timed: bool = False
-
-
-ALL_HISTORY = History(
-    tuple((name, int) for name in ("frames", "faults", "truncated", "row")),
-    (lambda judgement, kind: (judgement, kind),),
-    timed=True,
-)
-"""The history of a fault of which is not known what it reads."""
-
 React = Callable[[MutatedDevice, Event, Reaction], Reaction]
 Hear = Callable[[MutatedDevice, bytes, int], bytes]
 
@@ -134,8 +114,7 @@ class Fault:
     `remains` gives the bytes kept of a truncated frame, `show` changes what a probe sees,
     `power_on` is the state at power-on, `banner` the bytes sent then, `begins` gives the codes
     answered to a header whose data are still to come. A hook knows of the past only its arguments
-    and the device's `memory`. The hooks are made of `trigger` and the words `what`; `history` is
-    what they read of the past.
+    and the device's `memory`. The hooks are made of `trigger` and the words `what`.
     """
 
     name: str
@@ -158,12 +137,9 @@ class Fault:
     banner: bytes = b""
     trigger: Trigger | None = None
     what: str = ""
-    history: History = ALL_HISTORY
 
 
-CONFORMING = Fault(
-    "none", "none", "behaves as the kit reads the document", exit=0, history=History()
-)
+CONFORMING = Fault("none", "none", "behaves as the kit reads the document", exit=0)
 
 
 def answers(reaction: Reaction, *codes: int, delay: int = 0) -> Reaction:

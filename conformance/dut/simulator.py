@@ -7,7 +7,7 @@ receives, how it reacts, or what its wheels and LED then do.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
 
 import msgspec
@@ -149,41 +149,6 @@ class Simulator:
             self._answers = deque(sorted([*queue, (at, code)], key=lambda entry: entry[0]))
         else:
             queue.append((at, code))
-
-    def clone(self) -> Simulator:
-        """An independent copy of the device in the same state."""
-        other = Simulator.__new__(type(self))
-        other.__dict__.update(self.__dict__)
-        other.memory = dict(self.memory)
-        other._held = bytearray(self._held)
-        other._answers = deque(self._answers)
-        other._states = deque(self._states)
-        other._unasked = deque(self._unasked)
-        return other
-
-    def state_key(self, now: int, longest: int) -> Hashable:
-        """The state that decides its future from `now` on; pauses over `longest` ns are equal.
-
-        A value in `memory` whose name ends in `at` is a time. Two devices with the same fault and
-        equal keys behave alike.
-        """
-        since = None if self.over_at is None else min(now - self.over_at, longest)
-        history = self.fault.history
-        queues = (self._answers, self._states, self._unasked)
-        return (
-            self.state,
-            tuple(
-                (name, max(value - now, -longest) if name.endswith("at") else value)
-                for name, value in sorted(self.memory.items())
-            ),
-            bytes(self._held),
-            None if self._cut is None else self._cut - now,
-            tuple(tuple((at - now, what) for at, what in queue) for queue in queues),
-            tuple(seen(getattr(self, name)) for name, seen in history.counts),
-            tuple(seen(self.previous, self._previous_kind) for seen in history.previous),
-            since if self.fault.hear or history.timed else None,
-            (min(now - self._byte_at, longest), self._pause, self._gap) if self._held else None,
-        )
 
     def _take(self, byte: int, now: int) -> None:
         """Take one byte of a frame: start, continue or complete it."""

@@ -12,7 +12,7 @@ from operator import floordiv, xor
 from typing import Any, NamedTuple, TypeVar
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Event, History, MutatedDevice, React, Reaction, answers
+from bilprov.conformance.dut.fault import Event, MutatedDevice, React, Reaction, answers
 from bilprov.conformance.mutation.triggers import OUTCOMES, Trigger, trigger
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Wheels
@@ -483,16 +483,6 @@ def takes_low_bits(at: At) -> Reaction:
     }
     done = known.effect.apply(at.event.before, fields)
     return replace(at.then("answers-as", "valid"), state=done)
-
-
-HISTORIES = {
-    "answers-as-before": History(
-        previous=(lambda judgement, kind: judgement and judgement.response.code,)
-    ),
-    "queue": History(timed=True),
-    "lost-behind-a-fault": History(timed=True),
-}
-"""What effects read of the frames before."""
 
 
 # -- from effects to hooks -----------------------------------------------------------------------

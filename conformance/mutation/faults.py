@@ -17,10 +17,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from bilprov.conformance.dut.fault import Fault, History, React
+from bilprov.conformance.dut.fault import Fault, React
 from bilprov.conformance.mutation.effects import (
     EFFECTS,
-    HISTORIES,
     WATCHING,
     at_frames,
     does_effect,
@@ -28,7 +27,7 @@ from bilprov.conformance.mutation.effects import (
     then,
 )
 from bilprov.conformance.mutation.hooks import HOOKS
-from bilprov.conformance.mutation.triggers import OUTCOMES, number_or_word, sum_of, trigger
+from bilprov.conformance.mutation.triggers import OUTCOMES, number_or_word, trigger
 from bilprov.spec.by_effect import movers, moving_motions, setters, variable_of
 from bilprov.spec.codec import bad_data
 from bilprov.spec.fields import Outcome
@@ -223,7 +222,6 @@ def hooks(protocol: Protocol, row: Row) -> dict[str, Any]:
     made: dict[str, Any] = {"trigger": acting, "what": row.what}
     gated: list[React] = []
     others: list[React] = []
-    histories = [acting.history]
     for part in row.what.split(";"):
         word, *arguments = part.split()
         given = [number_or_word(argument) for argument in arguments]
@@ -235,8 +233,7 @@ def hooks(protocol: Protocol, row: Row) -> dict[str, Any]:
             found = HOOKS[word](protocol, acting, *given)
             others += [found.pop("react")] if "react" in found else []
             made |= found
-        histories.append(HISTORIES.get(word, History()))
     reacts = ([at_frames(acting, then(*gated))] if gated else []) + others
     if reacts:
         made["react"] = then(*reacts) if len(reacts) > 1 else reacts[0]
-    return made | {"history": sum_of(*histories)}
+    return made

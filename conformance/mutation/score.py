@@ -22,9 +22,9 @@ from bilprov.conformance.dut.fault import CONFORMING
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.equivalence import MOST, Search, difference, search
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.random_faults import PREFIX
+from bilprov.conformance.mutation.search import MOST, Search, search
 from bilprov.conformance.mutation.variants import mixtures
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
@@ -67,10 +67,10 @@ class Score(msgspec.Struct, frozen=True):
     `levels` are the levels that ran, `bytes` the bytes sent to the reference device at each,
     `faults` the (family, sentence) of each fault by name, `soak` the faults that only a soak shows,
     `results` one value for each device and level, `reference` the verdict of the conforming device
-    at each level. `searches` holds the equivalence search of each fault that the last level did
-    not catch. The last four count the random faults at the last level: `told_apart` are those that
-    failed and those that a search shows to differ from the reference, and of these `failed` do,
-    `passed` do not, and the others are `inconclusive`.
+    at each level. `searches` holds the search for each fault that the last level did not catch. The
+    last four count the random faults at the last level: `told_apart` are those that failed and
+    those that a search shows to differ from the reference, and of these `failed` do, `passed` do
+    not, and the others are `inconclusive`.
     """
 
     levels: tuple[str, ...]
@@ -108,14 +108,9 @@ class Score(msgspec.Struct, frozen=True):
         return [n for n, r in self.at(level).items() if not r.caught and n not in self.soak]
 
     def can_show(self, name: str) -> bool:
-        """Return whether some run could catch the fault.
-
-        False for a named fault if it is proven equivalent, for a random one if no search shows it.
-        """
+        """Return whether some run could catch the fault: not for a random one no search shows."""
         found = self.searches.get(name)
-        if found is None:
-            return True
-        return bool(found.shown) if is_random(name) else not found.equivalent
+        return found is None or not is_random(name) or bool(found.shown)
 
     def share(self, level: str, *, drawn: bool) -> tuple[int, int]:
         """Return how many named (`drawn`: random) faults are caught, of how many that can show."""
@@ -200,9 +195,9 @@ def score(
     """Run the suite against every fault of `faults` (name -> family and sentence).
 
     `at` are levels (the default level if none), `seed` is the suite's seed, `jobs` the number of
-    processes. For each fault that the last level does not catch there is an equivalence search,
-    each part of which tries at most `most` inputs. `progress` is called with the name of each
-    fault that is done.
+    processes. For each fault that the last level does not catch there is a search, each part of
+    which tries at most `most` inputs. `progress` is called with the name of each fault that is
+    done.
     """
     chosen = tuple(at) or (Options().level,)
     results, cost, reference = [], {}, {}
@@ -216,9 +211,9 @@ def score(
             results.append(result)
         found = Score(chosen, cost, faults, soak, tuple(results), reference, {})
         searches = {}
-        for name, search in each(_search_for, found.survivors(chosen[-1])):
+        for name, result_of in each(_search_for, found.survivors(chosen[-1])):
             progress(name)
-            searches[name] = search
+            searches[name] = result_of
     return _counted(msgspec.structs.replace(found, searches=searches))
 
 
@@ -256,8 +251,7 @@ def _task(task: Task) -> Caught:
 
 def _search_for(name: str) -> tuple[str, Search]:
     protocol, _, most = working()
-    look = difference if is_random(name) else search
-    return name, look(protocol, find_fault(protocol, name), most)
+    return name, search(protocol, find_fault(protocol, name), most)
 
 
 @contextmanager

@@ -3,19 +3,18 @@
 A trigger is terms separated by commas, all of which must hold: `faulty, moves backward, row >= 2`.
 A term is a subject alone (it must not be 0 or empty), a subject and values (it must have one of
 them), or a subject, an operator and a value. The subjects are the keys of `FRAME`, `STATE`,
-`HISTORY`, `COUNTERS`, and `times`: how often the terms before it held before.
+`HISTORY`, and `times`: how often the terms before it held before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from typing import Any, NamedTuple
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Event, History
-from bilprov.spec.codec import Judgement
+from bilprov.conformance.dut.fault import Event
 from bilprov.spec.fields import OF_HEADERS
 from bilprov.spec.motion import Moment, visible_motion
 from bilprov.spec.open_points import open_point, points_after
@@ -136,21 +135,25 @@ STATE: dict[str, Subject] = {
     "pause": lambda e: e.pause / MS,
     "gap": lambda e: None if e.gap is None else e.gap / MS,
 }
-COUNTERS = ("frames", "faults", "truncated-frames", "row")
-_TIMED = ("pipelined", "gap")
 
 
-def _previous(judgement: Judgement | None, kind: str) -> str:
+def _previous(event: Event) -> str:
     """The instruction of the frame before, or its outcome where it was faulty."""
-    if judgement is None:
+    before = event.previous
+    if before is None:
         return ""
-    return judgement.name if judgement.valid else OUTCOME_WORDS[judgement.outcome]
+    return before.name if before.valid else OUTCOME_WORDS[before.outcome]
 
 
-HISTORY: dict[str, Callable[[Judgement | None, str], Any]] = {
+HISTORY: dict[str, Subject] = {
     "previous": _previous,
-    "after-truncated": lambda judgement, kind: kind == TRUNCATED,
+    "after-truncated": lambda e: e.previous_kind == TRUNCATED,
+    "frames": lambda e: e.frames,
+    "faults": lambda e: e.faults,
+    "truncated-frames": lambda e: e.truncated,
+    "row": lambda e: e.row,
 }
+SUBJECTS = FRAME | STATE | HISTORY
 
 OPERATORS: dict[str, Callable[[Any, tuple[Any, ...]], bool]] = {
     "": lambda subject, _: bool(subject),
@@ -180,22 +183,9 @@ class Term(NamedTuple):
         """Whether the term holds for this value of its subject."""
         return subject is not None and OPERATORS[self.operator](subject, self.values)
 
-    def seen(self, count: int) -> int:
-        """The part of a counter's value that can ever matter to the term."""
-        if self.operator == "every":
-            return int(count % self.values[0])
-        if self.operator in ("&", "!&"):
-            return int(count % (2 * self.values[0]))
-        return min(count, max(self.values, default=0) + 1)
-
     def of(self, event: Event) -> Any:
         """The value of the subject."""
-        name = self.subject
-        if name in HISTORY:
-            return HISTORY[name](event.previous, event.previous_kind)
-        if name in COUNTERS:
-            return event.truncated if name == "truncated-frames" else getattr(event, name)
-        return (FRAME.get(name) or STATE[name])(event)
+        return SUBJECTS[self.subject](event)
 
 
 class Trigger(NamedTuple):
@@ -224,7 +214,7 @@ class Trigger(NamedTuple):
         for term in self.terms:
             if term.subject == "times":
                 count = memory.get(self.key + "times", 0)
-                memory[self.key + "times"] = term.seen(count + 1)
+                memory[self.key + "times"] = count + 1
                 if not term.holds(count):
                     return False
             elif not term.holds(term.of(event)):
@@ -235,33 +225,6 @@ class Trigger(NamedTuple):
     def about_frame(self) -> tuple[Term, ...]:
         """The terms about the frame itself."""
         return tuple(term for term in self.terms if term.subject in FRAME)
-
-    @property
-    def history(self) -> History:
-        """What the trigger reads of the frames before."""
-        inner = [one.history for one in (self.since, self.until) if one]
-        counters = [
-            ("truncated" if t.subject == "truncated-frames" else t.subject, t.seen)
-            for t in self.terms
-            if t.subject in COUNTERS
-        ]
-        timed = any(term.subject in _TIMED for term in self.terms)
-        previous = [_seen_before(term) for term in self.terms if term.subject in HISTORY]
-        own = History(tuple(counters), tuple(previous), timed=timed)
-        return sum_of(own, *inner)
-
-
-def _seen_before(term: Term) -> Callable[[Judgement | None, str], Hashable]:
-    return lambda judgement, kind: term.holds(HISTORY[term.subject](judgement, kind))
-
-
-def sum_of(*parts: History) -> History:
-    """What all of these read of the frames before."""
-    return History(
-        tuple(count for part in parts for count in part.counts),
-        tuple(seen for part in parts for seen in part.previous),
-        timed=any(part.timed for part in parts),
-    )
 
 
 @cache
@@ -278,7 +241,7 @@ def trigger(when: str, since: str = "", until: str = "", key: str = "") -> Trigg
 
 def _term(words: list[str]) -> Term:
     subject, *rest = words
-    if subject != "times" and not any(subject in t for t in (FRAME, STATE, HISTORY, COUNTERS)):
+    if subject != "times" and subject not in SUBJECTS:
         raise ValueError(f"a trigger has no subject {subject!r}")
     operator = "==" if rest else ""
     if rest and rest[0] in OPERATORS:

@@ -197,7 +197,6 @@ _TOLD = (
     "needs",
     "what",
     "trigger",
-    "history",
 )
 _ONCE = tuple(f.name for f in fields(Fault) if f.name not in (*_TOLD, "react"))
 _USUAL = Fault("", FAMILY, "", exit=0)
