@@ -39,6 +39,7 @@ def test_what_shows_a_fault_is_short(protocol: Protocol) -> None:
 def test_what_a_device_does_by_itself_shows(protocol: Protocol) -> None:
     late = search(protocol, made(protocol, "resumes-after 390", "faulty"))
 
+    assert len(late.shown) == 3  # a speed, the motion and a fault: nothing is sent after it
     assert late.difference.endswith("is due")
 
 
