@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from bilprov.analyzer.client.operations import drive, interruption
+from bilprov.analyzer.client.operations import Procedure, drive, interruption
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
@@ -33,7 +34,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIM, Target, device_target
 from bilprov.conformance.oracle.choices import Choices, parse_allowed
 from bilprov.conformance.oracle.profile import Profile, Timers, profile_from, timers_of
-from bilprov.conformance.oracle.verdicts import CaseResult
+from bilprov.conformance.oracle.verdicts import CaseResult, Cause
 from bilprov.conformance.report.run_report import Report, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.executor import Runner, SkipPolicy, is_slow
@@ -143,6 +144,16 @@ def conform(
     )
 
 
+class Afterwards(typing.Protocol):
+    """What is done with the device when all cases are judged, and the causes that it gives."""
+
+    def try_again(self) -> Procedure[None]:
+        """Do it; the line is homed before and after."""
+
+    def causes(self) -> tuple[Cause, ...]:
+        """The causes of what failed."""
+
+
 def run_suite(
     target: Target,
     options: Options,
@@ -154,7 +165,7 @@ def run_suite(
     short_homing: bool = True,
     slow_preambles: bool = True,
     retries_causes: bool = True,
-    explainer: type[Explainer] | Callable[[Run, Trace, int], Explainer] | None = Explainer,
+    explainer: Callable[[Run, Trace, int], Afterwards] | None = Explainer,
 ) -> Report:
     """Run the cases on a target, live or recorded; every run goes through this function.
 
@@ -283,16 +294,21 @@ def estimated(target: Target, options: Options, cases: Sequence[AnyCase]) -> flo
     It counts how long its adapter holds bytes back and how long its probe takes for a look. Cases
     for which such a line leaves no time in the run's budget are not run.
     """
-    sees, timing = target.environment.observability, target.protocol.timing
-    pace = Pace(
-        (options.truncation_timeout or timing.truncation_timeout) / 1000,
-        target.byte_time / 1e9,
-        target.latency / 1e9,
-        target.look_time / 1e9 if sees.available else 0.0,
-        sees.costly or not sees.available,
-    )
+    pace = pace_of(target, options.truncation_timeout)
     spent = sum(seconds(target.protocol, case, pace) for case in cases)
     whole = _timers(target, options).run_budget
     if whole is not None and is_slow(max(pace.answer, pace.look)):
         spent = min(spent, whole / 1e9)
     return before_the_cases(pace) + spent
+
+
+def pace_of(target: Target, truncation_timeout: float | None = None) -> Pace:
+    """How fast a target's line and probe are, as far as that is known; the time-out is in ms."""
+    sees, timing = target.environment.observability, target.protocol.timing
+    return Pace(
+        (truncation_timeout or timing.truncation_timeout) / 1000,
+        target.byte_time / 1e9,
+        target.latency / 1e9,
+        target.look_time / 1e9 if sees.available else 0.0,
+        sees.costly or not sees.available,
+    )

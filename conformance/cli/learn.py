@@ -5,37 +5,28 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import command, family_protocol, group, option
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.version import kit_version
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.options import seed_option
 from bilprov.conformance.cli.outputs import write_each
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target
-from bilprov.conformance.learning.drawing import (
-    LARGE,
-    dot_text,
-    has_graphviz,
-    state_words,
-    svg_text,
-)
-from bilprov.conformance.machines.wp_method import state_cover
+from bilprov.conformance.learning.drawing import dot_text, has_graphviz, seen_words, svg_text
+from bilprov.conformance.machines.wp_method import Mealy, state_cover
 from bilprov.spec.by_effect import all_movement
 from bilprov.spec.codec import spaced
 
 if TYPE_CHECKING:
-    from bilprov.conformance.learning.learned import Learned
-    from bilprov.conformance.learning.learner import Difference
+    from bilprov.conformance.learning.learner import Difference, Learned
     from bilprov.conformance.learning.reference import Output
-    from bilprov.conformance.machines.wp_method import Mealy
 
 _SHOWN = 5  # differences told on the screen
 
@@ -46,11 +37,11 @@ class LearnOptions:
 
     robot: RobotOptions = group(RobotOptions)
     dot: str | None = option(
-        "-o", "--dot", metavar="FILE", help="The machine in DOT; - is standard output."
+        "-o", "--dot", metavar="FILE", help="The same in DOT; - is standard output."
     )
     svg: str | None = option(
         metavar="FILE",
-        help="The machine as a picture, drawn by Graphviz; of a large one its kinds of motion.",
+        help="The machine as a picture of its kinds of motion, drawn by Graphviz.",
     )
     json: str | None = option(metavar="FILE", help="Everything as JSON; - is standard output.")
     seed: int = seed_option(help="Seed of the random sequences.")
@@ -77,16 +68,15 @@ def learn(options: LearnOptions) -> int:
     Exit code: 0 the same machine, 1 another one, 2 the port or the probe cannot be used, 3 it could
     not be learned, or no probe sees the robot.
     """
-    from bilprov.conformance.learning.learned import learn_target
-    from bilprov.conformance.learning.learner import require_aalpy
+    from bilprov.conformance.learning.learner import learn_target, require_aalpy
 
-    protocol, robot, svg = family_protocol("lab learn"), options.robot, options.svg
+    protocol, robot = family_protocol("lab learn"), options.robot
     require_aalpy()
     name, settings = robot.named(protocol)
     robot = robot.fitting(name)
     promise_verdict()
-    if svg is not None and not has_graphviz():
-        note(f"{svg} is written in DOT: Graphviz is not installed, apt-get install graphviz")
+    if options.svg is not None and not has_graphviz():
+        raise click.UsageError("--svg needs Graphviz (apt-get install graphviz); --dot does not")
     require_writable(options.files)
     from bilprov.conformance.cli.progress import bar
 
@@ -103,8 +93,8 @@ def learn(options: LearnOptions) -> int:
     with robot.driven(protocol, name, settings, agreed) as (target, _), bar() as shown:
         task = shown.add_task("", total=None)
 
-        def progress(states: int, frames: int) -> None:
-            shown.update(task, completed=frames, description=quantity(states, "state"))
+        def progress(frames: int) -> None:
+            shown.update(task, completed=frames, description="frames")
 
         learned = learn_target(target, seed=options.seed, progress=progress)
     _write(learned, options)
@@ -124,29 +114,21 @@ def _confirm(target: Target, robot: RobotOptions) -> None:
 
 def _write(learned: Learned, options: LearnOptions) -> None:
     """Write the files that were asked for; a picture needs a machine."""
-    dot, svg, texts = options.dot, options.svg, list[tuple[str, str]]()
-    if learned.machine is None and (dot or svg):
+    texts = list[tuple[str, str]]()
+    machine, device = learned.machine, learned.report.device
+    if machine is None and (options.dot or options.svg):
         note("nothing is drawn: the machine was not learned")
-    elif learned.machine is not None:
-        if dot is not None:
-            texts.append((dot, _drawn(learned, learned.machine)))
-        if svg is not None and has_graphviz():
-            large = len(learned.machine) > LARGE
-            texts.append((svg, svg_text(_drawn(learned, learned.machine, overview=large))))
-        elif svg is not None:
-            path = svg if svg == STANDARD_OUTPUT else str(Path(svg).with_suffix(".dot"))
-            texts.append((path, _drawn(learned, learned.machine)))
+    elif machine is not None:
+        ends = [(machine.after(one.word[:-1]), one.word[-1]) for one in learned.differences]
+        drawn = dot_text(learned.protocol, machine, learned.names, device, ends)
+        if options.dot is not None:
+            texts.append((options.dot, drawn))
+        if options.svg is not None:
+            texts.append((options.svg, svg_text(drawn)))
     if options.json is not None:
         indent = None if options.json == STANDARD_OUTPUT else 1
         texts.append((options.json, json.dumps(_as_json(learned), indent=indent) + "\n"))
     write_each(texts)
-
-
-def _drawn(learned: Learned, machine: Mealy[Output], *, overview: bool = False) -> str:
-    """The machine in DOT, with the transitions at which it differs in red."""
-    ends = [(machine.after(one.word[:-1]), one.word[-1]) for one in learned.differences]
-    names, device = learned.names, learned.device
-    return dot_text(learned.protocol, machine, names, device, ends, overview=overview)
 
 
 def _told(learned: Learned) -> Iterator[str]:
@@ -203,29 +185,23 @@ def _conclusion(learned: Learned) -> str:
 
 
 def _as_json(learned: Learned) -> dict[str, Any]:
-    protocol = learned.protocol
-    machine = learned.machine
-    inputs = [
-        {"name": name, "hex": spaced(step.frame), "kind": step.kind.value}
-        for name, step in zip(learned.names, learned.steps, strict=True)
-    ]
+    machine, report = learned.machine, learned.report
+    inputs = zip(learned.names, learned.steps, strict=True)
     return {
-        "kit": kit_version(),
-        "grammar": {
-            "name": protocol.name,
-            "version": protocol.version,
-            "file": protocol.origin,
-            "sha256": protocol.sha256,
-        },
-        "device": learned.device,
-        "link": learned.link,
+        "kit": report.kit,
+        "grammar": msgspec.to_builtins(report.grammar),
+        "device": report.device,
+        "link": report.link,
         "seed": learned.seed,
         "verdict": learned.verdict.label,
         "exit": learned.exit,
         "trouble": learned.trouble,
         "seen": learned.seen,
         "sent": asdict(learned.sent),
-        "inputs": inputs,
+        "inputs": [
+            {"name": name, "hex": spaced(step.frame), "kind": step.kind.value}
+            for name, step in inputs
+        ],
         "states": None if machine is None else _states(machine),
         "expected_states": learned.expected_states,
         "readings": [
@@ -239,19 +215,19 @@ def _as_json(learned: Learned) -> dict[str, Any]:
 
 
 def _states(machine: Mealy[Output]) -> list[dict[str, Any]]:
-    rows = zip(
-        *(state_words(machine), state_cover(machine), machine.targets, machine.outputs), strict=True
-    )
+    seen = seen_words(machine, lambda output: output.look_words)
     return [
         {
-            "name": words,
+            "name": f"{number}: {words}" if words else str(number),
             "reached_by": list(access),
             "transitions": [
                 {"to": target, **_output(output)}
                 for target, output in zip(targets, outputs, strict=True)
             ],
         }
-        for words, access, targets, outputs in rows
+        for number, (words, access, targets, outputs) in enumerate(
+            zip(seen, state_cover(machine), machine.targets, machine.outputs, strict=True)
+        )
     ]
 
 

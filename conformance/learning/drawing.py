@@ -1,6 +1,7 @@
-"""Draws a machine: DOT text of all its states or of its kinds of motion, and SVG by Graphviz.
+"""Draws a machine by its kinds of motion: DOT text, and SVG by Graphviz.
 
-AALpy's own drawing has an arrow for each input: some thousand for a robot, which nobody can read.
+AALpy's own drawing has a node for each state and an arrow for each input: some thousand for a
+robot, which nobody can read.
 """
 
 from __future__ import annotations
@@ -17,14 +18,11 @@ from bilprov.conformance.oracle.judge import answer_words
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
-LARGE = 12
-"""States up to which a picture shows each; of more, which take dot minutes, kinds of motion."""
 _PATIENCE = 300  # s that Graphviz may take
 _NAMED = 3  # inputs that are named on an arrow
 _HEAD = """rankdir=LR; node [shape=box style=rounded fontname="sans-serif"];
 edge [fontname="sans-serif" fontsize=10];
 start [shape=point]; start -> 0 [tooltip="homed"];"""
-_AT_ONCE = "nslimit=1; nslimit1=1; mclimit=0.1; splines=line;"
 _RED = 'color="#c62828" fontcolor="#c62828"'
 
 
@@ -38,25 +36,21 @@ def dot_text(
     names: Sequence[str],
     title: str,
     differing: Collection[tuple[int, int]] = (),
-    *,
-    overview: bool = False,
 ) -> str:
     """The machine in DOT, the language of Graphviz.
 
-    `names` are the inputs in words. A node is a state, named after what is seen in it or, in an
-    overview, a kind of motion with the number of its states. Transitions between the same nodes are
-    one arrow, whose tooltip says what each input gives; that of a state is a shortest way to it.
-    `differing` are the transitions (state, input) to be drawn in red.
+    `names` are the inputs in words. A node is a kind of motion with the number of its states.
+    Transitions between the same nodes are one arrow, whose tooltip says what each input gives; that
+    of a node is a shortest way to it. `differing` are the transitions (state, input) to be drawn in
+    red.
     """
-    labels = _kinds(machine) if overview else state_words(machine)
+    labels = seen_words(machine, lambda output: output.motion_words)
     nodes = list(dict.fromkeys(labels))
     lines = [f"digraph {_quoted(title)} {{", _HEAD]
-    if len(nodes) > LARGE:
-        lines.append(_AT_ONCE)
     for number, label in enumerate(nodes):
         states = quantity(labels.count(label), "state")
         way = state_cover(machine)[labels.index(label)]
-        words = f"{label or 'its motion is not seen'}\n{states}" if overview else label
+        words = f"{label or 'its motion is not seen'}\n{states}"
         tooltip = ", ".join(names[letter] for letter in way) or "homed"
         lines.append(f"{number} [label={_quoted(words)} tooltip={_quoted(tooltip)}];")
     arrows: dict[tuple[int, int], dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
@@ -85,24 +79,13 @@ def _arrow(source: int, target: int, answers: dict[str, set[str]], red: Collecti
     return f"{source} -> {target} [{words}{' ' + _RED if red else ''}];"
 
 
-def state_words(machine: Mealy[Output]) -> tuple[str, ...]:
-    """Each state in words: its number, and what is seen on every way into it."""
-    seen = _seen(machine, lambda output: output.look_words)
-    return tuple(f"{number}: {words}" if words else str(number) for number, words in seen)
-
-
-def _kinds(machine: Mealy[Output]) -> tuple[str, ...]:
-    """The kind of motion that is seen on every way into each state."""
-    return tuple(words for _, words in _seen(machine, lambda output: output.motion_words))
-
-
-def _seen(machine: Mealy[Output], words: Callable[[Output], str]) -> list[tuple[int, str]]:
-    """Each state with what is seen on the ways into it, "" where that is not always the same."""
+def seen_words(machine: Mealy[Output], words: Callable[[Output], str]) -> list[str]:
+    """What is seen on the ways into each state, "" where that is not always the same."""
     seen: list[set[str]] = [set() for _ in machine.targets]
     for targets, outputs in zip(machine.targets, machine.outputs, strict=True):
         for target, output in zip(targets, outputs, strict=True):
             seen[target].add(words(output))
-    return [(number, min(ways) if len(ways) == 1 else "") for number, ways in enumerate(seen)]
+    return [min(ways) if len(ways) == 1 else "" for ways in seen]
 
 
 def _quoted(text: str) -> str:

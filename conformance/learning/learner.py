@@ -1,31 +1,53 @@
-"""Learns a Mealy machine by queries: AALpy's KV algorithm, with an equivalence oracle of our own.
+"""Learns a device as a Mealy machine, and finds where it differs from the machine of the Protocol.
 
-The algorithm of Kearns and Vazirani identifies the target of each transition by a classification
-tree. Its hypothesis is compared with the machine that is expected, which gives the counterexamples:
-where outputs differ, and where one state stands for several of the expected ones, the device is
-asked who is right. What then is left is tried by seeded random sequences.
+AALpy's KV algorithm, of Kearns and Vazirani, asks for the outputs of sequences of inputs. Its
+hypothesis is compared with the machine that is expected, which gives the counterexamples: where
+outputs differ, and where one state stands for several of the expected ones, the device is asked who
+is right. What then is left is tried by seeded random sequences. AALpy's own comparison knows
+neither a facet that nobody sees nor what is expected: it would ask a robot for hours what this asks
+in seconds.
 
-AALpy's own comparison (`bisimilar`) and its oracles know neither a facet that nobody sees nor what
-is expected: they would ask a robot for hours what this asks in seconds.
-
-The device answers by voting. The line is homed before each sequence, which stands for a reset, and
-the settings are brought to rest. What was not expected is asked for again until two tries agree, so
-that a byte lost or changed on the line does not end up in the machine.
+Before each sequence, which stands for a reset, the line is homed and the settings are brought to
+rest. What was not expected is asked for again until two tries agree, so that a byte lost or changed
+on the line does not end up in the machine.
 """
 
 from __future__ import annotations
 
 import random
+import shlex
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import chain, zip_longest
+from dataclasses import dataclass, field, replace
+from itertools import chain, islice, zip_longest
 from typing import Any, NamedTuple
 
-from bilprov.analyzer.client.operations import Link, Procedure, drive, listen, observe, send
+from bilprov.analyzer.client.operations import (
+    Link,
+    LinkListener,
+    Procedure,
+    drive,
+    listen,
+    observe,
+    send,
+)
 from bilprov.captures.schemas import MS
-from bilprov.captures.text import quantity
+from bilprov.conformance.api import run_suite
+from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cases.steps import Step
-from bilprov.conformance.learning.reference import Output, output_of, reset
+from bilprov.conformance.dut.target import Target
+from bilprov.conformance.learning.reference import (
+    FACETS,
+    Output,
+    alphabet,
+    facet_words,
+    item_of,
+    name_of,
+    output_of,
+    reference_machine,
+    reset,
+    rest_of,
+    seen_without,
+)
 from bilprov.conformance.machines.wp_method import (
     Characterisation,
     Mealy,
@@ -33,14 +55,37 @@ from bilprov.conformance.machines.wp_method import (
     minimal,
     state_cover,
 )
-from bilprov.conformance.runner.homing import home
+from bilprov.conformance.oracle.state_model import Model
+from bilprov.conformance.oracle.verdicts import Verdict, exit_code
+from bilprov.conformance.report.run_report import Report, send_words
+from bilprov.conformance.runner.homing import home, set_up
 from bilprov.conformance.runner.run import Run
+from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.errors import UserError
+from bilprov.spec.protocol import Protocol
 
-WALKS, STRIDE = 200, 12
-"""Random sequences that a final hypothesis must pass, and the number of inputs in each."""
+MOST_FRAMES = 400_000
+"""Inputs sent until a device counts as having too many states to learn."""
 MOST_DIFFERENCES = 12
 """Differences that are checked on the device."""
+WALKS, STRIDE = 200, 12
+"""Random sequences that a final hypothesis must pass, and the number of inputs in each."""
+_TRIES = 6  # of a sequence, until two agree
+_PAUSE = 2 * MS  # between two looks
+_OPENING = "link/*"  # the cases of a run that does nothing but learn
+_Outputs = tuple[Output, ...]
+
+
+class NoAALpy(UserError):
+    """AALpy is not installed. The message says how it comes."""
+
+
+class Unusable(UserError):
+    """The line cannot be used at all; the message says why, in one sentence."""
+
+
+class NotLearned(Exception):
+    """The device cannot be learned; the message says why, in one sentence."""
 
 
 class Difference(NamedTuple):
@@ -49,10 +94,6 @@ class Difference(NamedTuple):
     word: bytes
     expected: Output
     actual: Output
-
-
-class NoAALpy(UserError):
-    """AALpy is not installed. The message says how it comes."""
 
 
 @dataclass(slots=True)
@@ -68,33 +109,170 @@ class Sent:
     flaky: int = 0
 
 
-def require_aalpy() -> Callable[..., Any]:
-    """The learning algorithm. Raises NoAALpy, in one sentence, where the library is missing."""
-    try:
-        from aalpy.learning_algs import run_KV
-    except ImportError as error:
-        raise NoAALpy(
-            "learn needs AALpy, which is not installed: pip install 'bilprov[learn]'"
-        ) from error
-    algorithm: Callable[..., Any] = run_KV
-    return algorithm
+@dataclass(slots=True)
+class Learned:
+    """What came of learning a target.
+
+    `steps` are the inputs, `machine` is the device's, None where it was not learned, and then
+    `trouble` says why in a sentence. `expected_states` is how many the Protocol's machine has over
+    the same inputs, as far as it was seen. `differences` were each seen on the device, the shortest
+    first; `more` says that there are others. `choices` are the open points at which the device
+    chooses otherwise than the kit, with its word and the verdict of that. `report` is that of the
+    run in which it was learned, whose failures were found beside the sequences. `seen` are facets
+    of the look, in words. Of `sent`, `flaky` also counts what came between the sequences; on a line
+    that loses nothing (`lossless`) it is the device's.
+    """
+
+    protocol: Protocol
+    lossless: bool
+    seed: int
+    steps: tuple[Step, ...]
+    machine: Mealy[Output] | None = None
+    expected_states: int = 0
+    differences: tuple[Difference, ...] = ()
+    more: bool = False
+    choices: tuple[tuple[str, str, str], ...] = ()
+    trouble: str = ""
+    seen: tuple[str, ...] = ()
+    sent: Sent = field(default_factory=Sent)
+    report: Report = field(init=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The inputs in words."""
+        return tuple(name_of(self.protocol, step) for step in self.steps)
+
+    @property
+    def beside(self) -> tuple[tuple[str, str], ...]:
+        """The failures before, between and after the sequences, as case and reason."""
+        failed = (one for one in self.report.results if one.verdict is Verdict.FAIL)
+        return tuple((one.id, one.reason) for one in failed)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict, from what was found. What was never seen is no pass."""
+        if self.differences or self.beside or (self.sent.flaky and self.lossless):
+            return Verdict.FAIL
+        if self.report.ended_by == "error":
+            return Verdict.ERROR
+        unsure = self.trouble or self.sent.flaky or not self.seen
+        return Verdict.INCONCLUSIVE if unsure else Verdict.PASS
+
+    @property
+    def exit(self) -> int:
+        """The exit code: 0 the same machine, 1 another, 2 the kit failed, 3 not all is known."""
+        return exit_code([self.verdict])
+
+    def send_line(self, difference: Difference) -> str:
+        """The command that sends the sequence of a difference, from rest.
+
+        The frames for the simulator or an emulated board go to `PORT`, where it is served.
+        """
+        protocol, report = self.protocol, self.report
+        frames = (*reset(protocol), *self.frames_of(difference.word))
+        items = [item_of(protocol, frame) for frame in frames]
+        return shlex.join([*send_words(protocol.origin, report.device, report.link), *items])
+
+    def frames_of(self, word: bytes) -> tuple[bytes, ...]:
+        """The frames of a sequence of inputs."""
+        return tuple(self.steps[letter].frame for letter in word)
+
+
+def learn_target(
+    target: Target,
+    *,
+    seed: int = 1,
+    progress: Callable[[int], None] = lambda frames: None,
+) -> Learned:
+    """Learn a target and compare it with the Protocol's machine; the robot is stopped at the end.
+
+    It is learned in a run of the suite that has no other cases. `seed` makes the random sequences
+    that the machine must pass. `progress` is called with the frames sent so far. Raises Unusable,
+    and NoAALpy where it is missing.
+    """
+    links: list[Link] = []
+
+    def connect(listener: LinkListener | None) -> Link:
+        links.append(target.connect(listener))
+        return links[0]
+
+    def ask(procedure: Procedure[_Outputs]) -> _Outputs:
+        progress(learned.sent.frames)
+        return drive(procedure, links[0], target.interrupted)
+
+    protocol = target.protocol
+    learned = Learned(protocol, target.environment.lossless, seed, alphabet(protocol))
+    learned.report = report = run_suite(
+        replace(target, connect=connect),
+        Options(only=(_OPENING,)),
+        logged=False,
+        explainer=lambda run, *_: _Learning(run, ask, learned),
+    )
+    if report.unusable:
+        raise Unusable(report.unusable)
+    if (
+        report.ended
+        and not learned.trouble
+        and (learned.machine is None or report.ended_by == "error")
+    ):
+        learned.trouble = report.ended
+    return learned
+
+
+class _Learning:
+    """Learns the device once the run has found out its choices, and fills in what came of it."""
+
+    def __init__(self, run: Run, ask: Callable[[Procedure[_Outputs]], _Outputs], learned: Learned):
+        self._run, self._ask, self._learned = run, ask, learned
+
+    def causes(self) -> tuple[()]:
+        """What a run explains: nothing here."""
+        return ()
+
+    def try_again(self) -> Procedure[None]:
+        """Learn, however it ends."""
+        run, learned, begun = self._run, self._learned, len(self._run.results)
+        yield from home(run)
+        model = Model(run.protocol, run.profile.choices)
+        learned.choices = tuple(
+            (point, model.choices.word(point), model.choices.verdict(point).label)
+            for point in sorted(model.choices.others)
+        )
+        reference = reference_machine(model, learned.steps)
+        system = System(run, self._ask, learned.steps, reference, learned.sent)
+        learner = Learner(system, reference, seed=learned.seed)
+        try:
+            learned.machine = machine = learner.learn()
+            learned.differences, learned.more = tuple(learner.differences), learner.more
+            outputs = [output for row in machine.outputs for output in row]
+            hidden = {one for one in FACETS if all(getattr(o, one) is None for o in outputs)}
+            told = (one for one in FACETS if one not in hidden)
+            learned.seen = tuple(facet_words(run.protocol, one) for one in told)
+            learned.expected_states = len(minimal(seen_without(reference, hidden)))
+        except (GaveUp, NotLearned) as why:
+            learned.trouble = str(why)
+        finally:
+            if learned.machine is None:
+                learned.differences = system.deviations[:1]
+            run.strays.close(keeps_all=run.keeps_all)
+            if not learned.lossless:
+                # In so many sequences noise makes as many strays as fail a run of the suite.
+                learned.sent.flaky += len(run.results) - begun
+                del run.results[begun:]
 
 
 class Learner:
     """Learns the machine of a teacher, and finds where it differs from `reference`.
 
-    `seed` makes the random sequences. `states` is how many the last hypothesis has. Afterwards
-    `differences` holds the differences that the teacher has confirmed, the shortest first, and
-    `more` whether there are others beside them.
+    `seed` makes the random sequences. Afterwards `differences` holds the differences that the
+    teacher has confirmed, the shortest first, and `more` whether there are others beside them.
     """
 
     def __init__(self, teacher: System, reference: Mealy[Output], *, seed: int = 1) -> None:
-        self._teacher, self._reference = teacher, reference
+        self._teacher, self._reference, self._seed = teacher, reference, seed
         self._minimal = minimal(reference)
         self._apart = Characterisation(self._minimal)
-        self._seed = seed
         self._machine = reference
-        self.states = 0
         self.differences: list[Difference] = []
         self.more = False
         # What the library counts, and we do not read.
@@ -117,17 +295,11 @@ class Learner:
             len(self._reference.inputs),
             lambda state, letter: (state.transitions[letter], state.output_fun[letter]),
         )
-        self.states = len(self._machine)
-        self.differences, self.more = [], False
-        for difference in differences(self._reference, self._machine):
-            if len(self.differences) == MOST_DIFFERENCES:
-                self.more = True
-                break
-            wrong = self._wrong(difference.word)
-            if wrong:
-                return wrong
-            self.differences.append(difference)
-        return next(filter(None, map(self._wrong, chain(self._several(), self._walks()))), None)
+        every = differences(self._reference, self._machine)
+        self.differences = list(islice(every, MOST_DIFFERENCES))
+        self.more = next(every, None) is not None
+        asked = chain((one.word for one in self.differences), self._several(), self._walks())
+        return next(filter(None, map(self._wrong, asked)), None)
 
     def _several(self) -> Iterator[bytes]:
         """Sequences that would tell the expected states apart which one state stands for."""
@@ -151,6 +323,18 @@ class Learner:
         pairs = zip(self._machine.run(word), self._teacher.outputs(word), strict=True)
         place = next((i for i, (mine, theirs) in enumerate(pairs) if mine != theirs), None)
         return None if place is None else word[: place + 1]
+
+
+def require_aalpy() -> Callable[..., Any]:
+    """The learning algorithm. Raises NoAALpy, in one sentence, where the library is missing."""
+    try:
+        from aalpy.learning_algs import run_KV
+    except ImportError as error:
+        raise NoAALpy(
+            "learn needs AALpy, which is not installed: pip install 'bilprov[learn]'"
+        ) from error
+    algorithm: Callable[..., Any] = run_KV
+    return algorithm
 
 
 def differences(reference: Mealy[Output], learned: Mealy[Output]) -> Iterator[Difference]:
@@ -186,35 +370,30 @@ def side_by_side(
     return explore((0, 0), len(one.inputs), step)
 
 
-MOST_FRAMES = 400_000
-"""Inputs sent until a device counts as having too many states to learn."""
-_TRIES = 6  # of a sequence, until two agree
-_PAUSE = 2 * MS  # between two looks
-_Outputs = tuple[Output, ...]
-
-
-class NotLearned(Exception):
-    """The device cannot be learned; the message says why, in one sentence."""
-
-
 @dataclass(slots=True)
 class System:
     """A device as a function from sequences of inputs to outputs; known ones are not asked again.
 
-    `reference` is the machine that is expected, `steps` are its inputs. `progress` is called with
-    the number of inputs sent so far. `deviation` is the shortest difference from the reference that
-    was seen twice.
+    `ask` has a procedure done by the device, `reference` is the machine that is expected, `steps`
+    are its inputs.
     """
 
     run: Run
-    link: Link
-    interrupted: Callable[[], bool | str]
+    ask: Callable[[Procedure[_Outputs]], _Outputs]
     steps: Sequence[Step]
     reference: Mealy[Output]
     sent: Sent = field(default_factory=Sent)
-    progress: Callable[[int], None] = lambda frames: None
-    deviation: Difference | None = None
     _known: dict[bytes, Output] = field(default_factory=dict)
+
+    @property
+    def deviations(self) -> tuple[Difference, ...]:
+        """Where what is known differs from the reference, the shortest sequences first."""
+        found = []
+        for word in sorted(self._known, key=len):
+            due, given = self.reference.run(word)[-1], self._known[word]
+            if not due.fits(given):
+                found.append(Difference(word, due.beside(given), given))
+        return tuple(found)
 
     def outputs(self, word: bytes) -> _Outputs:
         """The outputs of the device for a sequence of inputs.
@@ -225,18 +404,24 @@ class System:
         beginnings = [word[: end + 1] for end in range(len(word))]
         known = tuple(self._known[one] for one in beginnings if one in self._known)
         if len(known) < len(word):
-            known = self._asked(word, known)
-            self._known.update(zip(beginnings, known, strict=True))
+            got = self._asked(word, known)
+            self._known.update(zip(beginnings, got, strict=True))
+            if got[: len(known)] != known:
+                self.sent.flaky += 1  # what was known came once and not again
+                raise NotLearned(
+                    "the same sequence gave one outcome first and then, twice, another"
+                )
+            return got
         return known
 
     def _asked(self, word: bytes, known: _Outputs) -> _Outputs:
+        """What the device gives, twice where that is not expected."""
         due = self.reference.run(word)
         # Behind a difference that is known nobody knows what to expect.
-        in_step = _first_difference(due, known) is None
-        expected = (*known, *due[len(known) :]) if in_step else known
+        expected = (*known, *due[len(known) :]) if _fit(due, known) else known
         tries: list[_Outputs] = []
         while (got := self._attempt(word, expected)) not in tries:
-            if got[: len(known)] == known and _first_difference(due, got) is None:
+            if got[: len(known)] == known and _fit(due, got):
                 break
             tries.append(got)
             self.sent.repeated += 1
@@ -244,24 +429,16 @@ class System:
                 self.sent.flaky += _TRIES
                 raise NotLearned(f"{_TRIES} tries of one sequence gave {_TRIES} different outcomes")
         self.sent.flaky += sum(one != got for one in tries)
-        place = _first_difference(due, got)
-        if place is not None and (not self.deviation or place + 1 < len(self.deviation.word)):
-            expected_there = due[place].beside(got[place])
-            self.deviation = Difference(word[: place + 1], expected_there, got[place])
-        if got[: len(known)] != known:
-            self.sent.flaky += 1  # what was known came once and not again
-            raise NotLearned("the same sequence gave one outcome first and then, twice, another")
         return got
 
     def _attempt(self, word: bytes, expected: _Outputs) -> _Outputs:
         self.sent.sequences += 1
         self.sent.frames += len(word)
-        self.progress(self.sent.frames)
         if self.sent.frames > MOST_FRAMES:
             raise NotLearned(
                 f"it is not learned after {MOST_FRAMES:,} frames: it has too many states"
             )
-        return drive(self._sequence(word, expected), self.link, self.interrupted)
+        return self.ask(self._sequence(word, expected))
 
     def _sequence(self, word: bytes, due: _Outputs) -> Procedure[_Outputs]:
         yield from self._begin()
@@ -270,34 +447,24 @@ class System:
         for letter, output in zip_longest(word, due):
             expected = output if in_step else None
             codes = yield from self._exchange(self.steps[letter], expected)
-            got.append((yield from self._seen(codes, got[-1] if got else None, expected)))
-            effect, late = self.steps[letter].frame_effect.effect, self.run.profile.stop_latency
-            if late and self.run.protocol.stops(effect or self.run.protocol.on_fault):
-                # A frame that comes before it has stopped may find it moving.
-                heard = yield from listen(None, 2 * late)
-                got[-1] = got[-1]._replace(codes=got[-1].codes + heard.codes)
+            got.append((yield from self._seen(codes, expected)))
             in_step = expected is not None and expected.fits(got[-1])
         return tuple(got)
 
     def _begin(self) -> Procedure[None]:
-        """Home the robot and bring every variable to rest, see `reset`."""
-        run, frames = self.run, reset(self.run.protocol)
-        answers, lost = -1, 0
+        """Home the robot and bring every variable to rest.
+
+        What is twice the same is the device's way, and no noise.
+        """
+        missing: str | None = None
         for _ in range(_TRIES):
-            yield from home(run)
-            before, answers = answers, 0
-            for frame in frames:
-                yield from send(frame)
-                answers += len((yield from run.waiting.answers(1)).answers)
-            if answers in (len(frames), before):  # twice the same is the device's way, and no noise
-                break
-            lost += max(0, len(frames) - answers)
-            run.waiting.require_budget()
-        else:
-            words = f"{quantity(answers, 'answer')} to {quantity(len(frames), 'setting')}"
-            raise NotLearned(f"what comes before a sequence is refused: {words}")
-        if answers == len(frames):
-            run.strays.missing(lost)
+            yield from home(self.run)
+            before, ready = missing, (yield from set_up(self.run, rest_of(self.run.protocol)))
+            missing = ready.missing
+            if missing in ("", before):
+                return
+            self.run.waiting.require_budget()
+        raise NotLearned(f"what comes before a sequence is refused: {missing}")
 
     def _exchange(self, step: Step, expected: Output | None) -> Procedure[tuple[int, ...]]:
         """Send a frame and receive its answers, and those that follow them at once."""
@@ -317,35 +484,28 @@ class System:
         more = yield from listen(None, run.waiting.silence if idle else settle)
         return heard.codes + more.codes
 
-    def _seen(
-        self, codes: tuple[int, ...], before: Output | None, expected: Output | None
-    ) -> Procedure[Output]:
+    def _seen(self, codes: tuple[int, ...], expected: Output | None) -> Procedure[Output]:
         """Look at the robot; again while what is seen is not expected, for as long as a stop takes.
 
-        Link and probe are two lines: a look right after an answer may be older than it. Where it is
-        not known what to expect (None), only a look that shows the same as before is repeated.
+        Link and probe are two lines: a look right after an answer may be older than it. So is one
+        where it is not known what to expect (None).
         """
         run = self.run
         if not run.config.observable:
             return output_of(run.protocol, codes, None)
-        patience = run.timers.grace if expected is None else run.timers.deadline
+        late = yield from listen(None, run.timers.grace if expected is None else 0)
         start: int | None = None
         while True:
+            codes += late.codes
             seen = yield from observe()
             start = seen.asked if start is None else start
             output = output_of(run.protocol, codes, seen.look)
-            if expected is None:
-                settled = before is not None and output[1:] != before[1:]
-            else:
-                settled = expected.fits(output)
-            done = settled or seen.now - start >= patience
-            late = yield from listen(None, 0 if done else _PAUSE)
-            codes += late.codes
-            if done:
-                return output._replace(codes=codes)
+            waited = seen.now - start >= run.timers.deadline
+            if expected is None or expected.fits(output) or waited:
+                return output
+            late = yield from listen(None, _PAUSE)
 
 
-def _first_difference(due: _Outputs, got: _Outputs) -> int | None:
-    """The index of the first output that is not as expected, None if there is none."""
-    pairs = enumerate(zip(due, got, strict=False))
-    return next((place for place, (wanted, given) in pairs if not wanted.fits(given)), None)
+def _fit(due: _Outputs, got: _Outputs) -> bool:
+    """Whether the outputs are as expected, as far as both go."""
+    return all(wanted.fits(given) for wanted, given in zip(due, got, strict=False))

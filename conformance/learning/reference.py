@@ -11,19 +11,22 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
-from bilprov.captures.schemas import MS, Look, look_class
+from bilprov.captures.schemas import Look, look_class
+from bilprov.conformance.api import pace_of
+from bilprov.conformance.cases.budget import before_the_cases, seconds
 from bilprov.conformance.cases.frame_source import fill
+from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, framed, frames_of, open_frames, step_of
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.machines.wp_method import Mealy, explore, minimal
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.judge import answer_words
-from bilprov.conformance.oracle.profile import timers_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.spec.by_effect import frames_to
 from bilprov.spec.codec import bad_data, judge, spaced
 from bilprov.spec.motion import Wheels, visible_motion
 from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.state import State
 
 
 @lru_cache(maxsize=1 << 3)
@@ -70,13 +73,15 @@ def item_of(protocol: Protocol, frame: bytes) -> str:
     return " ".join((judged.name, *(str(value) for _, value in judged.fields)))
 
 
-def reset(protocol: Protocol) -> tuple[bytes, ...]:
-    """The frames before each sequence of inputs, which bring every variable to rest.
-
-    That is the value nearest to zero. Homing keeps what a stop keeps.
-    """
+def rest_of(protocol: Protocol) -> State:
+    """The state in which a sequence of inputs begins: stopped, each variable nearest to zero."""
     rest = {name: max(low, min(0, high)) for name, (low, high) in protocol.limits.items()}
-    return frames_to(protocol, protocol.state(**{protocol.car.by: protocol.car.still}, **rest))
+    return protocol.state(**{protocol.car.by: protocol.car.still}, **rest)
+
+
+def reset(protocol: Protocol) -> tuple[bytes, ...]:
+    """The frames before each sequence of inputs. Homing keeps what a stop keeps."""
+    return frames_to(protocol, rest_of(protocol))
 
 
 FACETS = ("moving", "motion", "ahead", "lights")
@@ -168,9 +173,7 @@ def _sign(value: int) -> int:
     return (value > 0) - (value < 0)
 
 
-_OPENING = 10.0  # s for the link check, measurements and experiments
-_LATENCY = MS // 2  # of an answer, and of a look
-_ASKED, _LENGTH = 2.5, 5  # sequences that learning takes for each transition, and their inputs
+_ASKED = 15  # inputs that learning takes for each transition, those of homing among them
 
 
 def _shows(protocol: Protocol, variable: str) -> tuple[str, ...]:
@@ -209,23 +212,11 @@ def estimated_seconds(target: Target) -> float:
     """About how long (s) it takes to learn a conforming device in place of the target."""
     protocol, steps = target.protocol, alphabet(target.protocol)
     looks = target.environment.observability.available
-    settle = timers_of(target.environment, protocol).settle
     machine = reference_machine(Model(protocol, Choices()), steps)
-    transitions = len(steps) * len(minimal(seen_without(machine, () if looks else FACETS)))
-
-    def exchange(frame: bytes) -> int:
-        return (len(frame) + 1) * target.byte_time + _LATENCY + target.latency
-
-    each = sum(exchange(step.frame) for step in steps) / len(steps) + (
-        _LATENCY if looks else settle
-    )
-    # A truncated frame is hardly ever but the last of a sequence.
-    timeouts = (
-        sum(step.truncated for step in steps) / len(steps) * protocol.timing.truncation_timeout
-    )
-    # Each stop of homing is answered while the next ones are sent.
-    begin = exchange(bytes(protocol.longest_frame)) + settle + sum(map(exchange, reset(protocol)))
-    return _OPENING + _ASKED * transitions * (begin + _LENGTH * each + timeouts * MS) / 1e9
+    states = len(minimal(seen_without(machine, () if looks else FACETS)))
+    bursts = tuple(Burst((step,)) for step in steps)
+    once = seconds(protocol, SequenceCase("", "", "", (), bursts), pace_of(target))
+    return before_the_cases(pace_of(target)) + _ASKED * states * once
 
 
 def _expected(model: Model, step: Step, after: ExpectedState) -> Output:

@@ -19,8 +19,7 @@ from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.learning.learned import Learned, learn_target
-from bilprov.conformance.learning.learner import Difference
+from bilprov.conformance.learning.learner import Difference, Learned, learn_target
 from bilprov.conformance.learning.reference import Output, estimated_seconds, output_of, reset
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.verdicts import Verdict

@@ -160,16 +160,16 @@ def test_the_machine_of_any_protocol_is_learned_as_its_minimal_one(each_protocol
 def test_a_drawing_merges_arrows_counts_them_and_shows_differences_in_red(
     protocol: Protocol,
 ) -> None:
-    go = Output((0,), moving=True)
-    refused = go._replace(codes=(1,))
+    go = Output((0,), moving=True, motion="forward")
+    refused, halt = go._replace(codes=(1,)), Output((0,), moving=False)
     one = Mealy(
-        ((1, 1, 1, 1, 0), (1, 1, 1, 1, 0)), ((go, go, go, refused, OK), (go, go, go, go, OK))
+        ((1, 1, 1, 1, 0), (1, 1, 1, 1, 0)), ((go, go, go, refused, halt), (go, go, go, go, halt))
     )
 
     text = dot_text(protocol, one, ["A", "B", "C", 'Say "go"', "Halt"], "a car", {(0, 3)})
 
     assert text.startswith('digraph "a car" {')
-    assert '1 [label="1: moving" tooltip="A"];' in text
+    assert '1 [label="forward\\n1 state" tooltip="A"];' in text
     assert 'label="4 inputs, 2 answers\\nSay \\"go\\" differs"' in text
     assert 'C: 00 OK\\nSay \\"go\\": 01 BAD_HEADER"' in text
     assert 'label="4 inputs: 00 OK"' in text
@@ -177,7 +177,7 @@ def test_a_drawing_merges_arrows_counts_them_and_shows_differences_in_red(
     assert text.count("#c62828") == 2  # the line and the words of one arrow
 
 
-def test_an_overview_has_a_node_for_each_kind_of_motion(protocol: Protocol) -> None:
+def test_a_drawing_has_a_node_for_each_kind_of_motion(protocol: Protocol) -> None:
     forward = Output((0,), moving=True, motion="forward", lights=(("led", 0),))
     stopped = Output((0,), moving=False, motion="stopped", lights=(("led", 0),))
     bright = forward._replace(lights=(("led", 7),))
@@ -188,7 +188,7 @@ def test_an_overview_has_a_node_for_each_kind_of_motion(protocol: Protocol) -> N
     )
 
     names = ["Forward", "LED", "Stop"]
-    text = dot_text(protocol, one, names, "a car", {(2, 2)}, overview=True)
+    text = dot_text(protocol, one, names, "a car", {(2, 2)})
 
     assert '0 [label="stopped\\n1 state"' in text
     assert '1 [label="forward\\n2 states"' in text
