@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 
-from bilprov.analyzer.client.operations import Procedure, drive, interruption
+from bilprov.analyzer.client.operations import Procedure, finished, interruption, steps
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import Pace, before_the_cases, seconds
@@ -161,21 +161,31 @@ def run_suite(
     *,
     skip: SkipPolicy | None = None,
     logged: bool = True,
-    experiments: frozenset[str] | None = None,
-    short_homing: bool = True,
-    slow_preambles: bool = True,
-    retries_causes: bool = True,
     explainer: Callable[[Run, Trace, int], Afterwards] | None = Explainer,
 ) -> Report:
-    """Run the cases on a target, live or recorded; every run goes through this function.
+    """Run the cases on a target, live or recorded, to the end; see `suite_steps`."""
+    steps_of = suite_steps(
+        target, options, listeners, skip=skip, logged=logged, explainer=explainer
+    )
+    return finished(steps_of)
+
+
+def suite_steps(
+    target: Target,
+    options: Options,
+    listeners: Sequence[RunListener] = (),
+    *,
+    skip: SkipPolicy | None = None,
+    logged: bool = True,
+    explainer: Callable[[Run, Trace, int], Afterwards] | None = Explainer,
+) -> Generator[None, None, Report]:
+    """Run the cases on a target, and yield after each operation; every run goes through this.
 
     `listeners` are told of the run while it goes on; one that is `broken` ends it. `skip` decides
     before each case, from its id and the results so far, whether to skip it. Without `logged` no
-    case keeps its wire log. `experiments` are the ids of those that a recording holds (None: every
-    one is made); `short_homing` and `slow_preambles` are those of `RunConfig`. `explainer` finds
-    the causes of what failed, none if it is None; without `retries_causes` they are not tried
-    again, which recordings of older kits did not do. Raises ValueError when no case is left to run,
-    GrammarError for a protocol outside the robot car's family.
+    case keeps its wire log. `explainer` finds the causes of what failed, none if it is None. Raises
+    ValueError when no case is left to run, GrammarError for a protocol outside the robot car's
+    family.
     """
     grammar = target.protocol
     require_family(grammar, "the suite")
@@ -221,9 +231,6 @@ def run_suite(
             environment.power,
             environment.virtual,
             environment.lossless,
-            experiments,
-            short_homing,
-            slow_preambles,
             target.look_time,
             environment.announced,
         ),
@@ -242,10 +249,10 @@ def run_suite(
         measure=asked,
         discover=not options.profile,
         spare=skip,
-        afterwards=explains.try_again if explains and retries_causes else None,
+        afterwards=explains.try_again if explains else None,
     )
     try:
-        drive(runner.execute(), link, interrupted)
+        yield from steps(runner.execute(), link, interrupted)
         report = make_report(
             grammar,
             [log.attached(result) for result in run.results],

@@ -24,28 +24,18 @@ from bilprov.captures.evidence import Evidence, open_evidence
 from bilprov.captures.schemas import CaseMark, look_class
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.cases.coverage import COMBINED
 from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.recorded_link import TOPICS, RecordedLink, Strayed
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.oracle.verdicts import CaseResult, worst
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.runner.discovery.discover import READING
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.recorder import RUN, VERDICT
 from bilprov.spec.protocol import Protocol
 
 SUMMED = ("verdict", "exit", "counts", "coverage", "profile")
 """The parts of a report, besides its cases, that must come out the same."""
-
-GRAMMAR = "grammar.py"  # the attachment with the grammar's text in older recordings
-
-# Keys that were added to a report later: older recordings lack them.
-_LATER = (
-    *("facets", "all_but_two_answers_ms", "flushes_for_ms", "preamble_speed"),
-    *COMBINED.values(),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +78,6 @@ class _Run(msgspec.Struct, frozen=True):
     grammar: dict[str, str]
     options: Options
     environment: Environment = msgspec.field(name="circumstances")
-    short_homing: bool = False
-    slow_preambles: bool = False
-    retries_causes: bool = False
 
 
 class _CaseVerdicts(msgspec.Struct):
@@ -139,23 +126,17 @@ def recheck(path: str, grammar: Protocol | None = None) -> Recheck:
     does not fit), is no recording of a run, or cannot be judged again; GrammarError where its
     grammar is not run because it does more than declare.
     """
-    evidence = open_evidence(path, (GRAMMAR, RUN, VERDICT))
+    evidence = open_evidence(path, (RUN, VERDICT))
     run = _run(path, evidence)
-    grammar = grammar or _grammar(evidence, run)
+    grammar = grammar or capture_protocol(
+        [evidence.capture], load_protocol(), run.grammar.get("file", "grammar.py")
+    )
     listener = _Results()
     report, strayed, cut = None, "", False
     try:
         link = RecordedLink(evidence.capture.messages(TOPICS), look_class(grammar.state_type))
         target = Target(grammar, run.environment, lambda listener: link, link.interrupted)
-        report = run_suite(
-            target,
-            run.options,
-            [listener],
-            experiments=_experiments(evidence),
-            short_homing=run.short_homing,
-            slow_preambles=run.slow_preambles,
-            retries_causes=run.retries_causes,
-        )
+        report = run_suite(target, run.options, [listener])
         cut = link.cut
         if link.left:
             strayed = "the recording goes on where the run ends"
@@ -213,25 +194,13 @@ def _run(path: str, evidence: Evidence) -> _Run:
         raise CaptureError(f"{path}: {RUN} cannot be read: {error}") from error
 
 
-def _grammar(evidence: Evidence, run: _Run) -> Protocol:
-    """The grammar in the recording; older ones have it as an attachment. Raises GrammarError."""
-    attached = evidence.attachments.get(GRAMMAR, b"").decode("utf-8", "replace")
-    file = run.grammar.get("file", GRAMMAR)
-    return capture_protocol([evidence.capture], load_protocol(), attached, file)
-
-
-def _experiments(evidence: Evidence) -> frozenset[str]:
-    """The ids of the experiments that the recording holds; an older version made fewer."""
-    return frozenset(mark.id for mark in _marks(evidence, "begin") if mark.id.startswith(READING))
-
-
-def _marks(evidence: Evidence, phase: str = "end") -> Iterator[CaseMark]:
+def _marks(evidence: Evidence) -> Iterator[CaseMark]:
     for message in evidence.capture.messages({topics.CASES}):
         try:
             mark = msgspec.convert(safe(message.value), CaseMark)
         except ValueError:
             continue  # the case then has no mark, which counts as a difference
-        if mark.phase == phase:
+        if mark.phase == "end":
             yield mark
 
 
@@ -271,11 +240,6 @@ def _against_report(path: str, recorded: bytes, report: Report) -> Iterator[Diff
         yield from _parts(case.id, cases.pop(case.id, {}), case.compared)
     for ident in cases:
         yield Difference(ident, "verdict", "judged", "no such case")
-    for name in SUMMED:
-        before, after = getattr(was, name), getattr(now, name)
-        if isinstance(before, dict) and isinstance(after, dict):
-            after = {k: v for k, v in after.items() if k in before or k not in _LATER}
-            setattr(now, name, after)
     summed = ({name: getattr(part, name) for name in SUMMED} for part in (was, now))
     yield from _parts("the report", *summed)
 

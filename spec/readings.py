@@ -552,9 +552,6 @@ POINTS = {
 }
 """The open points by id."""
 
-SPLIT = {("R-drive-steering", "straight"): ("R-rotate-steering", "reset")}
-"""Choices that meant another one too, before their point was split: older profiles hold them."""
-
 STATE_POINTS = tuple(ident for ident, point in POINTS.items() if point.about)
 """The open points about the robot's state after a frame."""
 

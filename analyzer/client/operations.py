@@ -207,7 +207,23 @@ class Link(Protocol):
 def drive(
     procedure: Procedure[T], link: Link, interrupted: Callable[[], bool | str] = lambda: False
 ) -> T:
-    """Run a procedure over a link to its end and return what it returns.
+    """Run a procedure over a link to its end and return what it returns; see `steps`."""
+    return finished(steps(procedure, link, interrupted))
+
+
+def finished(steps_left: Generator[None, None, T]) -> T:
+    """Do all that is left and return what it comes to."""
+    while True:
+        try:
+            next(steps_left)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]  # what the generator's type says
+
+
+def steps(
+    procedure: Procedure[T], link: Link, interrupted: Callable[[], bool | str]
+) -> Generator[None, None, T]:
+    """Run a procedure over a link, and yield after each of its operations; returns what it does.
 
     `interrupted` is called before and after each operation. The first time that it returns True
     (the user's wish) or a sentence (what of the kit failed), Ended is thrown into the procedure,
@@ -235,6 +251,7 @@ def drive(
             end_if_interrupted()
         except Ended as ended:
             error = ended
+        yield
 
 
 def done(procedure: Procedure[T], link: Link) -> T:

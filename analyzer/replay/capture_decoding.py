@@ -34,15 +34,12 @@ if TYPE_CHECKING:
 _LONGEST = 60_000.0  # ms that a file may ask for
 
 
-def capture_protocol(
-    captures: Sequence[Capture], in_use: Protocol, text: str = "", origin: str = ""
-) -> Protocol:
+def capture_protocol(captures: Sequence[Capture], in_use: Protocol, origin: str = "") -> Protocol:
     """The grammar by which captures are decoded, which they carry: one for all of them.
 
     Of captures without a grammar's text it is the one in use (`said_about` tells of a difference).
-    `text` is the grammar where a file has it elsewhere than in its metadata, `origin` the name of
-    the grammar's file. Raises GrammarError, in one sentence, for captures of different grammars,
-    and as `carried_protocol` does.
+    `origin` is the name of the grammar's file. Raises GrammarError, in one sentence, for captures
+    of different grammars, and as `carried_protocol` does.
     """
     stated = {known: one for one in captures if (known := _hash(one))}
     if len(stated) > 1:
@@ -54,7 +51,7 @@ def capture_protocol(
     if in_use.sha256 in stated:  # so that nothing is loaded twice
         return in_use
     for one in captures:
-        text = one.grammar_text or text
+        text = one.grammar_text
         if text and grammar_hash(text) != in_use.sha256:
             told = one.metadata.get(GRAMMAR_HASH, "")
             return carried_protocol(text, told, str(one.path), origin)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from bilprov.conformance.oracle.verdicts import LABELS, Verdict
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.readings import POINTS, READINGS, SPLIT
+from bilprov.spec.readings import POINTS, READINGS
 
 _VERDICTS = {reading.id: LABELS.get(reading.verdict, Verdict.FAIL) for reading in READINGS}
 
@@ -61,15 +61,6 @@ class Choices:
             return ""
         reading = POINTS[point].reading
         return f"{reading}: {word} here, {before} in {where}; a device keeps to one choice"
-
-    def record_split(self, case: str) -> None:
-        """Record what a choice from before its point was split means at the other part.
-
-        For profiles and recordings of older versions; a part that was shown is left as it is.
-        """
-        for (point, word), (other, meant) in SPLIT.items():
-            if self.word(point) == word and other not in self.shown:
-                self.record(other, meant, case)
 
     def but(self, point: str, word: str) -> Choices:
         """These choices, but `word` at `point`."""

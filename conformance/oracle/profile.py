@@ -213,7 +213,6 @@ def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Prof
         if choice.option and choice.option.partition("=")[0] not in allowed:
             raise ValueError(f"{point} = {word!r} has to be allowed: see --allow")
         profile.choices.record(point, word, "--profile")
-    profile.choices.record_split("--profile")
     for key, name in _TIMES.items():
         if key in told:
             setattr(profile, name, _time(told, key))

@@ -113,10 +113,9 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[int | No
     # a sequence there are many, and time for an answer that comes late.
     slow = run.profile.slowest > _SLOW
     single = trial is not None and isinstance(trial.case, Case)
-    few = 1 if slow else 2 if single and run.config.short_homing else due
+    few = 1 if slow else 2 if single else due
     at_once = (few, due, due) if in_step and few < due else (due, due)
-    settled = trial is not None and trial.settled and run.config.short_homing
-    settle = 0 if settled else run.timers.settle
+    settle = 0 if trial is not None and trial.settled else run.timers.settle
     between_frames = in_step or trial is None
     lost = owed = 0
     first: int | None = None
@@ -329,7 +328,7 @@ def speeds(protocol: Protocol) -> Iterator[int]:
 
 def find_speed(run: Run) -> Procedure[None]:
     """Find the preamble speed, for a homed robot whose motions are known; leaves the line homed."""
-    if not run.config.slow_preambles or not run.config.observable:
+    if not run.config.observable:
         return
     motions = sorted(run.profile.moves or ())
     for speed in speeds(run.protocol) if motions else ():

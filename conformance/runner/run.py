@@ -121,13 +121,9 @@ class RunConfig:
 
     `power` says whether the robot can be switched off and on, `virtual` whether the device is an
     object in virtual time: what answers is then no other device, baud rate or program. `lossless`
-    declares that the line loses nothing: what is not reproduced there is no noise. `experiments`
-    are the ids of those that a recording holds, for a run over one; None for all. With
-    `short_homing` few stops home a device that is in step, and few faults are waited after, which
-    recordings of older kits did not do. With `slow_preambles`, which those did not have either, the
-    lowest speed at which the robot is seen moving is found. `look_time` is how long (ns) a look
-    takes, as far as that is known, `announced` how long (s) the run was said to take
-    (`runner.time_limit`).
+    declares that the line loses nothing: what is not reproduced there is no noise. `look_time` is
+    how long (ns) a look takes, as far as that is known, `announced` how long (s) the run was said
+    to take (`runner.time_limit`).
     """
 
     protocol: Protocol
@@ -136,9 +132,6 @@ class RunConfig:
     power: bool = False
     virtual: bool = True
     lossless: bool = False
-    experiments: frozenset[str] | None = None
-    short_homing: bool = True
-    slow_preambles: bool = True
     look_time: int = 0
     announced: float | None = None
 

@@ -272,10 +272,6 @@ def unseen(protocol: Protocol, case: Case, look: Look) -> str:
     return untold(protocol, tested, facets_of(protocol, look))
 
 
-_MANY = (FrameClass.BAD_DATA, FrameClass.TRUNCATED)
-"""The classes of faulty frames with the most cases."""
-
-
 def stays_stopped(
     trial: Trial, case: Case, looks: bool, judged: Callable[[Received, int], Axis]
 ) -> Procedure[bool]:
@@ -286,13 +282,11 @@ def stays_stopped(
     run = trial.run
     # Of the many faulty frames, one in eight waits for silence: a late answer shows in the next
     # homing, and a stop that does not last shows in the sequences too.
-    short = run.config.short_homing
-    most = case.kind is not FrameClass.VALID if short else case.kind in _MANY
-    many = most and not case.thorough
+    many = case.kind is not FrameClass.VALID and not case.thorough
     brief = many and run.counters.next_check() % 8
     window = run.timers.settle if brief else max(run.timers.silence, run.timers.settle)
     costly = run.config.observability.costly
-    long = case.thorough and not costly and (not short or run.counters.holds(case))
+    long = not costly and run.counters.holds(case)
     rounds = max(1, run.timers.hold // window) if long else 1
     trial.settled = True
     for _ in range(rounds):

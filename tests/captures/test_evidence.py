@@ -179,7 +179,7 @@ def test_an_attachment_with_a_wrong_checksum_is_damage_also_in_an_unfinished_fil
     small: Path, tmp_path: Path
 ) -> None:
     content = bytearray(small.read_bytes())
-    content[content.index(b"short_homing")] ^= 1
+    content[content.index(b"circumstances")] ^= 1
     path = tmp_path / "cut.mcap"
     path.write_bytes(content[: content.index(b"verdict.json")])  # never finished
 

@@ -433,16 +433,15 @@ def test_a_killed_run_leaves_what_can_be_judged(tmp_path: Path, protocol: Protoc
         ("deadline=100,", 'deadline="a",', "Timing.answer_deadline in ms is 'a'"),
         ('NAME = "', 'NAME = "\\x1b[2J', "NAME holds the character U+001B"),
         ("speed=0, ", f"speed={'(' * 16 + '0' + ',0)' * 16}, ", "allowed is a whole number"),
-        ("speed=0, ", f"speed=[{'0,' * 40_000}], ", "has over 32768 parts"),
     ],
-    ids=["a time in text", "an escape", "tuples", "many parts"],
+    ids=["a time in text", "an escape", "tuples"],
 )
 def test_a_grammar_that_cannot_be_used_is_one_sentence(
     faulty: Path, tmp_path: Path, grammar_text: str, old: str, new: str, piece: str
 ) -> None:
     text = grammar_text.replace(old, new, 1)
     assert text != grammar_text
-    file = forged(faulty, tmp_path / "f.mcap", grammar_py=text.encode())
+    file = forged(faulty, tmp_path / "f.mcap", grammar=text)
 
     result = command("recheck", str(file))
 
@@ -450,16 +449,12 @@ def test_a_grammar_that_cannot_be_used_is_one_sentence(
     assert piece in sentence(result)
 
 
-@pytest.mark.parametrize("older", [False, True])
 def test_a_grammar_that_does_more_than_declare_is_not_run(
-    faulty: Path, tmp_path: Path, grammar_text: str, older: bool
+    faulty: Path, tmp_path: Path, grammar_text: str
 ) -> None:
     witness = tmp_path / "witness"
     evil = f"{grammar_text}\nopen({str(witness)!r}, 'w')\n"
-    if older:
-        file = forged(faulty, tmp_path / "f.mcap", grammar_py=evil.encode())
-    else:
-        file = forged(faulty, tmp_path / "f.mcap", grammar=evil)
+    file = forged(faulty, tmp_path / "f.mcap", grammar=evil)
 
     result = command("recheck", str(file))
 

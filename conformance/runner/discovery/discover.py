@@ -66,8 +66,6 @@ def discover(run: Run) -> Procedure[None]:
         case = _case(run.protocol, experiment)
         if "pipelining" in run.profile.choices.allowed and experiment.points[0] in FLUSH_POINTS:
             continue
-        if run.config.experiments is not None and case.id not in run.config.experiments:
-            continue  # a recording from before the experiment was added
         run.begin(case.id)
         if experiment.sees and not run.config.observable:
             axis = run.config.not_observable("one choice of what the document leaves open")
@@ -79,8 +77,6 @@ def discover(run: Run) -> Procedure[None]:
             kept = (yield from _settle(run, experiment, case)) or kept
     # One that answers or gives up the data of its own instructions has a time-out.
     run.profile.keeps_waiting = kept and run.profile.choices.differs("R-truncated-known")
-    if run.config.experiments is not None:
-        run.profile.choices.record_split("an older recording")
     yield from first_frames_lost(run)
 
 

@@ -129,9 +129,6 @@ class RunRecorder(Closing, RunListener):
                 "grammar": {"sha256": protocol.sha256, "file": protocol.origin},
                 "options": options,
                 "circumstances": environment,
-                "short_homing": True,
-                "slow_preambles": True,
-                "retries_causes": True,
             }
         )
         self._attach(RUN, "application/json", about)

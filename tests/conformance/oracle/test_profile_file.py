@@ -114,19 +114,3 @@ def test_a_choice_that_has_to_be_allowed_is_refused_without_its_option(protocol:
         assert profile_from(protocol, text, {name: value}).choices.word(point) == word
         with pytest.raises(ValueError, match="has to be allowed: see --allow"):
             profile_from(protocol, text, {})
-
-
-@pytest.mark.parametrize(
-    ("lines", "word"),
-    [
-        (['"R-drive-steering" = "straight"'], "reset"),
-        (['"R-drive-steering" = "straight"', '"R-rotate-steering" = "kept"'], "kept"),
-        (['"R-drive-steering" = "kept"'], "kept"),
-    ],
-)
-def test_a_profile_from_before_a_point_was_split_means_both_parts(
-    protocol: Protocol, lines: list[str], word: str
-) -> None:
-    text = "\n".join([f'sha256 = "{protocol.sha256}"', "[readings]", *lines])
-
-    assert profile_from(protocol, text, {}).choices.word("R-rotate-steering") == word
