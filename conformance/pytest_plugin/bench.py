@@ -1,18 +1,16 @@
-"""Runs the suite in a thread for pytest, or gives clients to tests; never both at once.
+"""Runs the suite step by step for pytest, or gives clients to tests; never both at once.
 
-The run has a thread of its own, so that the tests do not disturb its timing, and hands out each
-result as it becomes final. However it ends, the robot is homed. A client uses a link, so that a
-test works alike on a port in real time and on a simulator in virtual time.
+A run goes on while a result is waited for, and rests between two cases, when the robot is homed.
+However it ends, the robot is homed. A client uses a link, so that a test works alike on a port in
+real time and on a simulator in virtual time.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cached_property, partial
-from queue import SimpleQueue
 from typing import TypeVar
 
 from bilprov.analyzer.client.driver import RobotError
@@ -26,8 +24,8 @@ from bilprov.conformance.api import (
     Options,
     estimated,
     opening_and_reading_cases,
-    run_suite,
     select_cases,
+    suite_steps,
 )
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.fault import Fault
@@ -84,7 +82,7 @@ class Client(Instructions):
             raise RobotError(str(ended)) from ended
 
 
-class SuiteThread(RunListener):
+class Bench(RunListener):
     """One run of the suite, and any number of clients, on a port, `sim` or an emulated board.
 
     Nothing is opened before `open`. `close` stops a run that is still going, and homes. `unplanned`
@@ -121,14 +119,11 @@ class SuiteThread(RunListener):
         )
         self._stack = ExitStack()
         self._port: Target | None = None
-        self._thread: threading.Thread | None = None
-        # Ctrl-C may come at any moment: SimpleQueue.get can be interrupted, a condition cannot.
-        self._results_queue: SimpleQueue[CaseResult | None] = SimpleQueue()
-        self._over = True
+        self._run: Generator[None] | None = None
+        self._going = False  # a step of the run is under way
         self._results: dict[str, CaseResult] = {}
         self.unplanned: list[CaseResult] = []
         self.told_why = False
-        self._broken: BaseException | None = None
 
     @cached_property
     def _cases(self) -> tuple[AnyCase, ...]:
@@ -175,40 +170,39 @@ class SuiteThread(RunListener):
 
     def start(self, ids: Collection[str]) -> None:
         """Begin the run of these cases, in the suite's order. Only the first call has an effect."""
-        if self._thread is None:
+        if self._run is None:
             options = self.options
             if self.order.keys() - set(ids):
                 options = replace(options, only=tuple(ids))
-            self._thread = threading.Thread(target=self._run, args=(options,), name="conformance")
-            self._over = False
-            self._thread.start()
+            self._run = self._steps(options)
 
     def result(self, ident: str) -> CaseResult | None:
         """A case's result once it is final; None when the run has ended without one.
 
-        Raises what broke the run, if the kit did.
+        Raises what broke the run, if the kit did, and KeyboardInterrupt where a signal ended it.
         """
-        while ident not in self._results and not self._over:
-            self._take()
-        if ident not in self._results and self._broken:
-            raise self._broken
+        while ident not in self._results and self._step():
+            pass
+        if self._stopper.stopped:
+            raise KeyboardInterrupt
         return self._results.get(ident)
 
     def why_not(self, ident: str) -> str:
         """Why a case has no result although the run has ended; "" if the run did not need it."""
-        if ident in self._results or self.report is None:
-            return ""
+        if self.report is None:
+            return "the run broke off"
         return self.report.unusable or self.report.ended or ""
 
     def finish(self) -> None:
-        """Wait for the end of the run."""
-        while not self._over:
-            self._take()
+        """Let the run go on to its end."""
+        while self._step():
+            pass
 
-    def interrupt(self) -> None:
-        """Let a run that is still going end soon; does not wait for that."""
-        if not self._over:
+    def interrupt(self) -> bool:
+        """Let a run that has begun end soon; whether a step of it is under way, which goes on."""
+        if self._run is not None:
             self._stopper.stop()
+        return self._going
 
     def stop(self) -> None:
         """End a run that is still going; homes the robot, and ignores a second Ctrl-C meanwhile."""
@@ -216,15 +210,17 @@ class SuiteThread(RunListener):
             self.interrupt()
             self.finish()
 
-    def _take(self) -> None:
-        """Wait for the next result of the run, or its end, and store it."""
-        result = self._results_queue.get()
-        if result is None:
-            self._over = True
-            return
-        self._results[result.id] = result
-        if result.id not in self.order:
-            self.unplanned.append(result)
+    def _step(self) -> bool:
+        """Do one operation of the run; whether there was one."""
+        self._going = True
+        try:
+            return self._run is not None and next(self._run, self) is None
+        finally:
+            self._going = False
+
+    def _steps(self, options: Options) -> Generator[None]:
+        with self._opened() as target:
+            self.report = yield from suite_steps(target, options, [self])
 
     def begins(self, protocol: Protocol, options: object, environment: Environment) -> None:
         """The run begins."""
@@ -232,15 +228,9 @@ class SuiteThread(RunListener):
 
     def end(self, result: CaseResult) -> None:
         """A case is final."""
-        self._results_queue.put(result)
-
-    def _run(self, options: Options) -> None:
-        try:
-            with self._opened() as target:
-                self.report = run_suite(target, options, [self])
-        except BaseException as error:
-            self._broken = error
-        self._results_queue.put(None)
+        self._results[result.id] = result
+        if result.id not in self.order:
+            self.unplanned.append(result)
 
     # -- clients ----------------------------------------------------------------------------------
 

@@ -28,7 +28,7 @@ from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.target import SIM
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.pytest_plugin.bench import SuiteThread
+from bilprov.conformance.pytest_plugin.bench import Bench
 from bilprov.conformance.report.run_report import evidence, reproducer
 from bilprov.spec.by_effect import effect_words
 from bilprov.spec.errors import one_line
@@ -40,11 +40,11 @@ NAME = "conformance"
 class Conformance(pytest.Collector):
     """The suite as a collector without a file, whose items are the cases."""
 
-    bench: SuiteThread
+    bench: Bench
     ids: Sequence[str]
 
     @classmethod
-    def of(cls, session: pytest.Session, bench: SuiteThread, ids: Sequence[str]) -> Conformance:
+    def of(cls, session: pytest.Session, bench: Bench, ids: Sequence[str]) -> Conformance:
         """The suite with these cases."""
         suite: Conformance = cls.from_parent(session, name=NAME, nodeid=NAME)
         suite.bench, suite.ids = bench, ids
@@ -128,7 +128,7 @@ class RobotSession:
         try:
             protocol = load_protocol(option("robot_grammar"))
             require_family(protocol, "the suite")
-            self.bench = SuiteThread(
+            self.bench = Bench(
                 protocol,
                 option("robot_port"),
                 options=_options(protocol, option),
@@ -239,13 +239,13 @@ class RobotSession:
     def _heed_signals(self) -> None:
         """Treat each signal that ends pytest as Ctrl-C, so that none leaves a robot driving.
 
-        The run is told at once: pytest itself may not hear of a second Ctrl-C in time to end it.
+        A step of the run that is under way goes on, and the run then ends in order.
         """
         self._signals.enter_context(handled(unhandled(ENDINGS), self._end))
 
     def _end(self, number: int, frame: FrameType | None) -> None:
-        self.bench.interrupt()
-        signal.default_int_handler(number, frame)
+        if not self.bench.interrupt():
+            signal.default_int_handler(number, frame)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self) -> None:

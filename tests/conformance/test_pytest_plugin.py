@@ -141,7 +141,7 @@ def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
     run.makeconftest(
         "from bilprov.conformance.oracle import verdicts\n"
         "from bilprov.conformance.pytest_plugin import bench\n"
-        "put = bench.SuiteThread.end\n"
+        "put = bench.Bench.end\n"
         "def end(self, result):\n"
         "    if result.id == 'valid/LED/3':\n"
         "        import msgspec\n"
@@ -149,7 +149,7 @@ def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
         "        axes = {'answer': verdicts.Axis(verdict, 'e', 'a', 'slow', 'R-x')}\n"
         "        result = msgspec.structs.replace(result, verdict=verdict, axes=axes)\n"
         "    put(self, result)\n"
-        "bench.SuiteThread.end = end\n"
+        "bench.Bench.end = end\n"
     )
 
     result = on_sim(run, *FEW, "--junitxml", "j.xml", "-rP")
@@ -176,7 +176,7 @@ def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytest
     run.makeconftest(
         "from bilprov.conformance.oracle import verdicts\n"
         "from bilprov.conformance.pytest_plugin import bench\n"
-        "put = bench.SuiteThread.end\n"
+        "put = bench.Bench.end\n"
         "def end(self, result):\n"
         "    if result.id == 'valid/LED/3':\n"
         "        import msgspec\n"
@@ -184,7 +184,7 @@ def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytest
         "        put(self, msgspec.structs.replace(result, id='line/unsolicited', "
         "verdict=axis.verdict, axes={'answer': axis}))\n"
         "    put(self, result)\n"
-        "bench.SuiteThread.end = end\n"
+        "bench.Bench.end = end\n"
     )
 
     result = on_sim(run, *FEW)
@@ -219,11 +219,11 @@ def test_only_the_selected_cases_run(
 def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
     run.makeconftest(
         "from bilprov.conformance.pytest_plugin import bench\n"
-        "put = bench.SuiteThread.end\n"
+        "put = bench.Bench.end\n"
         "def end(self, result):\n"
         "    with open('ran', 'a') as file: file.write(result.id + '\\n')\n"
         "    put(self, result)\n"
-        "bench.SuiteThread.end = end\n"
+        "bench.Bench.end = end\n"
     )
 
     result = on_sim(run, *FEW, "-k", "valid/LED/3 or valid/LED/6")
