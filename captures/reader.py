@@ -10,7 +10,7 @@ from dataclasses import replace as with_changes
 from functools import partial
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 
@@ -39,23 +39,13 @@ _SIGHTS = {*_EVENTS, topics.LOOKS}
 _RECORDED = {*_SIGHTS, topics.CASES, topics.ASKS}
 
 
-class Message(msgspec.Struct, frozen=True):
-    """One message of any topic.
-
-    `t` is ns since the capture's start; `value` is the decoded JSON object, with None for fields
-    that a bilprov message left out, or the bytes if the message is not a JSON object. Its text is
-    foreign: show it only through `captures.text.printable`.
-    """
+class Message(NamedTuple):
+    """One message of any topic, as stored; `t` is ns since the capture's start."""
 
     topic: str
     t: int
-    value: dict[str, Any] | bytes
+    data: bytes
     sequence: int
-
-    @property
-    def t_ns(self) -> int:
-        """The same as `t`, under the name that tells its unit."""
-        return self.t
 
 
 class Loss(NamedTuple):
@@ -160,11 +150,10 @@ class Capture:
         """
         for message in self._stored():
             if message.channel in self.contents.channels:
-                topic, encoding = self.contents.channels[message.channel]
-                if wanted is not None and topic not in wanted:
-                    continue
-                value = _value(topic, encoding, message.data)
-                yield Message(topic, since(self.start, message.log_time), value, message.sequence)
+                topic, _ = self.contents.channels[message.channel]
+                if wanted is None or topic in wanted:
+                    t = since(self.start, message.log_time)
+                    yield Message(topic, t, message.data, message.sequence)
 
     def losses(self) -> Iterator[Loss]:
         """Yield the places where messages are lost, in order. Raises CaptureError as `events`."""
@@ -528,15 +517,3 @@ def _check_topics(path: Path, contents: Contents) -> None:
         f"{printable(path)} holds {'topics ' + printable(listed) if held else 'no topics'}; "
         f"bilprov needs {topics.HOST_RAW} or {topics.DEVICE_RAW}"
     )
-
-
-def _value(topic: str, encoding: str, data: bytes) -> dict[str, Any] | bytes:
-    if encoding != topics.JSON_ENCODING:
-        return data
-    try:
-        value = msgspec.json.decode(data)
-    except JSON_ERRORS:
-        return data
-    if not isinstance(value, dict):
-        return data
-    return topics.completed(topic, value)

@@ -190,11 +190,13 @@ class Look(Timed, frozen=True):
     words: ClassVar[frozenset[str]] = frozenset()
     car: ClassVar[Any] = None
 
-    moving: bool | None
+    moving: bool | None = None
 
     if TYPE_CHECKING:
 
-        def __init__(self, t: int, moving: bool | None, *told: Any, **named: Any) -> None: ...
+        def __init__(
+            self, t: int, moving: bool | None = None, *told: Any, **named: Any
+        ) -> None: ...
         def __getattr__(self, name: str) -> Any: ...
 
 

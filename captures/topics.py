@@ -112,7 +112,6 @@ TOPICS: tuple[Topic, ...] = (
     Topic(CHECKPOINT, 11, JSON_ENCODING, "bilprov.Checkpoint", Checkpoint),
 )
 
-_SCHEMAS = {topic.name for topic in TOPICS if topic.schema}
 BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
 
 
@@ -161,32 +160,6 @@ def _keys(value: type[msgspec.Struct]) -> tuple[tuple[str, str], ...]:
         for key in (name, BESIDE.get(name))
         if key is not None
     )
-
-
-@cache
-def optional_fields(topic: str) -> tuple[str, ...]:
-    """The names of the fields that a message on `topic` leaves out when they are None."""
-    for row in TOPICS:
-        if row.name == topic and row.schema:
-            return tuple(
-                field.name
-                for field in msgspec.structs.fields(CAR_SHAPES.get(row.value, row.value))
-                if type(None) in getattr(field.type, "__args__", ())
-            )
-    return ()
-
-
-def completed(topic: str, message: dict[str, Any]) -> dict[str, Any]:
-    """A message on `topic` with None for the fields that it left out.
-
-    A message of an older kit gets the fields of BESIDE.
-    """
-    whole = {**dict.fromkeys(optional_fields(topic)), **message}
-    if topic in _SCHEMAS:
-        for name, beside in BESIDE.items():
-            if name in whole:
-                whole.setdefault(beside, whole[name])
-    return whole
 
 
 @cache

@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from bilprov.analyzer.foreign import from_json, safe
+from bilprov.analyzer.foreign import from_json
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.capture_decoding import capture_protocol
 from bilprov.analyzer.version import kit_version
@@ -197,7 +197,7 @@ def _run(path: str, evidence: Evidence) -> _Run:
 def _marks(evidence: Evidence) -> Iterator[CaseMark]:
     for message in evidence.capture.messages({topics.CASES}):
         try:
-            mark = msgspec.convert(safe(message.value), CaseMark)
+            mark = from_json(message.data, CaseMark)
         except ValueError:
             continue  # the case then has no mark, which counts as a difference
         if mark.phase == "end":

@@ -126,6 +126,7 @@ class Timeline:
     def states(self) -> States:
         """The states, from `begin` on."""
         table, step = self._states.reduced()
+        table[:1, 0] = self.begin  # the state at power-on
         if step:
             table = np.concatenate([table, _held_after(table[-1:], step)])
         t, motion, seen, *ranges = (column.tolist() for column in table.T)
@@ -150,12 +151,13 @@ class Timeline:
         """Take in bytes and anomalies at these times (ns)."""
         if not len(times):
             return
+        first = int(times.min())
         if self._end is None:
-            self.begin = int(times.min())
+            self._add_states(*(np.array([value], np.int64) for value in (first, *self._power_on)))
+        if self._end is None or first < self.begin:  # a frame may have begun before what is known
+            self.begin = first
             for rows in (self._states, self._latencies, self._marks):
-                rows.begin = self.begin
-            first = (self.begin, *self._power_on)
-            self._add_states(*(np.array([value], np.int64) for value in first))
+                rows.begin = first
         before, self._end = self.end, max(self.end, int(times.max()))
         if self._end - before >= SHORTEST_IDLE:
             self._add_idle(np.append(before, times[times > before]))

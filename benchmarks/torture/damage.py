@@ -138,7 +138,7 @@ def _messages(path: Path) -> Messages:
     """The messages of a capture in order, with the wall clock's times."""
     capture = open_capture(path)
     start = capture.start
-    return [(start + one.t, one.topic, repr(one.value)) for one in capture.messages()]
+    return [(start + one.t, one.topic, repr(one.data)) for one in capture.messages()]
 
 
 @cache

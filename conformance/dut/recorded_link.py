@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TypeVar
 
-import msgspec
-
 from bilprov.analyzer.client.operations import (
     HELD_ANSWERS,
     OPERATION_NAMES,
@@ -26,7 +24,7 @@ from bilprov.analyzer.client.operations import (
     Reply,
     Send,
 )
-from bilprov.analyzer.foreign import safe
+from bilprov.analyzer.foreign import from_json
 from bilprov.captures import topics
 from bilprov.captures.reader import Message
 from bilprov.captures.schemas import Asked, Look
@@ -137,20 +135,20 @@ class RecordedLink:
         sent, received, look = bytearray(), list[tuple[int, int]](), None
         self._number += 1
         for message in self._messages:
-            value = message.value
+            data = message.data
             if message.topic == topics.LOOKS:
-                look = self._value(value, self._looks)
+                look = self._value(data, self._looks)
             elif message.topic == topics.ASKS:
-                return _Step(self._value(value, Asked), bytes(sent), received, look)
-            elif isinstance(value, bytes) and message.topic == topics.HOST_RAW:
-                sent += value
-            elif isinstance(value, bytes):
-                received += [(message.t, byte) for byte in value]
+                return _Step(self._value(data, Asked), bytes(sent), received, look)
+            elif message.topic == topics.HOST_RAW:
+                sent += data
+            else:
+                received += [(message.t, byte) for byte in data]
         return None
 
-    def _value(self, value: object, kind: type[Read]) -> Read:
+    def _value(self, data: bytes, kind: type[Read]) -> Read:
         try:
-            return msgspec.convert(safe(value), kind)
+            return from_json(data, kind)
         except ValueError as error:
             raise Strayed(f"{self._where} cannot be read: {error}") from error
 

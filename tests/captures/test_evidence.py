@@ -24,6 +24,7 @@ from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
+from tests.support.messages import messages
 from tests.support.recordings import WALL, attachments_of, recorded
 from tests.support.robots import sentence
 
@@ -169,7 +170,7 @@ def test_an_attachment_over_the_limit_is_left_out_and_that_is_said(tmp_path: Pat
     with CaptureWriter(path, start_wall=WALL, metadata={}, version="0.1.0") as writer:
         writer.attach("big", "", bytes(ATTACHMENT_BYTES + 1), 5)
 
-    (message,) = open_capture(path).messages()
+    (message,) = messages(open_capture(path))
     assert message.topic == "/faults"
     assert f"big: {ATTACHMENT_BYTES + 1} bytes" in str(message.value)
     assert attachments_of(path) == {}

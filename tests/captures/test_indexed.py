@@ -23,6 +23,7 @@ from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.topics import CarLook
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
+from tests.support.messages import messages
 
 START = 1_790_000_000_000_000_000
 STEP = 1_000
@@ -65,7 +66,7 @@ def opened(path: Path) -> Capture:
 
 
 def names_of(path: Path) -> list[str]:
-    return [message.topic for message in open_capture(path).messages()]
+    return [message.topic for message in messages(open_capture(path))]
 
 
 def changed_summary(path: Path, change: Callable[[bytearray, int], None]) -> None:
@@ -96,7 +97,7 @@ def test_it_tells_what_a_survey_tells(path: Path) -> None:
         assert getattr(indexed.contents, name) == getattr(surveyed.contents, name)
     assert list(indexed.sights()) == list(surveyed.sights())
     assert list(indexed.events()) == list(indexed) == list(surveyed.events())
-    assert list(indexed.messages()) == list(surveyed.messages())
+    assert list(messages(indexed)) == list(messages(surveyed))
 
 
 def test_captures_of_older_kits_open_by_their_index_too(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Message, open_capture
+from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line, Log, Time
 from bilprov.captures.storage import records, recovery
 from bilprov.captures.storage.recovery import RecordFile
@@ -24,6 +24,7 @@ from bilprov.captures.text import printable
 from bilprov.captures.topics import TOPICS
 from bilprov.captures.writer import CaptureWriter
 from tests.support.car import car_state
+from tests.support.messages import Message, messages
 
 START = 1_790_000_000_000_000_000
 FLUSH_EVERY = 4
@@ -53,7 +54,7 @@ def with_bytes(path: Path, data: bytes) -> Path:
 
 
 def all_of(path: Path) -> list[Message]:
-    return list(open_capture(path).messages())
+    return list(messages(open_capture(path)))
 
 
 @pytest.mark.slow
@@ -73,7 +74,7 @@ def test_a_file_cut_anywhere_gives_a_prefix(small: Path, pytestconfig: pytest.Co
         except CaptureError:
             lengths.append(0)
             continue
-        read = list(capture.messages())
+        read = list(messages(capture))
         assert read == messages[: len(read)], cut
         assert capture.unfinished
         assert capture.damage == ()
@@ -98,7 +99,7 @@ def test_a_lost_chunk_is_said_and_stands_as_a_gap(small: Path, tmp_path: Path, l
     whole = bytearray(small.read_bytes())
     whole[chunk_offsets(bytes(whole))[lost] + 60] ^= 0xFF
     capture = open_capture(with_bytes(tmp_path / "lost.mcap", bytes(whole)))
-    assert [m.sequence for m in capture.messages()] == [
+    assert [m.sequence for m in messages(capture)] == [
         n for n in range(24) if n // FLUSH_EVERY != lost
     ]
     assert len(capture.damage) == 1
@@ -155,7 +156,7 @@ def test_statistics_that_are_cut_short_are_damage_and_no_more(tmp_path: Path) ->
     short = data[:at] + struct.pack("<BQ", records.STATISTICS, 4) + bytes(4)
     capture = open_capture(with_bytes(path, short + data[at + 9 + data[at + 1] :]))
     assert any("a record is shorter than its fields" in note for note in capture.damage)
-    assert list(capture.messages()) == held
+    assert list(messages(capture)) == held
 
 
 def test_the_channel_table_may_be_lost(small: Path, tmp_path: Path) -> None:
@@ -173,7 +174,7 @@ def test_our_own_file_that_ends_behind_its_header_has_all_topics_and_no_messages
     whole = small.read_bytes()
     header = 8 + 9 + struct.unpack_from("<Q", whole, 9)[0]
     capture = open_capture(with_bytes(tmp_path / "h.mcap", whole[:header]))
-    assert list(capture.messages()) == []
+    assert list(messages(capture)) == []
     assert capture.contents.channels == {
         topic.channel: (topic.name, topic.encoding) for topic in TOPICS
     }
@@ -187,7 +188,7 @@ def test_the_start_survives_the_loss_of_all_that_stands_before_the_second_chunk(
     messages = all_of(small)
     capture = open_capture(with_bytes(tmp_path / "t.mcap", whole[:8] + whole[second:]))
     assert capture.start == START
-    assert list(capture.messages()) == messages[FLUSH_EVERY:]
+    assert list(messages(capture)) == messages[FLUSH_EVERY:]
 
 
 def test_a_flipped_start_in_the_metadata_does_not_shift_the_times(
@@ -280,7 +281,7 @@ def test_foreign_writers_are_read_by_time(tmp_path: Path, options: dict[str, Any
         )
         for n in range(100)
     ]
-    assert len(list(capture.messages())) == 107
+    assert len(list(messages(capture))) == 107
 
 
 def test_the_metadata_start_counts_in_a_foreign_file(tmp_path: Path) -> None:
@@ -328,7 +329,7 @@ def test_a_zstd_bomb_is_left_out_without_being_unpacked(
     last = chunk_offsets(whole)[-1]
     data = whole[:last] + bomb(packed, declared) + whole[last:]
     capture = open_capture(with_bytes(tmp_path / "bomb.mcap", data))
-    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert [m.sequence for m in messages(capture)] == list(range(24))
     assert len(capture.damage) == 1
 
 
@@ -458,7 +459,7 @@ def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(tmp_path: Path
         for t in range(4):  # more than is read ahead
             writer.chunk(Chunk(t, "host", much))
             writer.flush()
-    events = open_capture(path).messages()
+    events = messages(open_capture(path))
     next(events)
     path.write_bytes(path.read_bytes()[: 2 * len(much)])
     with pytest.raises(CaptureError, match="changed while it was read"):
@@ -487,7 +488,7 @@ def test_an_empty_chunk_checksum_is_not_taken_from_our_own_files(
     second = chunk_offsets(bytes(whole))[1]
     whole[second + 9 + 24 : second + 9 + 28] = bytes(4)
     capture = open_capture(with_bytes(tmp_path / "c.mcap", bytes(whole)))
-    assert len(list(capture.messages())) == 20
+    assert len(list(messages(capture))) == 20
     assert zlib.crc32(b"") == 0
 
 
@@ -511,7 +512,7 @@ def test_a_chunk_of_empty_records_is_left_out_and_what_follows_is_read(
 
     capture = open_capture(with_bytes(tmp_path / "e.mcap", whole[:last] + empty + whole[last:]))
 
-    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert [m.sequence for m in messages(capture)] == list(range(24))
     assert "more than 4096 records that are not messages" in capture.damage[0]
 
 
@@ -581,7 +582,7 @@ def test_the_first_bytes_may_be_damaged(small: Path, tmp_path: Path, overwritten
 
     capture = open_capture(with_bytes(tmp_path / "m.mcap", data))
 
-    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert [m.sequence for m in messages(capture)] == list(range(24))
     assert capture.damage[0].startswith("the first bytes are damaged (00 ")
     assert capture.start == START
 
@@ -593,7 +594,7 @@ def test_a_flipped_bit_of_the_magic_loses_nothing(small: Path, tmp_path: Path, b
 
     capture = open_capture(with_bytes(tmp_path / "m.mcap", bytes(data)))
 
-    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert [m.sequence for m in messages(capture)] == list(range(24))
     assert len(capture.damage) == 1
 
 
@@ -606,7 +607,7 @@ def test_a_chunk_that_stands_twice_is_read_once(small: Path, tmp_path: Path, at:
 
     capture = open_capture(with_bytes(tmp_path / "t.mcap", data))
 
-    assert [m.sequence for m in capture.messages()] == list(range(24))
+    assert [m.sequence for m in messages(capture)] == list(range(24))
     assert not [event for event in capture if isinstance(event, Line) and event.event == "gap"]
     assert "a chunk stands in the file a second time" in capture.damage[0]
     assert sum(capture.contents.counts.values()) == 24

@@ -36,6 +36,7 @@ from bilprov.captures.topics import CarLook
 from bilprov.captures.writer import FLUSH_AFTER, CaptureWriter
 from tests.support import ROOT
 from tests.support.car import car_state
+from tests.support.messages import messages
 
 START = 1_790_000_000_000_000_000
 SECOND = 1_000_000_000
@@ -77,7 +78,7 @@ def test_every_kind_of_value_comes_back_on_its_topic(tmp_path: Path) -> None:
     with writer(path) as capture:
         for t, value in enumerate(ONE_OF_EACH):
             capture.write(value, t)
-    read = list(open_capture(path).messages())
+    read = list(messages(open_capture(path)))
     for message, value in zip(read, ONE_OF_EACH, strict=True):
         written = msgspec.to_builtins(value)
         assert isinstance(message.value, dict)
@@ -139,7 +140,7 @@ def test_a_read_larger_than_a_message_becomes_several_of_the_same_time(tmp_path:
 def test_a_value_too_large_for_a_message_is_left_out_and_said_in_faults(tmp_path: Path) -> None:
     with writer(tmp_path / "a.mcap") as capture:
         capture.write(Line(5, "modem", "host", "x" * 70_000), 5)
-    (message,) = open_capture(tmp_path / "a.mcap").messages()
+    (message,) = messages(open_capture(tmp_path / "a.mcap"))
     assert message.topic == "/faults"
     assert isinstance(message.value, dict)
     assert message.value["message"].startswith("/line: a message of 700")
@@ -195,7 +196,7 @@ def test_late_values_do_not_flush_one_by_one(tmp_path: Path) -> None:
     capture.chunk(Chunk(SECOND, "host", b"a"))
     for _ in range(5):
         capture.write(car_state("stopped", 0, 0, 0), 0)
-    assert list(open_capture(path).messages()) == []
+    assert list(messages(open_capture(path))) == []
     capture.close()
 
 
@@ -461,14 +462,6 @@ def test_a_message_has_its_times_twice_the_second_time_with_their_unit(
         assert message.get(name) == message.get(f"{name}_ns")
         assert message.get(name) == getattr(value, f"{name}_ns", None)
         assert (name in schema["required"]) == (f"{name}_ns" in schema["required"])
-
-
-def test_a_message_of_an_older_kit_gets_them_when_it_is_read() -> None:
-    old = {"t": 8, "hex": "00", "byte": 0, "name": "OK", "latency": 3, "reason": ""}
-    whole = topics.completed("/device/responses", old)
-    assert (whole["t_ns"], whole["latency_ns"], whole["agrees"]) == (8, 3, None)
-    assert topics.completed("/device/responses", {})["latency_ns"] is None
-    assert topics.completed("/elsewhere", {"t": 8}) == {"t": 8}
 
 
 def test_topics_encodings_and_schema_names_are_the_contract() -> None:

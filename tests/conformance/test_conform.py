@@ -34,6 +34,7 @@ from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command, process
+from tests.support.messages import messages
 from tests.support.reports import timeless
 from tests.support.robots import (
     PATIENCE,
@@ -285,13 +286,13 @@ def test_a_run_is_recorded_with_its_cases_and_looks_and_decodes_again(tmp_path: 
     capture = open_capture(file)
     assert not capture.unfinished
     assert capture.damage == ()
-    marks: list[Any] = [m.value for m in capture.messages() if m.topic == "/conformance/cases"]
+    marks: list[Any] = [m.value for m in messages(capture) if m.topic == "/conformance/cases"]
     begun = [mark["id"] for mark in marks if mark["phase"] == "begin"]
     ended = {mark["id"]: mark["verdict"] for mark in marks if mark["phase"] == "end"}
     assert ended == {case.id: case.verdict for case in report.cases}
     assert set(ended) - set(begun) <= set(CONDITIONAL_CASES)  # nothing is sent for these
     assert len(begun) == len(set(begun))
-    looks: list[Any] = [m.value for m in capture.messages() if m.topic == "/conformance/looks"]
+    looks: list[Any] = [m.value for m in messages(capture) if m.topic == "/conformance/looks"]
     assert {look["moving"] for look in looks} == {True, False}
     facets = {"moving", "motion", "speed", "steering", "led", "left", "right"}
     assert {"t", "t_ns", *facets} == set(looks[0])

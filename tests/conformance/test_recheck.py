@@ -14,7 +14,7 @@ import pytest
 from bilprov.analyzer.client.operations import Ended
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Message, open_capture
+from bilprov.captures.reader import open_capture
 from bilprov.conformance.api import Options
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
@@ -25,6 +25,7 @@ from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from tests.support import ROOT
 from tests.support.commands import command, process
+from tests.support.messages import Message, messages
 from tests.support.recordings import attachments_of, forged, recorded
 from tests.support.robots import FEW_LOOKS, judged_exit, sentence, simulate
 
@@ -261,7 +262,7 @@ def test_forged_host_bytes_are_not_what_the_run_sends(faulty: Path, tmp_path: Pa
 
 
 def test_a_forged_verdict_is_not_trusted(faulty: Path, tmp_path: Path) -> None:
-    marks = list(open_capture(faulty).messages({topics.CASES}))
+    marks = list(messages(open_capture(faulty), {topics.CASES}))
     values = [m.value for m in marks if isinstance(m.value, dict)]
     number = next(i for i, value in enumerate(values) if value["verdict"] == "fail")
     forgery = changed(topics.CASES, number, verdict="pass", reason="")

@@ -18,7 +18,7 @@ from bilprov.analyzer.client.operations import (
     Received,
 )
 from bilprov.captures import topics
-from bilprov.captures.reader import Message, open_capture
+from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, run_suite
@@ -29,6 +29,7 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.spec.protocol import Protocol, grammar_hash
+from tests.support.messages import Message, messages
 from tests.support.robots import BYTE_TIME
 
 WALL = 1_790_000_000_000_000_000
@@ -107,7 +108,7 @@ def forged(
         for name, data in others.items():
             if data:
                 out.attach(name, "", data, 0)
-        for was in capture.messages():
+        for was in messages(capture):
             message = change(was)
             if message is None:
                 continue

@@ -20,6 +20,7 @@ from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, write
 from tests.support import ROOT, commands
+from tests.support.messages import messages
 from tests.support.robots import until
 from tests.support.wires import PATIENCE, PtyRobot, json_lines, running, served
 
@@ -82,7 +83,7 @@ def test_the_capture_holds_what_was_decoded_too(path: Path) -> None:
     assert code == 0
     capture = open_capture(path)
     topics: dict[str, list[Any]] = {}
-    for message in capture.messages():
+    for message in messages(capture):
         topics.setdefault(message.topic, []).append(message.value)
     assert topics["/host/instructions"][0]["name"] == "LED"
     assert topics["/device/responses"][0]["agrees"] is False

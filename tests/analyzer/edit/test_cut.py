@@ -34,6 +34,7 @@ from tests.support import ROOT
 from tests.support.captures import write_capture
 from tests.support.commands import command
 from tests.support.decoding import Event
+from tests.support.messages import messages
 from tests.support.traffic import ACTS, SETTINGS, played
 
 # A time-out of 0 is none that a capture can tell.
@@ -462,8 +463,8 @@ def test_of_a_recorded_run_the_cases_and_looks_are_kept_but_it_is_not_judged_aga
     end = open_capture(run).contents.last - open_capture(run).start
     done("capture", "cut", run, part, "--end", str(end / 3e9))
     wanted = {"/conformance/cases", "/conformance/looks", "/conformance/asks"}
-    whole = [m for m in open_capture(run).messages(wanted) if m.t < end // 3 - 1_000_000]
-    kept = [(m.topic, m.t, m.value) for m in open_capture(part).messages(wanted)]
+    whole = [m for m in messages(open_capture(run), wanted) if m.t < end // 3 - 1_000_000]
+    kept = [(m.topic, m.t, m.value) for m in messages(open_capture(part), wanted)]
     assert kept[: len(whole)] == [(m.topic, m.t, m.value) for m in whole]
     assert 0 < len(kept) < open_capture(run).contents.counts["/conformance/looks"] * 10
     assert "but an edited one" in done("recheck", part, code=2)

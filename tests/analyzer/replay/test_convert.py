@@ -23,13 +23,14 @@ from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Message, open_capture, open_quickly
+from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import about, write_capture
 from tests.support.commands import Done, command
+from tests.support.messages import Message, messages
 from tests.support.recordings import attachments_of
 from tests.support.traffic import records_of
 
@@ -51,7 +52,7 @@ def converted(path: Path, *before: str) -> tuple[Path, Done]:
 def by_topic(path: Path) -> dict[str, list[tuple[int, object]]]:
     """The times and values of the messages, by topic."""
     found: dict[str, list[tuple[int, object]]] = {topic.name: [] for topic in topics.TOPICS}
-    for message in open_capture(path).messages():
+    for message in messages(open_capture(path)):
         found.setdefault(message.topic, []).append((message.t, message.value))
     return found
 
@@ -230,7 +231,7 @@ def test_messages_keep_their_order(tmp_path: Path) -> None:
         kept = (topics.HOST_RAW, topics.DEVICE_RAW, topics.LINE)
         return [
             msgspec.structs.replace(message, sequence=0)
-            for message in open_capture(path).messages(kept)
+            for message in messages(open_capture(path), kept)
         ]
 
     new, _ = converted(path)

@@ -22,11 +22,12 @@ from bilprov.analyzer.replay.recorder import (
     RecordWriter,
     Throttle,
 )
-from bilprov.captures.reader import Message, open_capture, open_indexed
+from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import all_data, raw_frame
 from bilprov.spec.protocol import Protocol
 from tests.support.captures import about
+from tests.support.messages import Message, messages
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
 
@@ -110,13 +111,13 @@ def test_while_the_topics_are_stopped_the_raw_bytes_alone_are_written_and_faults
         assert recorder.bytes == 3 + 2_500 + 5 + 4
         assert recorder.waited_ns == 0
     assert asked == [1 * MS, 7_000 * MS]
-    messages = list(open_capture(recorder.path).messages())
-    assert [m.t // MS for m in of_topic(messages, "/host/raw")] == [1, 2, 3, 1_100, 7_000]
-    assert [m.t // MS for m in of_topic(messages, "/line")] == [1, 2, 3, 1_100, 7_000]
-    assert [m.t // MS for m in of_topic(messages, "/host/instructions")] == [1] * 3 + [7_000] * 4
+    written = list(messages(open_capture(recorder.path)))
+    assert [m.t // MS for m in of_topic(written, "/host/raw")] == [1, 2, 3, 1_100, 7_000]
+    assert [m.t // MS for m in of_topic(written, "/line")] == [1, 2, 3, 1_100, 7_000]
+    assert [m.t // MS for m in of_topic(written, "/host/instructions")] == [1] * 3 + [7_000] * 4
     # The state is said anew, since nobody knows what came in between.
-    assert [m.t // MS for m in of_topic(messages, "/state")] == [1, 7_000]
-    told = [m.value for m in of_topic(messages, "/faults") if m.t // MS in (2, 7_000)]
+    assert [m.t // MS for m in of_topic(written, "/state")] == [1, 7_000]
+    told = [m.value for m in of_topic(written, "/faults") if m.t // MS in (2, 7_000)]
     assert all(isinstance(value, dict) for value in told)
     assert [(v["name"], v["level"]) for v in told if isinstance(v, dict)] == [
         (STOPPED, 2),
@@ -136,7 +137,7 @@ def test_the_raw_bytes_of_a_batch_stand_before_what_is_decoded_from_them(
     recorder.decoded(1, 5, lambda: [record])
     recorder.checkpoint(5 + CHECKPOINT_AFTER, lambda: "{}")
     recorder.close()
-    order = [message.topic for message in open_capture(recorder.path).messages()]
+    order = [message.topic for message in messages(open_capture(recorder.path))]
     assert order == ["/host/raw", "/host/instructions", "/state", "/checkpoint"]
 
 
@@ -159,7 +160,7 @@ def test_a_checkpoint_is_due_each_second_with_traffic_and_each_64_kib(
         recorder.checkpoint(at * MS, lambda at=at: saved.append(at) or "{}")  # type: ignore[misc,func-returns-value]
     recorder.close()
     assert saved == expected
-    written = of_topic(open_capture(recorder.path).messages(), "/checkpoint")
+    written = of_topic(messages(open_capture(recorder.path)), "/checkpoint")
     assert [message.t // MS for message in written] == expected
     assert CHECKPOINT_BYTES + 4_096 <= 64 * 1024
 
@@ -170,7 +171,7 @@ def test_a_checkpoint_that_cannot_be_made_now_is_tried_at_the_next_call(recorder
     for at in range(5):
         recorder.checkpoint(SECOND + at, lambda: next(states))
     recorder.close()
-    (message,) = of_topic(open_capture(recorder.path).messages(), "/checkpoint")
+    (message,) = of_topic(messages(open_capture(recorder.path)), "/checkpoint")
     assert message.t == SECOND + 2
 
 
@@ -230,7 +231,7 @@ def test_below_the_limit_it_writes_what_is_written_of_a_run(
             for record in whole.feed(event):
                 run.record(record)
     first, second = (
-        list(open_capture(tmp_path / name).messages()) for name in ("live.mcap", "run.mcap")
+        list(messages(open_capture(tmp_path / name))) for name in ("live.mcap", "run.mcap")
     )
     assert first == second
     assert len(of_topic(first, "/faults")) > 10

@@ -36,6 +36,7 @@ from tests.support.attaching import Talk, attached
 from tests.support.captures import about
 from tests.support.commands import PATIENCE
 from tests.support.decoding import Event
+from tests.support.messages import messages
 from tests.support.robots import until
 from tests.support.traffic import ACTS, SETTINGS, played, records_of
 
@@ -146,7 +147,7 @@ def test_a_set_of_parts_is_what_one_file_would_have_been(
             part = parts[number]
             for before in range(1, number):
                 parts[before].unlink(missing_ok=True)
-            begin = next(open_capture(part).messages(), None)
+            begin = next(messages(open_capture(part)), None)
             assert open_capture(part).metadata[topics.PART] == str(number)
             if begin is None or begin.topic != topics.CHECKPOINT:
                 continue
@@ -171,8 +172,8 @@ def test_each_part_begins_with_a_checkpoint_and_the_state(
     seen = 0
     for number, part in parts.items():
         capture = open_capture(part)
-        first, *messages = capture.messages()
-        held = [message.topic for message in messages]
+        first, *others = messages(capture)
+        held = [message.topic for message in others]
         assert held.count("/host/raw") or number == len(parts)
         assert (first.topic == topics.CHECKPOINT) == (number > 1)
         if number > 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from functools import reduce
+from itertools import repeat
 from operator import or_
 from typing import Any, NamedTuple
 
@@ -20,7 +21,9 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.totals import timeline
-from bilprov.analyzer.totals.timeline import Timeline
+from bilprov.analyzer.totals.timeline import Timeline, numbers_of
+from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.spec.codec import build
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
@@ -31,23 +34,25 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 
 
 class Held(NamedTuple):
-    """A state from a time on: motion as `States` has it, speed, steering."""
+    """A state from a time on: motion as `States` has it, speed, steering, the LED if a number."""
 
     t: int
     motion: int
     speed: int
     steering: int
+    led: int
 
 
-def held(t: int, state: State) -> Held:
+def held(t: int, state: State, names: Sequence[str]) -> Held:
     motion = 2 * list(Motion).index(state.motion) + state.moving
-    return Held(t, motion, state.speed, state.steering)
+    return Held(t, motion, state.speed, state.steering, state.led if "led" in names else 0)
 
 
 def changes(protocol: Protocol, records: Sequence[Record], begin: int) -> list[Held]:
     """The states of the records one by one, those alone that differ from the one before."""
-    every = [held(begin, protocol.power_on)]
-    every += [held(record.known, record.state) for record in hosts(records)]
+    names = numbers_of(protocol)
+    every = [held(begin, protocol.power_on, names)]
+    every += [held(record.known, record.state, names) for record in hosts(records)]
     kept = [one for at, one in enumerate(every) if not at or every[at - 1]._replace(t=one.t) != one]
     return sorted(kept, key=lambda one: one.t)
 
@@ -62,6 +67,7 @@ def require_states(found: Timeline, expected: list[Held], most: int) -> None:
             states.motion,
             states.ranges["speed"].last,
             states.ranges["steering"].last,
+            states.ranges["led"].last if "led" in states.ranges else repeat(0, len(states.t)),
             strict=True,
         )
         assert [Held(*row) for row in rows] == expected
@@ -110,6 +116,20 @@ def require_latencies(found: Timeline, records: Sequence[Record], most: int) -> 
     for t, low, high in zip(latencies.t, latencies.low, latencies.high, strict=True):
         mine = [latency for at, latency in answers if t <= at < t + latencies.step]
         assert (low, high) == (min(mine), max(mine))
+
+
+def test_a_frame_that_began_before_all_that_came_earlier_is_the_begin(protocol: Protocol) -> None:
+    decoder, found = StreamDecoder(protocol), Timeline(protocol)
+    speed = build(protocol, "Speed", {"speed": 80})
+    for events in (
+        [Chunk(0, "host", speed[:1]), Line(5 * MS, "break", "host")],
+        [Chunk(9 * MS, "host", speed[1:])],
+    ):
+        for batch in decoder.feed(events):
+            found.add(batch)
+    states = found.states()
+    assert (found.begin, found.end) == (0, 9 * MS)
+    assert (states.t, states.ranges["speed"].last) == ([0, 9 * MS], [0, 80])
 
 
 @pytest.mark.sample(1)
