@@ -87,6 +87,10 @@ def test_every_kind_of_value_comes_back_on_its_topic(tmp_path: Path) -> None:
     assert [message.t for message in read] == list(range(len(ONE_OF_EACH)))
     assert [message.sequence for message in read] == list(range(len(ONE_OF_EACH)))
     assert {message.topic for message in read} == {t.name for t in topics.TOPICS if t.schema}
+    kinds = (Line, CaseMark, Asked, Checkpoint, CarLook)
+    recorded = [value for value in open_capture(path).recorded() if type(value) in kinds]
+    whole = [v for v in ONE_OF_EACH if type(v) in kinds]
+    assert len(recorded) == len(whole)
 
 
 events = st.lists(
