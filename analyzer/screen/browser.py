@@ -287,9 +287,12 @@ class Browser(App[str | None]):
 
     def _write(self, pane: Static, text: Text) -> None:
         """Write a text into a pane, where it is another one than before: drawing takes time."""
-        if self._written.get(pane) != text:
+        before = self._written.get(pane)
+        if before != text:
             self._written[pane] = text
-            pane.update(text)
+            # What has as many lines as before needs no new layout of the whole screen.
+            taller = before is None or before.plain.count("\n") != text.plain.count("\n")
+            pane.update(text, layout=taller)
 
     def _say(self, sentence: str) -> None:
         self.said = sentence

@@ -7,11 +7,13 @@ beside it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 from rich.style import Style
 from rich.text import Text
 from textual.binding import Binding, BindingType
+from textual.geometry import Region, Size
+from textual.reactive import Reactive
 from textual.widgets import Tree
 from textual.widgets.tree import TreeNode
 
@@ -110,6 +112,7 @@ def bit_picture(group: BitGroup) -> str:
 class FieldTree(Tree[Detail]):
     """The details of one record; what was folded stays so in the next one."""
 
+    virtual_size = Reactive(Size(0, 0))
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("left", "fold(True)", show=False),
         Binding("right", "fold(False)", show=False),
@@ -140,6 +143,23 @@ class FieldTree(Tree[Detail]):
     def render_label(self, node: TreeNode[Detail], base_style: Style, style: Style) -> Text:
         """A line, which keeps its colours while another pane has the focus."""
         return super().render_label(node, base_style, style if self.has_focus else Style())
+
+    def refresh(
+        self,
+        *regions: Region,
+        repaint: bool = True,
+        layout: bool = False,
+        recompose: bool = False,
+    ) -> Self:
+        """Draw it anew, without a new layout of the whole screen: other lines change no size."""
+        return super().refresh(*regions, repaint=repaint, recompose=recompose)
+
+    def watch_virtual_size(self, before: Size, after: Size) -> None:
+        """Have a new layout where a scroll bar comes or goes."""
+        if (before.height > self.size.height) != (after.height > self.size.height):
+            super().refresh(layout=True)
+        elif self.show_vertical_scrollbar:
+            self.vertical_scrollbar.window_virtual_size = after.height
 
     def on_resize(self) -> None:
         """Wrap long lines anew."""

@@ -69,6 +69,30 @@ async def typed(screen: Browser, pilot: Pilot[Any], text: str) -> None:
     await pilot.pause()
 
 
+def test_another_row_is_drawn_in_the_layout_that_is_there(screen: Browser) -> None:
+    layouts: list[object] = []
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        for key in ("end", "end", "home", "down", "pagedown", "t"):
+            await pilot.press(key)
+            await pilot.pause()
+            screen.screen.screen_layout_refresh_signal.subscribe(screen, layouts.append)
+
+    operated(screen, steps)
+
+    assert not layouts
+
+
+def test_the_details_have_a_scroll_bar_where_they_need_it(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        for key, needed in (("down", True), ("up", False)):
+            await pilot.press(key)
+            await pilot.pause()
+            assert screen.fields.show_vertical_scrollbar == needed
+
+    operated(screen, steps, (80, 24))
+
+
 @pytest.mark.parametrize(
     ("keys", "row"),
     [
