@@ -53,7 +53,7 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     registers: Registers = ()
 
     @property
-    def told(self) -> tuple[tuple[str, Any], ...]:
+    def values(self) -> tuple[tuple[str, Any], ...]:
         """The values of its fields and of its registers, by name."""
         return with_registers(self.fields, self.registers)
 

@@ -140,6 +140,14 @@ class FieldSpec:
         """The name of a value, and the value itself where it has none."""
         return next((name for name, known in self.names if known == value), value)
 
+    def in_words(self, value: Any) -> Any:
+        """The same, and of flags the names of those that are set."""
+        return self.flags_in(value) if self.flags else self.named(value)
+
+    def flags_in(self, value: int) -> tuple[str, ...]:
+        """The names of the flags that are set in a value."""
+        return tuple(name for name, mask in self.flags if value & mask == mask)
+
     def in_range(self, value: Value) -> bool:
         """Whether a value is in the range; that of several numbers is the range of each."""
         if isinstance(value, bytes):
@@ -451,8 +459,7 @@ def shown_value(part: FieldSpec, value: Value) -> str:
     name = part.named(value)
     if name != value:
         return f"{value} ({name})"
-    set_flags = [name for name, mask in part.flags if value & mask == mask]
-    return f"{value} ({' '.join(set_flags) or 'none'})" if part.flags else str(value)
+    return f"{value} ({' '.join(part.flags_in(value)) or 'none'})" if part.flags else str(value)
 
 
 def plain_values(fields: Any) -> dict[str, Any]:

@@ -71,9 +71,21 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         return self.way.layout.tail if self.way else 0
 
     @property
-    def told(self) -> tuple[tuple[str, Any], ...]:
+    def values(self) -> tuple[tuple[str, Any], ...]:
         """The values of its fields and of its registers, by name."""
         return with_registers(self.fields, self.registers)
+
+    @property
+    def told(self) -> tuple[tuple[str, Any], ...]:
+        """The same in words: the name of a named value, and the names of the flags that are set."""
+        return tuple((spec.name, spec.in_words(value)) for spec, value in self._named)
+
+    @property
+    def _named(self) -> Registers:
+        """The values, each with what its field or register is."""
+        data = (self.way and self.way.data) or DataSpec()
+        specs = {spec.name: spec for spec in data.fields}
+        return (*((specs[name], value) for name, value in self.fields), *self.registers)
 
     def describe(self) -> str:
         """The answer in words: its names, its fields and its registers."""
@@ -81,10 +93,7 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         known = " ".join(self.names) or (self.response.name if self.response else "unreadable")
         more = len(self.frame) - self.head - self.tail if self.response and not self.fields else 0
         data = f", {data_bytes(more)}" if more > 0 else ""
-        data_spec = (self.way and self.way.data) or DataSpec()
-        specs = {spec.name: spec for spec in data_spec.fields}
-        shown = [field_words(specs[name], value) for name, value in self.fields]
-        shown += [field_words(spec, value) for spec, value in self.registers]
+        shown = [field_words(spec, value) for spec, value in self._named]
         return to + " ".join([known, *shown]) + data
 
     @property

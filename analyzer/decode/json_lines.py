@@ -130,7 +130,7 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
                     "response",
                     _HEX[record.byte] if reply is None else record.hex,
                     record.name if reply or not record.answer else record.answer.name,
-                    NO_FIELDS if reply is None else plain_values(reply.told),
+                    NO_FIELDS if reply is None else plain_values(reply.values),
                     answered.expected if answered else None,
                     record.reason if record.faults else "",
                     None if latency is None else latency / 1e9,
@@ -190,7 +190,7 @@ def _frame_values(record: HostRecord) -> _FrameValues:
     return _FrameValues(
         record.hex,
         spec.name if spec else None,
-        plain_values(judgement.told) if judgement else NO_FIELDS,
+        plain_values(judgement.values) if judgement else NO_FIELDS,
         judgement.expected if judgement else None,
         record.reason,
         _kinds(record),

@@ -119,7 +119,7 @@ class HostRecord(Timed, frozen=True, gc=False):
             id=judgement.id if judgement else None,
             name=spec.name if spec else None,
             length=judgement.length if judgement else None,
-            fields=plain_values(judgement.told) if judgement else {},
+            fields=plain_values(judgement.values) if judgement else {},
             judgement=judgement.expected if judgement else None,
             reason=self.reason,
         )
@@ -187,7 +187,7 @@ class DeviceRecord(Timed, frozen=True, gc=False):
         told = (self.name, self.instruction, self.latency, self.agrees, self.reason)
         if self.reply is None:
             return Response(self.t, self.hex, self.byte, *told)
-        fields = plain_values(self.reply.told)
+        fields = plain_values(self.reply.values)
         address, uncertain = self.reply.address, self.uncertain
         return FramedResponse(self.t, self.hex, *told, fields, address, uncertain)
 

@@ -36,6 +36,15 @@ class LineSettings:
         bits = 1 + 8 + (self.parity != "N") + self.stopbits
         return round(bits * 1_000_000_000 / self.baud)
 
+    def options(self, protocol: Protocol) -> str:
+        """The options of a command that give these settings, as far as the grammar does not."""
+        words = []
+        for name in ("baud", "parity", "stopbits"):
+            value = getattr(self, name)
+            if value != getattr(protocol.line, name):
+                words.append(f"--{name} {value}".removesuffix(".0"))
+        return " ".join([*words, *(["--echo"] if self.echo else [])])
+
     def __str__(self) -> str:
         return f"{self.baud} 8{self.parity}{self.stopbits:g}"
 

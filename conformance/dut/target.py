@@ -207,6 +207,7 @@ def _port_target(
         why = f"{probe_name} is asked only about a few cases"
         observability = Observability(True, probe.costly, why, foreign=True)
     line = port.settings
+    given = line.options(protocol)
     about = {
         "kind": "port",
         "line": str(line),
@@ -215,7 +216,7 @@ def _port_target(
         "latency_ns": (Machine().latency_timer(port.name) or 0) * MS,
         "look_ns": 0 if probe is None else look_time(probe),
         "probe": probe_name,
-        **({"echo": True} if line.echo else {}),
+        **({"options": given} if given else {}),
     }
 
     return Target(

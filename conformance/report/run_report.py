@@ -267,7 +267,12 @@ def send_words(grammar: str, device: str, link: Mapping[str, Any]) -> list[str]:
     The arguments are those of `reproducer`.
     """
     port = device if link.get("kind") == "port" else "PORT"
-    return [*_named(grammar), "send", port, *(["--echo"] if link.get("echo") else [])]
+    return [*_named(grammar), "send", port, *_line_options(link)]
+
+
+def _line_options(link: Mapping[str, Any]) -> list[str]:
+    """The options of the line that were given: those that the grammar does not say itself."""
+    return str(link.get("options", "")).split()
 
 
 def reproducer(
@@ -295,8 +300,7 @@ def reproducer(
         more += ["--probe", link["probe"]]
     if link.get("fault"):
         more += ["--fault", link["fault"]]
-    if link.get("echo"):
-        more += ["--echo"]
+    more += _line_options(link)
     after = shlex.join(more)
 
     def command(result: CaseResult) -> str:

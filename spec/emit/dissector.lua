@@ -326,7 +326,8 @@ local function fault(item, bytes)
         return "TOO_FEW", format("%s: %s announced, %d came", spec.name,
             counted(length, "data byte"), #data)
     elseif item.cut and not GRAMMAR.plain then
-        return "TOO_FEW", format("%s: %s came", item.name, counted(#bytes, "byte"))
+        return "TOO_FEW", format("%s%s came", spec and spec.name .. ": " or "",
+            counted(#bytes, "byte"))
     end
     local wrong = wrong_constant(layout, bytes)
     if wrong then return "BAD_SYNC", wrong end

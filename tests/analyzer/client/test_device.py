@@ -288,6 +288,26 @@ def test_a_register_that_is_read_by_its_name_is_its_value() -> None:
     assert str(inspect.signature(servo.read)) == wanted
 
 
+def test_the_answer_of_send_has_its_values_in_words() -> None:
+    meter, _, _ = driver("modbus-rtu", 1)
+    answer = meter.send("WriteSingleCoil", coil=3, value="on")
+    assert answer is not None
+    assert answer.told == (("coil", 3), ("value", "on"))
+    text = (ROOT / "examples" / "feetech.py").read_text(encoding="utf-8")
+    for old, new in (
+        ("import Byte, Enum,", "import Byte, FlagsEnum,"),
+        ("Enum(Byte, off=0, on=1)", "FlagsEnum(Byte, hot=1, odd=2, slow=4)"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    servo, _, _ = client_of(load(text, "servo.py"))
+    servo._address = 1
+    servo.send("Write", torque=5)
+    answer = servo.send("Read", register="torque")
+    assert answer is not None
+    assert dict(answer.told) == {"values": b"\x05", "torque": ("hot", "slow")}
+
+
 # -- what it raises -------------------------------------------------------------------------------
 
 

@@ -196,11 +196,12 @@ def test_a_robot_on_a_line_with_an_echo_is_judged_and_without_the_option_it_is_n
     assert b"or an adapter that hears itself (--echo)" in without.stdout
 
 
-def test_the_commands_that_repeat_a_case_take_the_echo_away_too(tmp_path: Path) -> None:
+def test_the_commands_that_repeat_a_case_have_the_options_of_the_line(tmp_path: Path) -> None:
     protocol, file = load_protocol(), tmp_path / "report.json"
+    line = "--baud 9600 --stopbits 2 --echo"
     with served_here(EchoedCar(protocol, fault_bank(protocol)["ok-to-bad-data"])) as (port, probe):
         words = ("conform", port, "--probe", probe, "--yes", "--only", "bad-data/LED/8")
-        told = command(*words, "--verbose", "--echo", "--json", str(file)).stdout.decode()
-    assert read_report(str(file)).link["echo"] is True
-    assert f"bilprov send {port} --echo --probe {probe} " in told
-    assert f"--probe {probe} --echo" in told
+        told = command(*words, "--verbose", *line.split(), "--json", str(file)).stdout.decode()
+    assert read_report(str(file)).link["options"] == line
+    assert f"bilprov send {port} {line} --probe {probe} " in told
+    assert f"--probe {probe} {line}" in told

@@ -87,7 +87,7 @@ def test_a_request_has_the_registers_that_it_writes_as_a_whole(
 ) -> None:
     judged = judge(SERVO, frame(request_))
     assert judged.valid
-    assert dict(judged.told[len(judged.fields) :]) == registers
+    assert dict(judged.values[len(judged.fields) :]) == registers
 
 
 def test_registers_are_shown_with_fields_wherever_these_are() -> None:
@@ -213,7 +213,7 @@ def test_a_client_is_told_registers_by_name() -> None:
     client.send("Write", address=1, goal_velocity=1000)
     reply = client.send("Read", address=1, register="goal_velocity")
     assert reply is not None
-    assert dict(reply.told) == {"values": b"\xe8\x03", "goal_velocity": 1000}
+    assert dict(reply.values) == {"values": b"\xe8\x03", "goal_velocity": 1000}
     assert client.read("goal_velocity", 2, address=1) == 1000
 
 
@@ -250,14 +250,18 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
     answer = frame(told) + meter.layout.check.function(frame(told)).to_bytes(2, "little")  # type: ignore[union-attr]
     (one,) = devices(decoded(Session(meter), conversation([(frame(asked), answer)])))
     assert one.reply is not None
-    assert dict(one.reply.told) == {"values": (0x8FC, 0xFFFF, 0xFFFE), "voltage": 2300, "power": -2}
+    assert dict(one.reply.values) == {
+        "values": (0x8FC, 0xFFFF, 0xFFFE),
+        "voltage": 2300,
+        "power": -2,
+    }
     told = "110402 08FC"
     answer = frame(told) + meter.layout.check.function(frame(told)).to_bytes(2, "little")  # type: ignore[union-attr]
     request = build(meter, "ReadInputRegisters", {"address": 17, "start": "current"})
     (one,) = devices(decoded(Session(meter), conversation([(request, answer)])))
     assert one.value.fields == {"values": [0x8FC], "current": 0x8FC}
     write = build(meter, "WriteMultipleRegisters", {"address": 17, "voltage": 1, "power": -2})
-    assert dict(judge(meter, write).told)["power"] == -2
+    assert dict(judge(meter, write).values)["power"] == -2
     assert dict(judge(meter, write).fields)["quantity"] == 3
     single = build(meter, "WriteSingleRegister", {"address": 17, "voltage": 2300})
     assert judge(meter, single).describe().endswith("register=107 value=2300 voltage=2300")

@@ -23,6 +23,7 @@ from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import list_ports, open_port, wait_readable
 from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.wires import read_from
 from tests.vectors import LINE
@@ -117,6 +118,20 @@ def test_line_settings_say_themselves_and_their_byte_time(
 ) -> None:
     assert str(settings) == text
     assert settings.byte_time == byte_time
+
+
+@pytest.mark.parametrize(
+    ("settings", "options"),
+    [
+        (LineSettings(115200, "N", 1), ""),
+        (LineSettings(1_000_000, "N", 1.0), "--baud 1000000"),
+        (LineSettings(115200, "E", 1.5, echo=True), "--parity E --stopbits 1.5 --echo"),
+    ],
+)
+def test_line_settings_are_options_where_they_differ_from_the_grammars(
+    protocol: Protocol, settings: LineSettings, options: str
+) -> None:
+    assert settings.options(protocol) == options
 
 
 @pytest.mark.parametrize(

@@ -108,8 +108,12 @@ def test_what_this_version_does_not_know_is_passed_over(protocol: Protocol, tmp_
         ),
         ({"kind": "virtual"}, "11 7f 20", "send PORT 11 7f 20"),
         ({"kind": "port", "probe": "exec:a b"}, "11 7f", "send x 11 7f"),
-        ({"kind": "port", "echo": True}, "11 7f", "send x --echo 11 7f"),
-        ({"kind": "port", "echo": True}, "", "conform x --seed 1 --only tour/1 --echo"),
+        ({"kind": "port", "options": "--echo"}, "11 7f", "send x --echo 11 7f"),
+        (
+            {"kind": "port", "options": "--baud 9600 --echo"},
+            "",
+            "conform x --seed 1 --only tour/1 --baud 9600 --echo",
+        ),
         (
             {"kind": "port", "probe": "exec:a b"},
             "",
