@@ -22,7 +22,7 @@ from bilprov.analyzer.replay.capture_decoding import (
     decoded,
     said_of_other,
 )
-from bilprov.analyzer.taps.sources import open_taps
+from bilprov.analyzer.taps.sources import opened_tap
 from bilprov.analyzer.transport.line_settings import (
     LineSettings,
     line_settings,
@@ -120,26 +120,33 @@ def sniff(
     host: str,
     device: str | None = None,
     *,
+    half_duplex: bool = False,
     settings: LineSettings | None = None,
     protocol: Grammar | None = None,
 ) -> Iterator[Record]:
     """Listen to two taps, `host` and `device` (or to the host alone), and yield decoded records.
 
-    Ports are paths or pyserial URLs; `settings` are the protocol's own line unless given. The
-    iterator ends when both lines are unplugged, and closes the ports when it is closed. Times are
-    ns since the start. Raises LinkError for a port that cannot be opened, ValueError where both
-    names mean one line.
+    With `half_duplex` `host` is one wire that has both directions, as RS-485. Ports are paths or
+    pyserial URLs; `settings` are the protocol's own line unless given. The iterator ends when both
+    lines are unplugged, and closes the ports when it is closed. Times are ns since the start.
+    Raises LinkError for a port that cannot be opened, ValueError where both names mean one line,
+    and for a `device` beside a wire with both directions.
     """
     protocol = given_protocol(protocol)
     settings = settings or line_settings(protocol)
-    with open_taps(settings, host, device) as taps:
-        least = Machine().least_pause(*taps.names.values())
-        timeout = max(timeout_in_ns(protocol, None), least)
-        session = Session(protocol, timeout=timeout, heard=taps.heard, attached=taps.attached)
+    if half_duplex and device is not None:
+        raise ValueError(f"one wire has both directions: leave out {device}, or half_duplex")
+    given = {"half_duplex": [host]} if half_duplex else {"": [host, device]}
+    timeout = timeout_in_ns(protocol, None)
+    with opened_tap(given, settings, protocol, timeout) as taps:
+        timeout = max(timeout, Machine().least_pause(*taps.names.values()))
+        session = Session(protocol, **taps.decoding(timeout))
         while not taps.ended:
             now, due = taps.now(), session.deadline
             wait = _LONGEST_WAIT if due is None else min(_LONGEST_WAIT, max(0, due - now) / 1e9)
             for event in taps.poll(wait):
                 yield from session.feed(event)
-            yield from session.advance(now)
+            yield from session.advance(taps.seen)
+        for event in taps.rest():
+            yield from session.feed(event)
         yield from session.finish(taps.now())

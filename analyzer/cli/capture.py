@@ -16,6 +16,7 @@ from bilprov.analyzer.cli.options import (
     WindowOptions,
     compiled,
     filter_option,
+    half_duplex_option,
     note,
     note_each,
     text_format_option,
@@ -219,8 +220,15 @@ def join(options: JoinOptions) -> None:
     _note_size(options.new, size, f"{len(captures)} captures")
 
 
-@command(CopyOptions)
-def decode(options: CopyOptions) -> None:
+@dataclass(frozen=True)
+class DecodeOptions(CopyOptions):
+    """The options of `capture decode`."""
+
+    half_duplex: bool = half_duplex_option()
+
+
+@command(DecodeOptions)
+def decode(options: DecodeOptions) -> None:
     """Examples:
       bilprov capture decode drive.mcap whole.mcap
 
@@ -230,7 +238,7 @@ def decode(options: CopyOptions) -> None:
     """
     from bilprov.analyzer.edit.new_capture import decoded_metadata
 
-    capture, protocol = _opened(options)
+    capture, protocol = _opened(options, half_duplex=options.half_duplex)
     _copied(options, capture, protocol, decoded_metadata(capture, protocol), decoded=True)
     note(f"{options.path} is in {options.new}, with everything decoded from it")
 
@@ -285,8 +293,8 @@ def diff(options: DiffOptions) -> int:
     return comparison.exit
 
 
-def _opened(options: CopyOptions) -> tuple[Capture, Protocol]:
-    (capture,), protocol = opened_captures([options.path], copied=True)
+def _opened(options: CopyOptions, *, half_duplex: bool = False) -> tuple[Capture, Protocol]:
+    (capture,), protocol = opened_captures([options.path], copied=True, half_duplex=half_duplex)
     return capture, protocol
 
 

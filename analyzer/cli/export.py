@@ -18,6 +18,7 @@ from bilprov.analyzer.cli.options import (
     asked_here,
     compiled,
     filter_option,
+    half_duplex_option,
 )
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, force_option, require_writable
 from bilprov.analyzer.cli.reading import opened_captures, reading
@@ -49,6 +50,7 @@ class ExportOptions:
     expression: str | None = filter_option()
     span: WindowOptions = group(WindowOptions)
     rows: RowOptions = group(RowOptions)
+    half_duplex: bool = half_duplex_option()
     force: bool = force_option()
 
 
@@ -78,7 +80,7 @@ def export(options: ExportOptions) -> None:
             spelling = parameter.removesuffix("_style")
             raise click.UsageError(f"--{spelling} is for {' and '.join(able)}, not for {style}")
     window = options.span.window()
-    (capture,), protocol = opened_captures([path])
+    (capture,), protocol = opened_captures([path], half_duplex=options.half_duplex)
     chosen_rows = options.rows.style(protocol)
     test = compiled(options.expression, protocol)
     require_begun(capture, window.first)

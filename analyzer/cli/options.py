@@ -95,6 +95,9 @@ judge_option = partial(
     "Judge the device by the traffic; coverage and violations are shown at the end.",
     "--judge",
 )
+half_duplex_option = partial(
+    flag, "One tap was on a wire with both directions: separate them, as sniff --half-duplex."
+)
 yes_option = partial(flag, "The robot may move: do not ask.")
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import click
@@ -24,11 +26,12 @@ _KEPT = {-3: 1 << 25, -1: 1 << 28}  # bytes: glibc's M_MMAP_THRESHOLD and M_TRIM
 
 
 def opened_captures(
-    paths: Iterable[str | Path], *, copied: bool = False
+    paths: Iterable[str | Path], *, copied: bool = False, half_duplex: bool = False
 ) -> tuple[list[Capture], Protocol]:
     """Open captures, and print what there is to note about each; with the protocol of all.
 
-    `copied` is as in `protocol_of`. Raises CaptureError, and GrammarError as that does.
+    `copied` is as in `protocol_of`; with `half_duplex` both directions are in one stream, and are
+    told apart. Raises CaptureError, and GrammarError as `protocol_of` does.
     """
     from bilprov.analyzer.replay.capture_decoding import said_about
     from bilprov.captures.reader import open_capture
@@ -36,9 +39,31 @@ def opened_captures(
     _keep_memory()
     captures = [open_capture(path) for path in paths]
     protocol = protocol_of(*captures, copied=copied)
+    if half_duplex:
+        captures = [split(capture, protocol) for capture in captures]
     for capture in captures:
         note_each(said_about(capture, protocol))
     return captures, protocol
+
+
+def split(capture: Capture, protocol: Protocol) -> Capture:
+    """A capture of one tap on a wire, with the directions told apart.
+
+    It is kept in a temporary file as long as the command runs. Raises CaptureError and UserError.
+    """
+    from bilprov.analyzer.edit.new_capture import new_capture, split_metadata, write_split
+    from bilprov.captures.reader import open_capture
+
+    folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="bilprov-"))
+    path, metadata = Path(folder, capture.path.name), split_metadata(capture, protocol)
+    with (
+        reading([capture]) as progress,
+        new_capture(path, capture.start, metadata, protocol, force=False) as out,
+    ):
+        for file in capture.attachments():
+            out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
+        write_split(capture, protocol, out, progress)
+    return replace(open_capture(path), path=capture.path)
 
 
 def _keep_memory() -> None:

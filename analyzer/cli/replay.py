@@ -19,6 +19,7 @@ from bilprov.analyzer.cli.options import (
     WindowOptions,
     compiled,
     confirm_effect,
+    half_duplex_option,
     judge_option,
     max_drive_option,
     note,
@@ -28,7 +29,7 @@ from bilprov.analyzer.cli.options import (
     require_reading,
     timeout_option,
 )
-from bilprov.analyzer.cli.reading import protocol_of
+from bilprov.analyzer.cli.reading import protocol_of, split
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import HostRecord
@@ -86,6 +87,7 @@ class ReplayOptions:
     )
     plain: bool = plain_option()
     judged: bool = judge_option()
+    half_duplex: bool = half_duplex_option()
     yes: bool = flag("With --to: the device may move, do not ask.")
     only_reading: bool = only_reading_option()
     max_drive: float = max_drive_option()
@@ -222,6 +224,8 @@ def _opened(
     opened = open_quickly if seeks or style == "live" else open_capture
     capture = opened(options.path)
     protocol = protocol_of(capture)
+    if options.half_duplex:
+        capture = split(capture, protocol)
     if seeks:
         return opened_at(capture, protocol, window.first or 0, timeout), protocol
     return Opened(capture, capture_decoder(capture, protocol, timeout)), protocol

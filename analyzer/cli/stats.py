@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bilprov.analyzer.cli.command import argument, command, option
-from bilprov.analyzer.cli.options import compiled, filter_option
+from bilprov.analyzer.cli.options import compiled, filter_option, half_duplex_option
 from bilprov.analyzer.cli.output_files import (
     STANDARD_OUTPUT,
     force_option,
@@ -30,6 +30,7 @@ class StatsOptions:
         help="Write everything as one CSV table (file, group, key, measure, value); - is standard "
         "output.",
     )
+    half_duplex: bool = half_duplex_option()
     force: bool = force_option()
 
 
@@ -54,7 +55,7 @@ def stats(options: StatsOptions) -> None:
     named = {"--json": options.json_file, "--csv": options.csv_file}
     outputs = [(option, path) for option, path in named.items() if path is not None]
     require_writable(outputs, inputs=options.files, force=options.force)
-    captures, protocol = opened_captures(options.files)
+    captures, protocol = opened_captures(options.files, half_duplex=options.half_duplex)
     test = compiled(options.expression, protocol)
     each, together = [], Totals(protocol)
     with reading(captures) as progress:
@@ -80,6 +81,7 @@ class PlotOptions:
     page: str = option(
         "--html", metavar="OUT.html", required=True, help="The page to write; - is standard output."
     )
+    half_duplex: bool = half_duplex_option()
     force: bool = force_option()
 
 
@@ -102,7 +104,7 @@ def plot(options: PlotOptions) -> None:
     from bilprov.analyzer.version import kit_version
 
     require_writable([("--html", options.page)], inputs=[options.file], force=options.force)
-    (capture,), protocol = opened_captures([options.file])
+    (capture,), protocol = opened_captures([options.file], half_duplex=options.half_duplex)
     totals, timeline = Totals(protocol), Timeline(protocol)
     with reading([capture]) as progress:
         for batch in decoded_batches(capture, protocol, progress):

@@ -15,9 +15,15 @@ from typing import NamedTuple
 from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.checkpoint import DecoderState, encoded, encoded_or_none
 from bilprov.analyzer.decode.records import shapes_of
+from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.files import replaced_whole
-from bilprov.analyzer.replay.capture_decoding import capture_settings
+from bilprov.analyzer.replay.capture_decoding import (
+    Progress,
+    capture_settings,
+    capture_timeout,
+    heard,
+)
 from bilprov.analyzer.replay.recorder import (
     CHECKPOINT_STATE,
     Checkpoints,
@@ -25,12 +31,14 @@ from bilprov.analyzer.replay.recorder import (
     decoding_metadata,
     grammar_metadata,
 )
+from bilprov.analyzer.taps.half_duplex import HalfDuplex
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import Checkpoint, Chunk, Line, Recorded, Resumption
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Recorded, Resumption, look_class
 from bilprov.captures.text import printable
+from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 BATCH_VALUES = 1 << 12
@@ -226,6 +234,39 @@ def write_resumption(
 def said_of(name: Path) -> str:
     """A file's name as it stands in a history: without its folder, safe to show."""
     return re.sub(r"\s+", " ", printable(name.name))
+
+
+def split_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
+    """The metadata of a capture of one wire for a copy in which the directions are told apart."""
+    about = edited_metadata(capture, protocol, f"both directions of {said_of(capture.path)}")
+    if "port_host" in about:
+        about["port_wire"] = about.pop("port_host")
+    return about | {"heard": " ".join(sorted(BOTH)), "skew_ms": "0"}
+
+
+def write_split(
+    capture: Capture, protocol: Protocol, out: RecordWriter, progress: Progress
+) -> None:
+    """Write what was recorded by one tap on a wire, each byte with the direction that it has.
+
+    Raises UserError where the capture has the directions already, and CaptureError where it cannot
+    be read.
+    """
+    if heard(capture) >= BOTH:
+        raise UserError(
+            f"{printable(capture.path)} has the directions apart already: --half-duplex is for a "
+            "capture of one tap"
+        )
+    wire = HalfDuplex(protocol, capture_timeout(capture, protocol))
+    for value in capture.recorded(looks=look_class(protocol.state_type)):
+        values: list[Recorded] = []
+        if isinstance(value, Chunk):
+            progress(len(value.data))
+            values += wire.feed(value.data, value.t)
+        else:
+            values += [*wire.rest(), value]
+        write_values(out, [Timed(one.t, one) for one in values])
+    write_values(out, [Timed(one.t, one) for one in wire.rest()])
 
 
 def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:

@@ -140,7 +140,7 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
         writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
         found = np.flatnonzero((rows.kind == INSTRUCTION) & np.isin(rows.header, writing))
         judged = (judge(protocol, frame) for frame in rows.frames(found))
-        return _told(name, (one.told for one in judged), found, len(rows))
+        return _told(name, (one.values for one in judged), found, len(rows))
 
     fields = _of_fields(protocol, partial(_requests, protocol, rows), rows.data, len(rows))
     fields = {**fields, **_of_registers(protocol, register)}
@@ -186,7 +186,7 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
         reading = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.reads]
         found = np.flatnonzero(rows.answering & np.isin(rows.header, reading))
         replies = (record.reply for record in rows.samples(found))
-        return _told(name, (one.told if one else () for one in replies), found, len(rows))
+        return _told(name, (one.values if one else () for one in replies), found, len(rows))
 
     fields = _of_fields(protocol, partial(_answers, protocol, rows), answers.data, len(rows))
     fields = {**fields, **_of_registers(protocol, register)}

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import json
+import os
+import threading
 from collections.abc import Iterable
+from contextlib import closing
+from pathlib import Path
 from random import Random
 
 import pytest
 
+import bilprov
+from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
+from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.decode.test_foreign_traffic import TRAFFIC, events
+from tests.support.commands import command
 from tests.support.framed_traffic import Traffic, exchanges
+from tests.support.wireshark import capture_of
 
 TIMEOUT = 50 * MS
 
@@ -60,3 +70,86 @@ def test_a_tap_may_join_at_any_byte() -> None:
         found = told(load_protocol("modbus-rtu"), [Chunk(t, "host", bytes([b])) for t, _, b in cut])
         assert len(by_byte(found)) == len(wire) - at
         assert by_byte(found)[third - at :] == cut[third - at :], at
+
+
+def captures(folder: Path) -> tuple[Path, Path]:
+    """The same traffic as one tap on its wire recorded it, and as two recorded it."""
+    protocol = load_protocol("modbus-rtu")
+    chunks = list(events("sr_flowmeter_target_15liter_per_min"))
+    wire = [Chunk(chunk.t, "host", chunk.data) for chunk in chunks]
+    return (
+        capture_of(folder / "wire.mcap", protocol, wire, heard="host"),
+        capture_of(folder / "two.mcap", protocol, chunks),
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "replay FILE --rate 0 --format jsonl",
+        "replay FILE --rate 0 --format jsonl --start 1",
+        "replay FILE --judge --rate 0 --format jsonl",
+        "export FILE --format csv -o -",
+    ],
+)
+def test_a_capture_of_one_tap_is_read_as_one_of_two(words: str, tmp_path: Path) -> None:
+    wire, two = captures(tmp_path)
+
+    split = command(*words.replace("FILE", str(wire)).split(), "--half-duplex")
+    apart = command(*words.replace("FILE", str(two)).split())
+
+    assert split.stdout == apart.stdout
+    assert split.stdout.count(b"\n") > 20
+    assert split.returncode == apart.returncode
+
+
+def test_it_is_counted_plotted_and_copied_with_the_directions_apart(tmp_path: Path) -> None:
+    wire, two = captures(tmp_path)
+    counts = []
+    for file, more in ((wire, ["--half-duplex"]), (two, [])):
+        done = command("stats", str(file), "--json", "-", *more)
+        counts.append(json.loads(done.stdout)["files"][0]["counts"])
+    page = command("plot", str(wire), "--html", "-", "--half-duplex").stdout
+    copied = command("capture", "decode", str(wire), str(tmp_path / "new.mcap"), "--half-duplex")
+
+    assert counts[0] == counts[1]
+    assert counts[0]["agreeing"] > 10
+    assert b"ReadHoldingRegisters" in page
+    assert copied.returncode == 0, copied.stderr
+    read = [
+        by_byte(x for x in bilprov.open_capture(file) if isinstance(x, Chunk))
+        for file in (tmp_path / "new.mcap", two)
+    ]
+    assert read[0] == read[1]
+    again = command("stats", str(tmp_path / "new.mcap"), "--half-duplex")
+    assert again.returncode == 2
+    assert again.stderr.decode().endswith(
+        "new.mcap has the directions apart already: --half-duplex is for a capture of one tap\n"
+    )
+
+
+@pytest.mark.waits
+def test_the_library_listens_to_one_wire() -> None:
+    chunks = list(events("sr_flowmeter_target_15liter_per_min"))[:2]
+    heard = threading.Event()
+    with open_pty() as wire:
+
+        def keep_sending() -> None:
+            while not heard.wait(0.3):  # opening a port throws away what was sent before
+                for chunk in chunks:
+                    os.write(wire.master, chunk.data)
+
+        sender = threading.Thread(target=keep_sending)
+        sender.start()
+        try:
+            with closing(
+                bilprov.sniff(wire.name, half_duplex=True, protocol="modbus-rtu")
+            ) as records:
+                answer = next(one for one in records if isinstance(one, DeviceRecord))
+        finally:
+            heard.set()
+            sender.join()
+    assert answer.data == chunks[1].data
+    assert answer.agrees
+    with pytest.raises(ValueError, match="one wire has both directions: leave out b"):
+        next(bilprov.sniff("a", "b", half_duplex=True))
