@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
-from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.session import SKEW, Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import Grammar, given_protocol, load_protocol
 from bilprov.analyzer.replay.capture_decoding import (
@@ -140,7 +140,10 @@ def sniff(
     timeout = timeout_in_ns(protocol, None)
     with opened_tap(given, settings, protocol, timeout) as taps:
         timeout = max(timeout, Machine().least_pause(*taps.names.values()))
-        session = Session(protocol, **taps.decoding(timeout))
+        skew = 0 if taps.one_clock else SKEW
+        session = Session(
+            protocol, timeout=timeout, heard=taps.heard, skew=skew, attached=taps.attached
+        )
         while not taps.ended:
             now, due = taps.now(), session.deadline
             wait = _LONGEST_WAIT if due is None else min(_LONGEST_WAIT, max(0, due - now) / 1e9)

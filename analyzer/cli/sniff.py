@@ -40,7 +40,7 @@ from bilprov.analyzer.cli.options import (
 )
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.decode.records import shapes_of
-from bilprov.analyzer.decode.session import BOTH
+from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.grammar_file import not_carried
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
@@ -185,7 +185,12 @@ def sniff(options: SniffOptions) -> int:
         timeout = above_latency(timeout, *source.names.values())
         if path and source.start_wall in (EARLIEST, LATEST):
             note("the clock of this computer is set to before 1970 or after 2262: set it right")
-        decoding = source.decoding(timeout)
+        decoding: SessionSettings = {
+            "timeout": timeout,
+            "heard": source.heard,
+            "skew": 0 if source.one_clock else SKEW,
+            "attached": source.attached,
+        }
         if test:
             test = test.started(source.start_wall)
         metadata = session_metadata(protocol, ports=source.names, line=str(settings), **decoding)

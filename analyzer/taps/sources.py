@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Final, NamedTuple, TypeAlias
 
-from bilprov.analyzer.decode.session import SKEW, SessionSettings
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
@@ -94,15 +93,6 @@ class Source(Closing):
         """The lost ports that may be there again some time."""
         places = self._places.items()
         return [tap for tap, place in places if place.lasts and tap not in self._ports]
-
-    def decoding(self, timeout: int) -> SessionSettings:
-        """How its bytes are decoded, with `timeout` (ns) as the longest pause inside a frame."""
-        return {
-            "timeout": timeout,
-            "heard": self.heard,
-            "skew": 0 if self.one_clock else SKEW,
-            "attached": self.attached,
-        }
 
     def now(self) -> int:
         """Return the time since the start in ns."""

@@ -315,20 +315,30 @@ end
 
 -- Judging one frame: whole, or cut short.
 
+local function unused(id)
+    return format("no instruction has ID %.0f, used are %s", id, GRAMMAR.used)
+end
+
+local function cut_short(item, bytes, size)
+    local layout, spec, begun = GRAMMAR.frame, item.spec, #bytes >= GRAMMAR.frame.head
+    if not spec and begun and not layout.check then return "UNKNOWN_ID", unused(item.id) end
+    local name = spec and spec.name .. ": " or ""
+    if begun and item.length and layout.tail == 0 then
+        return "TOO_FEW", format("%s%s announced, %d came", name,
+            counted(item.length, "data byte"), #bytes - layout.head)
+    end
+    local of = spec and size > #bytes and " of " .. counted(size, "byte") or ""
+    return "TOO_FEW", format("%s%s%s came", name, counted(#bytes, "byte"), of)
+end
+
 local function fault(item, bytes)
-    local layout, spec, length = GRAMMAR.frame, item.spec, item.length
-    local data, size = bytes:sub(layout.head + 1, #bytes - layout.tail), layout.head + layout.tail
-    if #bytes >= size and (spec or GRAMMAR.plain) then
-        size = size + (length or measured(spec.fields, data))
-    end
+    local layout, spec = GRAMMAR.frame, item.spec
+    local data, least = bytes:sub(layout.head + 1, #bytes - layout.tail), layout.head + layout.tail
+    if #bytes < least then data = bytes:sub(layout.head + 1) end
+    local due = spec and measured(spec.fields, data)
+    local size = least + (item.length or due or 0)
     item.cut = #bytes < size
-    if item.cut and spec and GRAMMAR.plain then
-        return "TOO_FEW", format("%s: %s announced, %d came", spec.name,
-            counted(length, "data byte"), #data)
-    elseif item.cut and not GRAMMAR.plain then
-        return "TOO_FEW", format("%s%s came", spec and spec.name .. ": " or "",
-            counted(#bytes, "byte"))
-    end
+    if item.cut then return cut_short(item, bytes, size) end
     local wrong = wrong_constant(layout, bytes)
     if wrong then return "BAD_SYNC", wrong end
     wrong, item.check_good = wrong_check(layout, bytes)
@@ -340,11 +350,7 @@ local function fault(item, bytes)
         return "OTHER_ADDRESS", format("%s is %.0f, allowed are %s: it is for no device", to.name,
             item.address, to.allowed)
     end
-    if not spec then
-        return "UNKNOWN_ID", format("no instruction has ID %.0f, used are %s",
-            value_of(layout, "id", bytes), GRAMMAR.used)
-    end
-    local due = measured(spec.fields, data)
+    if not spec then return "UNKNOWN_ID", unused(item.id) end
     if #data ~= due then
         return #data < due and "TOO_FEW" or "TOO_MANY", format(
             GRAMMAR.plain and "%s takes %s, the header says %d" or "%s takes %s, %d came",
@@ -364,9 +370,9 @@ local function judge(item, bytes)
     local layout = GRAMMAR.frame
     item.bytes, item.layout, item.name = bytes, layout, "incomplete frame"
     if #bytes >= layout.head then
-        local id = value_of(layout, "id", bytes) or 0
-        item.spec = GRAMMAR.instructions[id]
-        item.name = item.spec and item.spec.name or format("unused %.0f", id)
+        item.id = value_of(layout, "id", bytes) or 0
+        item.spec = GRAMMAR.instructions[item.id]
+        item.name = item.spec and item.spec.name or format("unused %.0f", item.id)
         item.address = value_of(layout, "address", bytes)
         item.length = value_of(layout, "length", bytes)
     end
@@ -750,7 +756,9 @@ local function show_frame(tree, item, range)
         add(tree, part, range(place_of(part, bytes), part.size))
     end
     if size == 0 then return end
-    if not item.rows or #item.rows == 0 then return tree:add(DATA.field, range(layout.head, size)) end
+    if not item.rows or #item.rows == 0 then
+        return tree:add(DATA.field, range(layout.head, size))
+    end
     local data = bytes:sub(layout.head + 1, layout.head + size)
     for _, row in ipairs(item.rows) do
         for _, one in ipairs((values_of(row, data))) do
