@@ -18,13 +18,11 @@ from benchmarks.mutants import ROOMS, draw, mutations
 from benchmarks.plot import as_svg
 from benchmarks.report import as_json, as_markdown, between_markers, machine
 from benchmarks.setting import Setting, Sizes, Work
-from benchmarks.torture import changes, exits, floods, guard, kills, unplugs
+from benchmarks.torture import changes, exits, floods, guard, unplugs
 from benchmarks.torture.guard import watched
 from benchmarks.torture.harm import Harm, Row
 from benchmarks.torture.harms import HARMS, page
-from bilprov.captures.schemas import Chunk
 from bilprov.captures.storage import survey
-from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
 
 # -- the bench ------------------------------------------------------------------------------------
@@ -201,25 +199,6 @@ def test_a_reader_that_reports_no_damage_is_seen(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(survey._Survey, "_note", lambda self, sentence: None)
 
     assert any("which nothing tells" in sentence for sentence in wrong_in(rows_of("damage", 48)))
-
-
-FED = kills.Fed(bytes(range(100)), [(n / 100, n + 1) for n in range(100)], late=0.0)
-
-
-@pytest.mark.parametrize(
-    ("kept", "found"),
-    [
-        (FED.data[:95], ""),
-        (FED.data[:50], "0.500 s are lost, the feeder was 0 ms late"),
-        (FED.data[:20] + FED.data[19:], "a byte is wrong or there twice"),
-    ],
-)
-def test_what_a_kill_may_not_cost_is_seen(tmp_path: Path, kept: bytes, found: str) -> None:
-    path = tmp_path / "killed.mcap"
-    with CaptureWriter(path, start_wall=0, metadata={}, version="0") as out:
-        out.chunk(Chunk(0, "host", kept))
-
-    assert kills.judged(path, FED, end=1.0).wrong == found
 
 
 @pytest.mark.slow

@@ -15,10 +15,8 @@ from collections.abc import Callable
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import pytest
-from mcap.writer import Writer
 
 from bilprov.analyzer.grammar_file import dissector_program
 from bilprov.captures.schemas import Chunk, Line, Log, Time
@@ -172,31 +170,6 @@ def test_a_captures_texts_do_nothing(
     shape = check(result.stdout)
     assert check is not html_elements or shape == check(tame.stdout)
     assert check is not seen or len(result.stdout + result.stderr) < MOST
-
-
-@pytest.mark.sample(10)
-@pytest.mark.parametrize("surface", ["info", "recover", "doctor", "cut", "replay, lines"])
-@pytest.mark.parametrize("name", list(HOSTILE))
-def test_names_of_other_topics_do_nothing(name: str, surface: str, tmp_path: Path) -> None:
-    path, text = tmp_path / "foreign.mcap", HOSTILE[name]
-    with path.open("wb") as file:
-        writer: Any = Writer(file)
-        writer.start(text, text)
-        schema = writer.register_schema(text, text, b"{}")
-        other = writer.register_channel(f"/{text}", text, schema)
-        host = writer.register_channel("/host/raw", "", 0)
-        writer.add_metadata(text, {text: text})
-        for t in (1, 2):
-            writer.add_message(other, t, b"{}", 0)
-            writer.add_message(host, t, b"\x00", 0)
-        writer.finish()
-
-    words = CAPTURE_SURFACES[surface][0].format(file=path, new=tmp_path / "new.mcap")
-    result = command(*words.split())
-
-    assert result.returncode in (0, 2)
-    assert b"Traceback" not in result.stderr
-    seen(result.stdout + result.stderr)
 
 
 # -- grammars --------------------------------------------------------------------------------------

@@ -171,20 +171,6 @@ def test_an_index_that_lies_leads_to_the_same_messages_as_none(seed: int) -> Non
     assert found(bytes(lying)) == found(b"")
 
 
-def test_a_time_beyond_any_clock_is_kept_within_64_bits(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as file:
-        writer: Any = Writer(file)
-        writer.start("", "another")
-        channel = writer.register_channel("/host/raw", "", 0, {"bilprov.start": str((1 << 64) - 1)})
-        for time in (0, 1, (1 << 64) - 1):
-            writer.add_message(channel, time, b"a", time)
-        writer.finish()
-    capture = open_capture(path)
-    assert [event.t for event in capture.events()] == [-(1 << 62), -(1 << 62), 0]
-    assert [event for batch in capture.batches() for event in batch.single()] == list(capture)
-
-
 _TIMES = st.integers(-(1 << 62), 1 << 62)
 _CHUNKS = st.builds(Chunk, _TIMES, st.sampled_from(["host", "device"]), st.binary(max_size=5))
 _LINES = st.builds(Line, _TIMES, st.sampled_from(["gap", "open"]))

@@ -183,20 +183,6 @@ def test_a_damaged_chunk_costs_its_checkpoints_alone(path: Path) -> None:
     assert rest == survey[-len(rest) :]
 
 
-def test_damage_to_the_chunk_of_a_checkpoint_that_was_found_is_a_gap(path: Path) -> None:
-    found = opened(path).checkpoint_before(18 * STEP, GRAMMAR)
-    assert found is not None
-    before = list(opened(path).sights(found))
-    content = bytearray(path.read_bytes())
-    content[found.place.chunk + 33] ^= 1  # in the checksum
-    path.write_bytes(bytes(content))
-    gap, *rest = opened(path).sights(found)
-    assert isinstance(gap, Line)
-    assert (gap.t, gap.event) == (15 * STEP, "gap")
-    assert rest == before[-len(rest) :]
-    assert len(rest) == 45
-
-
 def set_entry(field: int, value: int, entry: int = -2) -> Callable[[bytearray, int], None]:
     """Set a number (8 bytes) of the entry of the last chunk but one: times, offset, length."""
     return lambda content, start: struct.pack_into(
@@ -261,30 +247,6 @@ def test_an_index_that_lies_is_not_believed(path: Path, lie: str) -> None:
     changed_summary(path, REFUSED[lie])
     assert open_indexed(path) is None
     assert list(open_capture(path).sights()) == whole
-
-
-@pytest.mark.parametrize("field", ["first", "channels"])
-def test_an_entry_that_hides_a_checkpoint_costs_only_time(path: Path, field: str) -> None:
-    whole = list(opened(path).sights())
-
-    def hide(content: bytearray, start: int) -> None:
-        for at in entries(content, start)[-3:-1]:
-            if field == "first":
-                struct.pack_into("<Q", content, at + 9, START + 59 * STEP)
-                struct.pack_into("<Q", content, at + 17, START + 59 * STEP)
-            else:
-                (length,) = struct.unpack_from("<I", content, at + 41)
-                for n in range(length // 10):
-                    struct.pack_into("<H", content, at + 45 + 10 * n, 1)
-
-    honest = opened(path).checkpoint_before(54 * STEP, GRAMMAR)
-    changed_summary(path, hide)
-    found = opened(path).checkpoint_before(54 * STEP, GRAMMAR)
-    assert found is not None
-    assert honest is not None
-    assert found.value.t < honest.value.t
-    rest = list(opened(path).sights(found))
-    assert rest == whole[-len(rest) :]
 
 
 def unfinished(path: Path) -> None:

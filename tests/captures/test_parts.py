@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import struct
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,10 +13,9 @@ from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
-from bilprov.captures.parts import part_path, part_paths, require_new, said_of_parts
+from bilprov.captures.parts import part_path, part_paths, said_of_parts
 from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
-from bilprov.captures.storage.survey import surveyed
 from bilprov.captures.writer import CaptureWriter
 from tests.support.commands import PATIENCE
 
@@ -126,46 +124,6 @@ def test_a_part_that_is_missing_in_between_is_a_gap_behind_which_decoding_is_in_
         assert events == chunks([n for n in range(1, 5) if n not in missing])
 
 
-def test_older_parts_may_be_gone(tmp_path: Path) -> None:
-    path = parts(tmp_path, 4)
-    for number in (1, 2):
-        part_path(path, number).unlink()
-    for capture in both_ways(path):
-        resumed, *rest = capture
-        assert isinstance(resumed, Resumption)
-        assert (resumed.silent, resumed.t) == (True, 80 * SECOND)
-        assert rest == chunks([3, 4])
-        assert capture.damage == ()
-        assert capture.metadata[topics.CUT_START] == str(80 * SECOND)
-
-
-def _data_end(data: bytes) -> int:
-    """Where the data of a finished file end."""
-    summary: int = struct.unpack_from("<Q", data, len(data) - 28)[0]
-    return summary - 13
-
-
-def test_what_a_part_lost_at_its_end_is_a_gap_at_the_seam(tmp_path: Path) -> None:
-    path = parts(tmp_path, 3)
-    middle = part_path(path, 2)
-    data = middle.read_bytes()
-    with middle.open("rb") as file:
-        assert surveyed(file, len(data)).counts["/host/raw"] == EVENTS
-    middle.write_bytes(data[: _data_end(data) - 1_000])  # in its last chunk
-    capture = open_capture(path)
-    assert open_indexed(path) is None
-    assert capture.unfinished
-    events = list(capture)
-    (gap,) = (event for event in events if isinstance(event, Line))
-    held = [event for event in events if isinstance(event, Chunk)]
-    assert isinstance(gap, Resumption)
-    assert gap.t == 80 * SECOND
-    lost = 3 * EVENTS - len(held)
-    assert gap.detail == f"{lost} messages are lost here, the file is damaged"
-    assert 0 < lost <= EVENTS
-    assert set(chunks([1, 3])) < set(held)
-
-
 @pytest.mark.parametrize("left", [0, 8, 60, 300])
 def test_a_newest_part_that_was_hardly_begun_says_only_that_it_was_killed(
     tmp_path: Path, left: int
@@ -216,18 +174,6 @@ def test_evidence_is_one_file(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"is kept in parts, .* like .*drive\.00001\.mcap"):
         open_evidence(path, ())
     assert not open_evidence(part_path(path, 2), ()).capture.unfinished
-
-
-def test_a_name_is_new_if_neither_a_file_nor_a_part_has_it(tmp_path: Path) -> None:
-    path = tmp_path / "drive.mcap"
-    require_new(path)
-    part_path(path, 7).touch()
-    with pytest.raises(CaptureError, match=r"drive\.00007\.mcap exists and captures are never"):
-        require_new(path)
-    part_path(path, 7).unlink()
-    path.symlink_to("nowhere")
-    with pytest.raises(CaptureError, match=r"drive\.mcap exists and captures are never"):
-        require_new(path)
 
 
 def until_there(capture: BackgroundWriter, number: int) -> None:

@@ -7,21 +7,17 @@ import json
 import pytest
 
 from bilprov.analyzer.decode.near_misses import near_miss
-from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
-from tests.support.decoding import MS, conversation, decoded, devices, hosts
 
 GRAMMAR = str(ROOT / "examples" / "relay_board.py")
 TO_NINE = bytes.fromhex("5556000000 09 01 B5")
 TO_ONE = bytes.fromhex("5556000000 01 01 AD")
-ANSWER = bytes.fromhex("333C000000 01 01 71")
 
 
 @pytest.fixture(name="relay")
@@ -63,20 +59,6 @@ def test_nobody_is_meant_by_such_a_request(relay: Protocol) -> None:
     ]
     assert near is not None
     assert (near.name, near.obstacle) == ("On", "address")
-
-
-@pytest.mark.parametrize("around", [0, 200])
-def test_it_changes_nothing_alone_and_in_a_long_recording(relay: Protocol, around: int) -> None:
-    exchanges = [(TO_ONE, ANSWER)] * around + [(TO_NINE, b"")] + [(TO_ONE, ANSWER)] * around
-    many = [chunk for chunk in conversation(exchanges, 300 * MS) if isinstance(chunk, Chunk)]
-    records = decoded(Session(relay), many)
-    outcomes = [one.judgement.outcome for one in hosts(records) if one.judgement]
-
-    assert outcomes[around] is Outcome.OTHER_ADDRESS
-    assert {*outcomes[:around], *outcomes[around + 1 :]} <= {Outcome.VALID}
-    assert hosts(records)[around].state.on == 0
-    assert len(devices(records)) == 2 * around
-    assert not [fault for one in devices(records) for fault in one.faults]
 
 
 def test_json_lines_say_that_a_right_request_is_valid() -> None:

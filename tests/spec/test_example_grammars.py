@@ -9,7 +9,6 @@ import pytest
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import build, judge
-from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import agrees, read_reply
 from bilprov.spec.safe_grammar import require_declarations
@@ -86,20 +85,3 @@ def test_a_conversation_is_paired(name: str) -> None:
     assert [one.data for one in hosts(records)] == [asked for asked, _ in exchanges]
     assert [one.data for one in devices(records)] == [answered for _, answered in exchanges]
     assert [one for record in records for one in record.faults] == []
-
-
-@pytest.mark.parametrize(
-    ("name", "frame", "outcome"),
-    [
-        (RELAY, "5556000000 01 02 AF", Outcome.BAD_CHECKSUM),
-        (RELAY, "5556000000 01 09 B5", Outcome.UNKNOWN_ID),
-        (RELAY, "5557000000 01 02 AF", Outcome.BAD_SYNC),
-        (ROBOCLAW, "80 00 00 3B00", Outcome.BAD_CHECKSUM),
-        (ROBOCLAW, "80 00 80 AAD2", Outcome.BAD_DATA),
-    ],
-)
-def test_faulty_frames_are_told_apart(name: str, frame: str, outcome: Outcome) -> None:
-    judged = judge(protocol_of(name), bytes.fromhex(frame))
-
-    assert judged.outcome is outcome
-    assert not judged.answer_due

@@ -81,23 +81,6 @@ def test_one_entry_more_is_one_instruction_more(horn: Protocol, protocol: Protoc
     )
 
 
-@pytest.mark.parametrize(
-    ("frame", "code", "words"),
-    [
-        ("91 03", 0, "Horn sound=3"),
-        ("91 04", 2, "Horn sound=4"),
-        ("90", 4, "Horn, 0 data bytes"),
-        ("91", 4, "Horn, 0 of 1 data byte"),
-        ("92 00 00", 3, "Horn, 2 data bytes"),
-        ("a0", 1, "unused 10, 0 data bytes"),
-    ],
-)
-def test_the_new_instruction_is_judged(horn: Protocol, frame: str, code: int, words: str) -> None:
-    judgement = judge(horn, bytes.fromhex(frame))
-
-    assert (judgement.response.code, judgement.describe()) == (code, words)
-
-
 # Other members of the family.
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -12,17 +11,7 @@ from rich.console import Console
 from bilprov.analyzer.output.port_list import drawn, unseen
 from bilprov.analyzer.transport.machine import Process
 from bilprov.analyzer.transport.ports import PortInfo
-from bilprov.captures.schemas import Chunk
-from bilprov.captures.writer import CaptureWriter
 from tests.support.commands import command, process
-
-
-def text(*arguments: str) -> str:
-    result = command(*arguments)
-    assert (result.returncode, result.stderr) == (0, b"")
-    assert b"\x1b" not in result.stdout
-    return result.stdout.decode()
-
 
 # explain
 
@@ -77,26 +66,3 @@ def test_ports_fit_80_columns_and_hold_every_fact() -> None:
 def test_ports_say_whose_processes_they_could_not_look_into() -> None:
     assert unseen(PORTS).startswith("3 processes of other users could not be examined")
     assert unseen(PORTS[:1]) == ""
-
-
-@pytest.mark.waits  # for bash, to tell its version
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_prints_a_script_for_the_shell(shell: str) -> None:
-    assert "_BILPROV_COMPLETE" in text("completion", shell)
-
-
-# info
-
-
-def capture(path: Path, **metadata: str) -> None:
-    with CaptureWriter(path, start_wall=1_700_000_000 * 10**9, metadata=metadata, version="1") as w:
-        w.chunk(Chunk(0, "host", b"\x81\x05"))
-        w.chunk(Chunk(1_500_000_000, "device", b"\x00"))
-
-
-def test_info_makes_foreign_text_harmless(tmp_path: Path) -> None:
-    file = tmp_path / "c.mcap"
-    capture(file, host="\x1b[31m[/red]\u202eevil", **{"k\x07ey": "x"})
-    shown = text("capture", "info", str(file))
-    assert all(line.isprintable() for line in shown.splitlines())
-    assert "[/red]" in shown

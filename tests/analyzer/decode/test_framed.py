@@ -9,8 +9,7 @@ import pytest
 
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.column_batch import ColumnBatch
-from bilprov.analyzer.decode.records import FaultRecord
-from bilprov.analyzer.decode.session import SKEW, Session
+from bilprov.analyzer.decode.session import SKEW
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
@@ -18,7 +17,7 @@ from tests.analyzer.decode.test_foreign_traffic import TRAFFIC
 from tests.analyzer.decode.test_foreign_traffic import events as recorded
 from tests.analyzer.decode.test_stream import same
 from tests.support import ROOT
-from tests.support.decoding import MS, Event, decoded, devices
+from tests.support.decoding import MS, Event
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.framed_traffic import Traffic, exchanges
 
@@ -106,41 +105,3 @@ def test_recorded_traffic_is_columns_alone(name: str, single: bool) -> None:
     parts = same(protocol, list(recorded(name, single=single)), [50])
 
     assert not any(isinstance(batch, Records) for batch in parts)
-
-
-@pytest.mark.parametrize(("second", "answered"), [(199, 0), (201, 1), (2000, 1)])
-def test_an_answer_is_that_to_the_request_that_was_repeated_after_a_pause(
-    second: int, answered: int
-) -> None:
-    protocol = protocol_of("modbus-rtu")
-    ask = bytes.fromhex("110300320001 2755")
-    events = [
-        Chunk(0, "host", ask),
-        Chunk(second * MS, "host", ask),
-        Chunk((second + 1) * MS, "device", bytes.fromhex("1103024321 88af")),
-        Chunk((second + 10) * MS, "host", ask),
-        Chunk((second + 11) * MS, "device", bytes.fromhex("1103024321 88af")),
-    ]
-
-    same(protocol, events, [1, 1000])
-    records = decoded(Session(protocol), events)
-
-    assert [one.instruction for one in devices(records)] == [answered, 1 + answered]
-    given_up = [one.faults[0].kind for one in records if isinstance(one, FaultRecord)]
-    assert given_up == ["unanswered"] * answered
-
-
-@pytest.mark.parametrize("single", [False, True])
-def test_the_answer_of_a_function_that_the_grammar_lacks_ends_where_its_check_is_right(
-    single: bool,
-) -> None:
-    """What pymodbus answers to a function of the document that few devices have."""
-    answer = bytes.fromhex("112b0e01830000000ea3")
-    events = [Chunk(0, "host", bytes.fromhex("112b0e0100b1b4"))]
-    parts = [bytes([byte]) for byte in answer] if single else [answer]
-    events += [Chunk(MS, "device", part) for part in parts]
-
-    (found,) = devices(decoded(Session(protocol_of("modbus-rtu")), events))
-
-    assert found.data == answer
-    assert [fault.kind for fault in found.faults] == ["disagreeing"]

@@ -16,19 +16,16 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
-from bilprov.analyzer.output.outputs import JsonText
 from bilprov.analyzer.output.row_columns import CsvText, Times, usual_columns
-from bilprov.analyzer.output.text_lines import LineRenderer
-from bilprov.analyzer.screen.details import details
 from bilprov.captures.reader import open_capture
 from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain
-from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.protocol import GrammarError, Protocol
 from bilprov.spec.safe_grammar import require_declarations
 from tests.analyzer.client.test_device import client_of
 from tests.support import ROOT
 from tests.support.commands import command
-from tests.support.decoding import conversation, decoded, devices, hosts
+from tests.support.decoding import conversation, decoded, devices
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 
@@ -90,27 +87,6 @@ def test_a_request_has_the_registers_that_it_writes_as_a_whole(
     assert dict(judged.values[len(judged.fields) :]) == registers
 
 
-def test_registers_are_shown_with_fields_wherever_these_are() -> None:
-    events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
-    records = decoded(Session(SERVO), events)
-    move, ask = hosts(records)
-    _, told = devices(records)
-
-    assert (
-        LineRenderer(colour=False)
-        .line(move)
-        .endswith("values=00 08 00 00 e8 03 goal_position=2048 goal_time=0 goal_velocity=1000")
-    )
-    assert " OK values=18 05 present_position=1304 " in LineRenderer(colour=False).line(told)
-    lines = [json.loads(line)["fields"] for line in JsonText().text([move, told]).splitlines()]
-    assert lines[0]["goal_velocity"] == move.value.fields["goal_velocity"] == 1000
-    assert lines[1] == told.value.fields == {"values": "1805", "present_position": 1304}
-    shown = [one.label for one in details(SERVO, move, state=False)]
-    at = shown.index("register")
-    assert shown[at + 1 : at + 5] == ["goal_position", "goal_time", "goal_velocity", "sum"]
-    assert "goal_position" not in [one.label for one in details(SERVO, ask, state=False)]
-
-
 @pytest.mark.parametrize("batch_type", [Records, ColumnBatch])
 def test_registers_are_columns_of_filters_and_tables(batch_type: type) -> None:
     events = conversation([(frame(MOVE), frame("FFFF 01 02 00 FC")), tuple(map(frame, POSITION))])
@@ -164,22 +140,6 @@ def test_the_bytes_of_a_register_are_explained_as_one_number() -> None:
     (both,) = explain(SERVO, frame(BOTH)).frames
     names = [group.name for group in both.groups][-5:-1]
     assert names == ["blocks[0]", "goal_position@1", "blocks[3]", "goal_position@2"]
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "expected"),
-    [
-        ("Write", {"goal_velocity": 1000, "goal_position": 2048, "goal_time": 0}, MOVE),
-        ("RegWrite", {"goal_position": 512}, NEXT),
-        ("Read", {"register": "present_position"}, POSITION[0]),
-        ("Read", {"register": "present_position", "size": 2}, POSITION[0]),
-        ("Write", {"torque": "on"}, "FFFF 01 04 03 28 01 CE"),
-    ],
-)
-def test_requests_are_built_by_the_names_of_registers(
-    name: str, values: dict[str, int | str], expected: str
-) -> None:
-    assert build(SERVO, name, {"address": 1, **values}) == frame(expected)
 
 
 @pytest.mark.parametrize(
@@ -265,24 +225,6 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
     assert dict(judge(meter, write).fields)["quantity"] == 3
     single = build(meter, "WriteSingleRegister", {"address": 17, "voltage": 2300})
     assert judge(meter, single).describe().endswith("register=107 value=2300 voltage=2300")
-
-
-def test_a_car_may_have_registers_too(grammar_text: str) -> None:
-    poke = """INSTRUCTIONS = {
-    10: "Poke" / Instruction("place" / Byte, "cell" / Byte, document="Poke") * "Sets a cell.","""
-    text = grammar_text.replace("INSTRUCTIONS = {", poke)
-    text += """
-from construct import Byte
-from bilprov.spec.fields import Memory
-MEMORY = (Memory("cells", at="place", value="cell"),)
-REGISTERS = {"cells": {3: "horn" / Byte}}
-"""
-    text = text.replace("from construct import", "from construct import Byte,", 1)
-    car = load(text)
-    assert judge(car, bytes([0xA2, 3, 9])).describe() == "Poke place=3 cell=9 horn=9"
-    assert judge(car, bytes([0xA2, 4, 9])).describe() == "Poke place=4 cell=9"
-    (one,) = explain(car, bytes([0xA2, 3, 9])).frames
-    assert [group.name for group in one.groups] == ["id", "length", "place", "horn"]
 
 
 @pytest.mark.parametrize(

@@ -59,19 +59,6 @@ def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
     assert "Checksum(Byte, Sum(8, complement=2), this" in fitting_check(layout, negative)
 
 
-def test_a_check_that_counts_the_request_too_is_found() -> None:
-    layout = load_protocol("modbus-rtu").reply
-    frames = [Checked(bytes([1, 3, 2, 0, n]), bytes([1, 3, 0, n])) for n in range(3)]
-    crc = Crc(16, 0x1021)
-    ends = [crc(asked + frame).to_bytes(2, "big") for frame, asked in frames]
-    whole = [one._replace(frame=one.frame + end) for one, end in zip(frames, ends, strict=True)]
-
-    assert fitting_check(layout, whole, "request") == (
-        '"crc" / Checksum(Int16ub, Crc(16, 0x1021, 0x0000), asked.request.data + this.covered.data)'
-    )
-    assert fitting_check(layout, whole) == ""
-
-
 def test_a_check_is_told_as_it_is_declared() -> None:
     crc = Crc(16, 0x1021, 0xFFFF, reflected=True, xorout=0xFFFF)
 

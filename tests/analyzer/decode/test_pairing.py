@@ -13,22 +13,6 @@ from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, conversation, decoded, devices, hosts, kinds
 
 
-def test_an_answer_belongs_to_the_oldest_instruction_that_waits(protocol: Protocol) -> None:
-    events = [
-        Chunk(0, "host", b"\x20\x81\x09\x00"),
-        Chunk(MS, "device", b"\x00"),
-        Chunk(2 * MS, "device", b"\x02\x00"),
-    ]
-
-    records = devices(decoded(Session(protocol), events))
-
-    assert [(r.value.instruction, r.value.agrees) for r in records] == [
-        (0, True),
-        (1, True),
-        (2, True),
-    ]
-
-
 def test_latency_counts_from_the_last_byte_of_the_instruction(protocol: Protocol) -> None:
     events = [
         Chunk(0, "host", b"\x11"),
@@ -110,25 +94,6 @@ def test_an_answer_after_the_deadline_is_slow(protocol: Protocol) -> None:
     assert kinds(records) == ["slow"]
 
 
-def test_two_taps_may_stamp_an_answer_before_its_instruction(protocol: Protocol) -> None:
-    events = [
-        Chunk(0, "device", b"\x00"),
-        Chunk(16 * MS, "host", b"\x20"),
-        Chunk(17 * MS, "device", b"\x02"),
-        Chunk(33 * MS, "host", b"\x81"),
-        Chunk(34 * MS, "host", b"\x09"),
-    ]
-
-    records = decoded(Session(protocol), events)
-
-    assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == [
-        (0, True),
-        (1, True),
-    ]
-    assert [r.value.latency for r in devices(records)] == [-16 * MS, -17 * MS]
-    assert all(f.severity is Severity.INFO for r in devices(records) for f in r.faults)
-
-
 def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:
     events = [Chunk(0, "device", b"\x00"), Chunk(5 * MS, "host", b"\x20")]
 
@@ -178,19 +143,6 @@ def test_one_lost_answer_is_found_where_codes_tell(protocol: Protocol) -> None:
     (record,) = devices(decoded(Session(protocol), events))
 
     assert (record.value.instruction, record.value.agrees) == (1, True)
-
-
-def test_answers_around_lost_bytes_are_not_held_against_the_device(protocol: Protocol) -> None:
-    events: list[Event] = [
-        Chunk(0, "host", b"\x20"),
-        Line(MS, "gap"),
-        Chunk(2 * MS, "device", b"\x00"),
-        Line(500 * MS, "close"),
-    ]
-
-    records = decoded(Session(protocol), events)
-
-    assert devices(records)[0].faults[0].severity is Severity.INFO
 
 
 @pytest.mark.slow

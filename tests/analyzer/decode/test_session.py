@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record, Severity
+from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
-from tests.support.decoding import MS, Event, conversation, decoded, devices, hosts, kinds
+from tests.support.decoding import MS, Event, decoded, devices, hosts, kinds
 
 EVENTS = st.lists(
     st.tuples(
@@ -129,58 +128,12 @@ def test_each_instruction_is_answered_at_most_once_and_in_order(
     assert answered == sorted(set(answered))
 
 
-def test_the_predicted_state_stands_beside_every_frame(protocol: Protocol) -> None:
-    talk = [(b"\x11\x7f", b"\0"), (b"\x20", b"\0"), (b"\x41\x40", b"\0"), (b"\x90", b"\1")]
-
-    records = hosts(decoded(Session(protocol), conversation(talk)))
-
-    states = [(r.state.motion, r.state.speed, r.state.steering, r.state.moving) for r in records]
-    assert states == [
-        ("stopped", 127, 0, False),
-        ("forward", 127, 0, True),
-        ("forward", 127, 64, True),
-        ("stopped", 127, 0, False),
-    ]
-
-
-def test_a_frame_that_pauses_too_long_is_cut_short_with_what_arrived(protocol: Protocol) -> None:
-    events = [Chunk(0, "host", b"\x11"), Chunk(51 * MS, "host", b"\x00")]
-
-    first, second = hosts(decoded(Session(protocol), events))
-
-    assert (first.value.kind, first.data, first.value.judgement) == (
-        "truncated",
-        b"\x11",
-        "TOO_FEW_DATA",
-    )
-    assert (second.value.kind, second.data) == ("instruction", b"\x00")
-
-
 def test_the_time_out_can_be_chosen(protocol: Protocol) -> None:
     events = [Chunk(0, "host", b"\x11"), Chunk(51 * MS, "host", b"\x00")]
 
     (record,) = hosts(decoded(Session(protocol, timeout=60 * MS), events))
 
     assert record.data == b"\x11\x00"
-
-
-def test_lost_bytes_leave_the_frame_begun_as_garbage_and_the_next_byte_is_a_header(
-    protocol: Protocol,
-) -> None:
-    events: list[Event] = [
-        Chunk(0, "host", b"\x9f\x00\x00"),
-        Line(MS, "gap", "host", "3 bytes"),
-        Chunk(2 * MS, "host", b"\x20"),
-    ]
-
-    garbage, gap, frame = decoded(Session(protocol), events)
-
-    assert isinstance(garbage, HostRecord)
-    assert isinstance(gap, LineRecord)
-    assert isinstance(frame, HostRecord)
-    assert (garbage.value.kind, garbage.data) == ("garbage", b"\x9f\x00\x00")
-    assert gap.lost
-    assert frame.value.name == "Forward"
 
 
 def test_lost_device_bytes_leave_the_host_frame_alone(protocol: Protocol) -> None:
@@ -193,24 +146,6 @@ def test_lost_device_bytes_leave_the_host_frame_alone(protocol: Protocol) -> Non
     (record,) = hosts(decoded(Session(protocol), events))
 
     assert record.data == b"\x11\x05"
-
-
-def test_an_answer_in_mid_frame_and_then_silence_shows_that_framing_is_out_of_step(
-    protocol: Protocol,
-) -> None:
-    # Attached in mid-frame: 0x11 is Speed's data, taken for a header.
-    events = [
-        Chunk(0, "host", b"\x11"),
-        Chunk(MS, "device", b"\x00"),
-        Chunk(30 * MS, "host", b"\x20"),
-        Chunk(31 * MS, "device", b"\x00"),
-    ]
-
-    records = decoded(Session(protocol), events)
-
-    assert [r.value.kind for r in hosts(records)] == ["garbage", "instruction"]
-    assert [r.value.instruction for r in devices(records)] == [None, 0]
-    assert "out of step" in kinds(records)
 
 
 def test_a_device_with_less_patience_than_ours_answers_the_frame_cut_short(
@@ -230,23 +165,6 @@ def test_a_device_with_less_patience_than_ours_answers_the_frame_cut_short(
         (0, True),
         (1, True),
     ]
-
-
-@pytest.mark.parametrize("came", [1, 2])
-def test_an_answer_at_a_header_that_is_already_wrong_is_no_loss_of_step(
-    protocol: Protocol, came: int
-) -> None:
-    frame = b"\x92\x20\x00"  # its data look like headers
-    events = [
-        Chunk(0, "host", frame[:came]),
-        Chunk(MS, "device", b"\x01"),
-        Chunk(30 * MS, "host", frame[came:]),
-    ]
-
-    records = decoded(Session(protocol), events)
-
-    assert [r.data for r in hosts(records)] == [frame]
-    assert [r.value.instruction for r in devices(records)] == [0]
 
 
 def test_ok_in_the_midst_of_a_frame_with_a_faulty_header_shows_it_too(protocol: Protocol) -> None:
@@ -274,43 +192,6 @@ def test_what_merely_happens_on_a_line_is_no_fault(protocol: Protocol, event: st
     assert kinds(decoded(Session(protocol), [Line(0, event)])) == []
 
 
-@pytest.mark.parametrize("side", ["host", "device"])
-def test_one_direction_alone_is_not_paired(protocol: Protocol, side: str) -> None:
-    events: list[Event] = [
-        Chunk(0, "host", b"\x00"),
-        Chunk(2000 * MS, "device", b"\x00"),
-        Line(4000 * MS, "x"),
-    ]
-    heard = frozenset({side})
-
-    records = decoded(Session(protocol, heard=heard), events)  # type: ignore[arg-type]
-
-    assert kinds(records) == []
-
-
-@pytest.mark.parametrize("tap", ["host", "device", ""])
-def test_while_a_tap_is_unplugged_nothing_is_paired_or_missed(
-    protocol: Protocol, tap: Literal["host", "device", ""]
-) -> None:
-    def exchange(at: int) -> list[Event]:
-        return [Chunk(at * MS, "host", b"\x20"), Chunk((at + 1) * MS, "device", b"\x00")]
-
-    events: list[Event] = [
-        Chunk(0, "host", b"\x20"),
-        Line(MS, "unplugged", tap),
-        *exchange(2000)[tap == "host" :][: 2 - (tap == "device")],
-        Line(4000 * MS, "reconnected", tap),
-        *exchange(6000),
-    ]
-
-    records = decoded(Session(protocol), events)
-
-    assert kinds(records) == ["unplugged", "lost bytes"]
-    answers = [record for record in records if isinstance(record, DeviceRecord)]
-    assert [answer.agrees for answer in answers][-1] is True
-    assert not any(answer.agrees for answer in answers[:-1])
-
-
 @pytest.mark.parametrize("tap", ["host", "device", ""])
 @pytest.mark.parametrize("begun", [b"", b"\x11"])
 def test_answers_held_when_a_tap_is_unplugged_come_before_all_that_follows(
@@ -336,41 +217,6 @@ def test_an_event_from_the_past_counts_as_coming_with_the_last(protocol: Protoco
     (record,) = hosts(decoded(Session(protocol), events))
 
     assert (record.value.t, record.value.end) == (10 * MS, 10 * MS)
-
-
-# Attached within a Speed; every frame is answered within a millisecond.
-MID_STREAM: list[Event] = [
-    *(Chunk(0, "host", b"\x7f"), Chunk(MS, "device", b"\x00")),
-    *(Chunk(5 * MS, "host", b"\x20"), Chunk(6 * MS, "device", b"\x00")),
-    *(Chunk(10 * MS, "host", b"\x81\x05"), Chunk(11 * MS, "device", b"\x00")),
-    *(Chunk(15 * MS, "host", b"\x11\xff"), Chunk(16 * MS, "device", b"\x00")),
-    *(Chunk(20 * MS, "host", b"\x30"), Chunk(21 * MS, "device", b"\x00")),
-]
-
-
-def test_attached_in_mid_frame_what_follows_is_shown_with_its_own_times(protocol: Protocol) -> None:
-    records = hosts(decoded(Session(protocol, skew=0, attached=True), MID_STREAM))
-
-    assert [(r.value.kind, r.data, r.value.t, r.value.end) for r in records] == [
-        ("garbage", b"\x7f", 0, 0),
-        ("instruction", b"\x20", 5 * MS, 5 * MS),
-        ("instruction", b"\x81\x05", 10 * MS, 10 * MS),
-        ("instruction", b"\x11\xff", 15 * MS, 15 * MS),
-        ("instruction", b"\x30", 20 * MS, 20 * MS),
-    ]
-
-
-def test_answers_that_came_while_it_was_unclear_find_their_instructions(protocol: Protocol) -> None:
-    records = devices(decoded(Session(protocol, skew=0, attached=True), MID_STREAM))
-
-    assert [(r.value.instruction, r.value.agrees) for r in records] == [
-        (None, None),
-        (0, True),
-        (1, True),
-        (2, True),
-        (3, True),
-    ]
-    assert records[0].faults[0].severity is Severity.INFO
 
 
 def test_at_a_known_beginning_or_after_silence_frames_come_out_at_once(protocol: Protocol) -> None:
@@ -413,20 +259,6 @@ def test_no_more_than_four_of_the_longest_frames_are_held(protocol: Protocol) ->
     assert held < 2
 
 
-def test_an_answer_before_the_first_host_byte_makes_it_likelier_a_header(
-    protocol: Protocol,
-) -> None:
-    unlikely = Chunk(2 * MS, "host", b"\x90")  # a header of no instruction
-    answer = Chunk(MS, "device", b"\x00")
-
-    def kind(events: list[Event]) -> str:
-        (record,) = hosts(decoded(Session(protocol, skew=0, attached=True), events))
-        return record.value.kind
-
-    assert kind([unlikely]) == "garbage"
-    assert kind([answer, unlikely]) == "instruction"
-
-
 def test_the_last_byte_of_four_of_the_longest_frames_decides_what_was_unclear(
     protocol: Protocol,
 ) -> None:
@@ -438,38 +270,6 @@ def test_the_last_byte_of_four_of_the_longest_frames_decides_what_was_unclear(
     assert session.feed(Chunk(0, "host", unclear[most - 1 : most]))
 
 
-def test_after_a_known_loss_the_rest_of_a_frame_is_not_taken_for_frames(protocol: Protocol) -> None:
-    events: list[Event] = [
-        Chunk(0, "host", b"\x20"),
-        Line(MS, "gap", "host", "1 byte"),
-        Chunk(2 * MS, "host", b"\x7f\x81\x05\x20\x41\xff\x00\x11\x07\x30\x81\x02"),
-    ]
-
-    records = hosts(decoded(Session(protocol), events))
-
-    assert [r.data for r in records if r.value.kind == "garbage"] == [b"\x7f"]
-    assert [r.data.hex() for r in records if r.value.kind == "instruction"] == [
-        *("20", "8105", "20", "41ff", "00", "1107", "30", "8102")
-    ]
-
-
-def test_a_loss_while_it_is_unclear_decides_what_was_held(protocol: Protocol) -> None:
-    events: list[Event] = [
-        Chunk(0, "host", b"\x20"),
-        Line(MS, "break", "host"),
-        Line(2 * MS, "gap", "host"),
-        Chunk(60 * MS, "host", b"\x30"),
-    ]
-
-    frame, broken, gap, last = decoded(Session(protocol, attached=True, skew=0), events)
-
-    assert isinstance(frame, HostRecord)
-    assert isinstance(broken, LineRecord)
-    assert isinstance(gap, LineRecord)
-    assert isinstance(last, HostRecord)
-    assert (frame.data, last.data) == (b"\x20", b"\x30")
-
-
 def test_another_grammar_is_followed(horn: Protocol) -> None:
     records = hosts(decoded(Session(horn), [Chunk(0, "host", b"\x91\x02\x91\x04")]))
 
@@ -477,20 +277,3 @@ def test_another_grammar_is_followed(horn: Protocol) -> None:
         ("Horn", {"sound": 2}, "OK"),
         ("Horn", {"sound": 4}, "BAD_DATA"),
     ]
-
-
-@pytest.mark.usefixtures("columns_at_once")
-def test_columns_and_a_resumed_session_know_that_a_tap_is_unplugged(protocol: Protocol) -> None:
-    said: list[Event] = [Chunk(n * 2000 * MS, "host", b"\x20" * 600) for n in range(1, 20)]
-    gone = Line(MS, "unplugged", "device")
-    columns, session = StreamDecoder(protocol), Session(protocol)
-    session.feed(gone)
-    state = session.saved()
-    assert state is not None
-    resumed = Session(protocol)
-    resumed.resume(state)
-
-    records = [record for part in columns.feed([gone, *said]) for record in part.records()]
-
-    assert kinds(records) == ["unplugged"]
-    assert kinds(decoded(resumed, said)) == []

@@ -72,20 +72,6 @@ def test_a_frame_that_only_silence_ends_is_uncertain_wherever_it_is_shown() -> N
     assert chosen.host.tolist() == [True, False]
 
 
-@pytest.mark.parametrize(
-    ("frame", "certain"),
-    [
-        ("116400010203 6233", True),  # its check tells where it ends
-        ("116400010203 6234", False),
-        ("1103006b0003 7688", True),  # its function tells how long it is, wrong as it is
-        ("1103006b", True),  # cut short, which is another thing
-    ],
-)
-def test_what_tells_the_end_of_a_frame_makes_it_certain(frame: str, certain: bool) -> None:
-    (one,) = hosts(decoded(Session(MODBUS), [Chunk(0, "host", bytes.fromhex(frame))]))
-    assert one.uncertain is not certain
-
-
 def test_an_end_mark_tells_the_end_and_a_frame_without_it_is_uncertain() -> None:
     for frame, certain in (("6620", True), ("660120", False), ("6601", False)):
         (one,) = hosts(decoded(Session(STK500), [Chunk(0, "host", bytes.fromhex(frame))]))
@@ -114,24 +100,6 @@ def test_frames_are_uncertain_until_a_check_is_right() -> None:
 
 
 ASK, TOLD = bytes.fromhex("3020"), bytes.fromhex("1410")  # Get Sync
-
-
-@pytest.mark.parametrize(
-    ("events", "uncertain"),
-    [
-        ([Chunk(MS, "host", ASK), Chunk(9 * MS, "host", ASK)], [True, True]),
-        ([Chunk(MS, "host", ASK), Chunk(2 * MS, "device", TOLD), Chunk(9 * MS, "host", ASK)],
-         [True, False]),
-        ([Chunk(MS, "host", ASK), Chunk(2000 * MS, "host", ASK)], [True, False]),
-        ([Chunk(2000 * MS, "host", ASK)], [False]),
-    ],
-)  # fmt: skip
-def test_without_a_check_an_answer_or_silence_confirms_frames(
-    events: list[Event], uncertain: list[bool]
-) -> None:
-    found = hosts(decoded(Session(STK500, attached=True), events))
-    assert [one.uncertain for one in found] == uncertain
-    assert [one.reason for one in found] == [UNCLEAR if odd else "" for odd in uncertain]
 
 
 def test_after_a_loss_frames_are_uncertain_again_and_columns_wait_for_that() -> None:

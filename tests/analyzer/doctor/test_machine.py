@@ -58,17 +58,6 @@ def program(code: str, *arguments: str) -> Iterator[tuple[int, str]]:
 # The adapter
 
 
-def test_an_adapter_says_its_ids_driver_timer_and_lasting_name(machine: FakeMachine) -> None:
-    port = machine.adapter(udev="N:ttyUSB0\nE:ID_MM_CANDIDATE=1\n", usb_udev="E:A=b=c\n")
-    usb = machine.usb(port)
-    assert usb is not None
-    assert (usb.identity, usb.serial, usb.title) == ("0403:6001", "A10K3XYZ", "FT232R USB UART")
-    assert machine.driver(port) == "ftdi_sio"
-    assert machine.latency_timer(port) == 16
-    assert machine.by_id(port) == "/dev/serial/by-id/usb-FTDI_A10K3XYZ-if00-port0"
-    assert machine.properties(port) == {"ID_MM_CANDIDATE": "1", "A": "b=c"}
-
-
 def test_a_lasting_name_leads_to_the_same_adapter(machine: FakeMachine) -> None:
     port = machine.adapter("ttyACM0", "2341:0043", driver="cdc_acm", latency=None)
     lasting = machine.by_id(port)

@@ -166,18 +166,3 @@ def test_streams_that_have_nothing_in_common_are_told_in_whole() -> None:
     pairs = list(aligned(iter(one), iter(other)))
     assert [first for first, _ in pairs if first] == one
     assert [second for _, second in pairs if second] == other
-
-
-def test_latencies_are_those_that_the_statistics_show(tmp_path: Path) -> None:
-    draw = Random(1)
-    events = [
-        event
-        for at in range(20)
-        for event in conversation(TALK[at : at + 1], 20 * MS * (at + 1), draw.randrange(9 * MS))
-    ]
-    for path in (written(tmp_path / "a.mcap", events), SAMPLE):
-        told = json.loads(command("capture", "diff", str(path), str(path), "--json", "-").stdout)
-        shown = json.loads(command("stats", str(path), "--json", "-").stdout)["total"]
-        for name, both in told["latencies"].items():
-            spread = shown["by_instruction"][name]["latency"]
-            assert both["a"] == both["b"] == {key: spread[key] for key in both["a"]}

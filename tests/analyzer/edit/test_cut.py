@@ -106,11 +106,6 @@ def seen(records: Iterable[Record]) -> list[Any]:
     return [json_line(record) for record in records if is_frame(record)]
 
 
-def raw(path: Path, side: str) -> bytes:
-    events = open_capture(path).events()
-    return b"".join(e.data for e in events if isinstance(e, Chunk) and e.direction == side)
-
-
 def is_unclear(record: Record) -> bool:
     return isinstance(record, HostRecord) and record.note == UNCLEAR
 
@@ -399,19 +394,6 @@ def test_a_filtered_part_of_the_sample_shows_the_lines_that_the_filter_does(
     done("capture", "cut", SAMPLE, part, "--filter", expression)
     again = lines_of(part, "--filter", f"({expression}) and kind != gap")
     assert again == lines_of(SAMPLE, "--filter", expression)
-
-
-def test_where_bytes_are_left_out_a_gap_says_how_many(tmp_path: Path) -> None:
-    part = tmp_path / "part.mcap"
-    done("capture", "cut", SAMPLE, part, "--filter", "t > 0.4 and t < 0.42 or t > 7")
-    gaps = [event for event in open_capture(part).events() if isinstance(event, Line)]
-    left_out = sum(int(gap.detail.split()[0]) for gap in gaps if gap.event == "gap")
-    counts = open_capture(SAMPLE).contents.sizes, open_capture(part).contents.sizes
-    for sizes in counts:
-        assert sizes["/host/raw"]
-    assert left_out == sum(
-        counts[0][topic] - counts[1][topic] for topic in ("/host/raw", "/device/raw")
-    )
 
 
 def test_a_part_can_be_cut_again_and_be_converted(tmp_path: Path) -> None:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-import shlex
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -17,13 +15,11 @@ from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.filters.moments import offset
 from bilprov.analyzer.filters.syntax import FilterError
-from bilprov.captures.schemas import Chunk, Direction
-from bilprov.captures.writer import CaptureWriter
+from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command
 from tests.support.decoding import MS, decoded
-from tests.support.wires import json_lines
 
 START = 1_795_356_200  # 2026-11-22 14:03:20 in UTC
 
@@ -119,29 +115,6 @@ def test_the_help_has_every_name(protocol: Protocol) -> None:
     for name, field in fields_of(protocol).items():
         if not field.key.startswith("fields."):
             assert {name, name.removeprefix("state.")} & set(words), name
-
-
-def test_the_first_lines_of_the_page_work_as_they_stand(
-    tmp_path: Path, lines: list[JsonLine]
-) -> None:
-    """On the page's recording, in a file."""
-    with CaptureWriter(
-        tmp_path / "drive.mcap", start_wall=START * 10**9, metadata={}, version="0"
-    ) as writer:
-        for line in lines:
-            side: Direction = "host" if line.direction == "host" else "device"
-            writer.chunk(Chunk(round(line.t * 1000) * MS, side, bytes.fromhex(line.hex)))
-    (typed,) = re.findall(r"^    bilprov (replay .*)$", PAGE, re.MULTILINE)
-
-    words = [*shlex.split(typed), "--rate", "0", "--format", "jsonl"]
-    shown = command(*words, cwd=tmp_path).stdout
-
-    assert [row["hex"] for row in json_lines(shown)] == ["02", "00"]
-    words[words.index("--filter") + 1] = "time > 14:03:21 and direction == host"
-    assert [row["hex"] for row in json_lines(command(*words, cwd=tmp_path).stdout)] == ["30"]
-    words[:2] = ["decode", "drive.mcap"]
-    decoded_too = command(*[w for w in words if w not in ("--rate", "0")], cwd=tmp_path)
-    assert [row["hex"] for row in json_lines(decoded_too.stdout)] == ["30"]
 
 
 def test_bytes_without_a_recording_have_no_time_of_day() -> None:

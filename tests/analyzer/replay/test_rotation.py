@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -231,21 +230,6 @@ def test_a_part_that_is_missing_is_no_loss_behind_it(protocol: Protocol, tmp_pat
     assert before
     assert (before.volume, behind.volume) == (0, 1)
     assert (gaps(None), gaps(before), gaps(behind)) == (1, 1, 0)
-
-
-def test_only_a_recording_in_parts_is_said_to_be_one(protocol: Protocol, tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    settings = {"timeout": None, "skew": 0, "heard": frozenset({"host"}), "attached": False}
-    events: list[Event] = [Chunk(n * 500 * MS, "host", b"\x20") for n in range(5)]
-    recorded(protocol, path, events, settings, Rotation(age=SECOND))
-
-    together, alone = open_capture(path), open_capture(part_path(path, 2))
-
-    assert together.in_parts
-    assert not alone.in_parts
-    # Under its name without the folder, as a screen has room for, it is what it was.
-    assert replace(together, path=Path(path.name)).in_parts
-    assert not replace(alone, path=Path(alone.path.name)).in_parts
 
 
 @pytest.mark.waits

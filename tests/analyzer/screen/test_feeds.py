@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from pathlib import Path
@@ -163,19 +162,6 @@ def test_a_capture_that_is_still_written_is_followed_to_its_end(
     rows = range(6000)
     assert feed.recording.records(rows) == whole.recording.records(rows)
     assert feed.recording.rows == whole.recording.rows == 6000
-
-
-def test_a_capture_whose_writer_is_gone_is_not_waited_for(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(SAMPLE.read_bytes()[:-2000])
-    os.utime(path, (0, 0))
-    feed = capture_feed(opened_at(open_quickly(path), protocol, 0), protocol)
-    assert not feed.live
-    feed.start()
-    feed.join()
-    assert feed.recording.rows
 
 
 def recorded(protocol: Protocol, count: int) -> Recording:

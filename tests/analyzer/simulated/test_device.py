@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.grammar_file import SHIPPED, given_protocol, load_protocol
+from bilprov.analyzer.grammar_file import SHIPPED, given_protocol
 from bilprov.analyzer.simulated.device import SimulatedDevice, drawn_request, faulty_request
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge
@@ -39,30 +39,6 @@ class Line:
         reply = read_reply(self.protocol, self.ask(frame), judge(self.protocol, frame))
         assert not reply.reason
         return dict(reply.fields)
-
-
-def test_modbus_registers_are_read_back() -> None:
-    line = Line("modbus-rtu")
-    line.do("WriteMultipleRegisters", address=17, start=5, quantity=3, values=[1, 2, 0xFFFF])
-    line.do("WriteSingleRegister", address=17, register=4, value=9)
-    read = line.do("ReadHoldingRegisters", address=17, start=3, quantity=5)
-    assert read == {"values": (0, 9, 1, 2, 0xFFFF)}
-    both = line.do(
-        "ReadWriteMultipleRegisters",
-        address=17, read_start=6, read_quantity=2, write_start=7, write_quantity=1, values=[77],
-    )  # fmt: skip
-    assert both == {"values": (2, 77)}
-
-
-def test_modbus_answers_as_many_values_as_are_asked_for() -> None:
-    """The example of the document's clause 6.3 has three registers in seven bytes of data."""
-    frame = build(
-        load_protocol("modbus-rtu"),
-        "ReadHoldingRegisters",
-        {"address": 17, "start": 107, "quantity": 3},
-    )
-    answer = Line("modbus-rtu").ask(frame)
-    assert answer[:-2] == bytes.fromhex("11 03 06 00 00 00 00 00 00")
 
 
 def test_modbus_coils_are_read_back_bit_by_bit() -> None:
@@ -159,19 +135,6 @@ def test_a_bootloader_tells_its_signature_and_the_parameters_that_were_set() -> 
     assert line.do("GetParameter", parameter=0x82) == {"value": 17}
     line.device.power_cycle(line.now)
     assert line.do("GetParameter", parameter=0x82) == {"value": 16}
-
-
-def test_bootloader_pages_are_read_back_at_the_loaded_address() -> None:
-    line = Line("stk500v1")
-    for address, content in ((0x10, "01020304"), (0x12, "05060708")):  # in words of flash
-        line.do("LoadAddress", address=address)
-        line.do("ProgPage", size=4, memory="flash", content=content)
-    line.do("LoadAddress", address=0x10)
-    assert line.do("ReadPage", size=8, memory="flash") == {"content": bytes(range(1, 9))}
-    assert line.do("ReadPage", size=2, memory="eeprom") == {"content": bytes(2)}
-    line.device.power_cycle(line.now)
-    line.do("LoadAddress", address=0x10)
-    assert line.do("ReadPage", size=2, memory="flash") == {"content": bytes(2)}
 
 
 @pytest.mark.parametrize(

@@ -151,6 +151,8 @@ def test_order_is_kept_and_nothing_waits_longer_than_its_delay(
         (lambda: LineFaults(Noise(), delay=-1), "delay and jitter are"),
         (lambda: LineFaults(Noise(), LONGEST, 1), "together at most 60 s"),
         (lambda: Noise(dropped=float("nan")), "each is 0 to 1"),
+        (lambda: Noise(-0.1), "each is 0 to 1"),
+        (lambda: Noise(0.5, 0.5, 0.5), "together at most 1"),
     ],
 )
 def test_what_is_no_fault_of_a_line_is_refused(faults: Callable[[], object], part: str) -> None:

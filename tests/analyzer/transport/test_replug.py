@@ -52,22 +52,6 @@ def test_another_adapter_under_the_same_path_is_not_the_port(
     assert place.found() == ""
 
 
-def test_an_adapter_without_a_serial_number_is_known_by_its_path_and_product(
-    machine: FakeMachine,
-) -> None:
-    machine.adapter()
-    machine.write(SERIAL, "")
-    place = Place("/dev/ttyUSB0", machine)
-    unplug(machine)
-    machine.adapter("ttyUSB3")
-    machine.write(SERIAL, "")
-    assert place.found() == ""  # it may be another one of the same make
-    unplug(machine, "ttyUSB3")
-    machine.adapter()
-    machine.write(SERIAL, "")
-    assert place.found() == "/dev/ttyUSB0"
-
-
 def test_a_pty_is_found_behind_a_new_link_alone(tmp_path: Path) -> None:
     link = tmp_path / "port"
     with open_pty() as pair, open_pty() as other:

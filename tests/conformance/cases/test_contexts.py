@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 
 from bilprov.conformance.cases.combinations import MARKED
-from bilprov.conformance.cases.contexts import after_each_kind, left_alone, truncations
+from bilprov.conformance.cases.contexts import after_each_kind, truncations
 from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step, frames_of, kind_of
@@ -112,38 +112,6 @@ def test_cuts_hold_marked_values_and_stand_before_and_after_what_they_should(
     assert {step.frame for step in valid if set(step.frame[1:]) <= set(MARKED)} <= after
     for (_, size, _), found in values.items():
         assert size == 6 or set(MARKED) <= found
-
-
-def test_a_silence_follows_each_fault_that_comes_after_a_frame_that_lets_it_move(
-    each_protocol: Protocol,
-) -> None:
-    inputs = Inputs(each_protocol, 1)
-    met, ended, ways, rested = defaultdict(set), defaultdict(set), defaultdict(set), set()
-    watched = {*inputs.faulty_kinds, each_protocol.stop.name}
-    for case in left_alone(each_protocol, 1, 1):
-        for earlier, burst, later in zip(
-            case.bursts, case.bursts[1:], case.bursts[2:], strict=False
-        ):
-            *_, before, kind = (kind_of(each_protocol, s) for s in (*earlier.steps, *burst.steps))
-            end = kind_of(each_protocol, later.steps[-1])
-            ways[kind].add(len(burst.steps))
-            if burst.idle_ms > 300:
-                rested.add(end)
-                assert later.idle_ms
-            elif burst.idle_ms > 60:
-                met[before].add(kind)
-            elif burst.idle_ms and not earlier.idle_ms:
-                ended[before if before in inputs.movers else kind].add(end)
-            if burst.idle_ms and not earlier.idle_ms and end in watched:
-                assert later.idle_ms  # what it does late shows
-
-    faults = {*inputs.faulty_kinds, FrameClass.TRUNCATED}
-    assert all(faults <= met[kind] for kind in (*inputs.settings, *inputs.movers))
-    assert set(inputs.valid_kinds) <= met[each_protocol.stop.name] | met[inputs.movers[0]]
-    assert all(ended[mover] == set(inputs.kinds) for mover in inputs.movers)
-    assert rested == set(inputs.faulty_kinds[::2])
-    # Waited for, and sent ahead of the answer before.
-    assert all(ways[kind] == {1, 2} for kind in (*faults, *inputs.settings, *inputs.movers))
 
 
 def test_a_seed_and_a_turn_have_data_and_states_of_their_own(protocol: Protocol) -> None:

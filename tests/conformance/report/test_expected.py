@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from msgspec.structs import replace
 
-from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.conformance import api
-from bilprov.conformance.api import Options, suite_ids
+from bilprov.conformance.api import Options
 from bilprov.conformance.cli.options import expected_file
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.report.expected import (
@@ -25,9 +22,7 @@ from bilprov.conformance.report.expected import (
 )
 from bilprov.conformance.report.run_report import Comparison
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command
 from tests.support.reports import every_verdict
-from tests.support.robots import sentence
 
 FAIL = Verdict.FAIL
 
@@ -66,26 +61,6 @@ def test_an_entry_is_a_glob_an_axis_and_a_message_that_may_be_left_out() -> None
         Entry("b", "stop", "x : y", 4),
         Entry("c", "state", "", 6),
     )
-
-
-@pytest.mark.parametrize(
-    "line", ["a/*", "a/* :", ": answer", "a/*: answer", "a/*:answer", "a : ans", "a : no", "x\x1b"]
-)
-def test_a_line_that_is_no_entry_is_named(line: str) -> None:
-    with pytest.raises(ExpectedError, match="F, line 2 is") as raised:
-        parse_expected(f"# first\n{line}\n", "F")
-
-    assert "GLOB : AXIS: MESSAGE" in str(raised.value)
-    assert str(raised.value).isprintable()
-
-
-def test_an_entry_that_no_case_fits_is_wrong_use(tmp_path: Path) -> None:
-    path = tmp_path / "known"
-    path.write_text("a : answer\n\nb* : answer\n")
-
-    with pytest.raises(ExpectedError, match="known, line 3: no case matches 'b"):
-        ExpectedFile(str(path), lambda: ["a", "c"], ["a"])
-    ExpectedFile(str(path), lambda: ["a", "bc"], ["a"])
 
 
 def test_so_many_entries_that_each_run_would_crawl_are_refused() -> None:
@@ -196,67 +171,6 @@ def test_an_update_says_what_fails_now_and_keeps_comments_and_what_was_not_run(
     assert file.applied(report)[1] == f"{path} fits"
 
 
-def test_a_stale_entry_is_a_failure_and_is_said_with_its_line(
-    tmp_path: Path, protocol: Protocol
-) -> None:
-    path = tmp_path / "known"
-    path.write_text("\na/* : answer: no\n")
-    report = replace(every_verdict(protocol), results=(passed("a/1"), passed("a/2")), exit=0)
-
-    after, said = ExpectedFile(str(path), lambda: SUITE, SUITE).applied(report)
-
-    assert after.comparison is not None
-    (sentence,) = after.comparison.stale
-    assert sentence.startswith(f"{path}, line 2: a/* : answer: no: its 2 cases do not fail")
-    assert (after.exit, said) == (1, "")
-
-
-# -- the command ----------------------------------------------------------------------------------
-
-LED = ("conform", "sim", "--fault", "led-order-reversed", "--only", "valid/LED/*")
-
-
-def run(*arguments: str, file: Path) -> tuple[int, dict[str, Any], str]:
-    done = command(*arguments, "--expect-failures", str(file), "--json", "-")
-    report = msgspec.json.decode(done.stdout)
-    assert report["exit"] == done.returncode
-    return done.returncode, report, done.stderr.decode()
-
-
-@pytest.fixture
-def entries(tmp_path: Path) -> Path:
-    """What the reversed LED does to valid/LED/*, as the kit wrote it down."""
-    file = tmp_path / "expected.txt"
-    code, _, told = run(*LED, "--update-expected", file=file)
-    assert code == 0
-    assert f"{file}: 4 added, 0 removed" in told
-    return file
-
-
-def test_an_update_replaces_what_a_link_leads_to_and_keeps_its_mode(entries: Path) -> None:
-    entries.chmod(0o640)
-    link = entries.with_name("link")
-    link.symlink_to(entries)
-
-    code, _, told = run("conform", "sim", "--only", "valid/LED/*", "--update-expected", file=link)
-
-    assert code == 0
-    assert "0 added, 4 removed" in told
-    assert link.is_symlink()
-    assert entries.stat().st_mode & 0o777 == 0o640
-    assert entries.read_text().startswith("# ")
-    assert not [p for p in entries.parent.iterdir() if p.name.startswith(".")]
-
-
-@pytest.mark.slow
-def test_what_could_not_be_judged_is_never_hidden(tmp_path: Path) -> None:
-    file = tmp_path / "f"
-    file.write_text("unused-id/9/* : answer\nunused-id/9/* : stop\nunused-id/9/* : state\n")
-    only = ("--only", "unused-id/9/[0-3]")
-
-    assert run("conform", "sim", "--fault", "never-moves", *only, file=file)[0] == 3
-
-
 def test_one_file_serves_every_level(
     tmp_path: Path, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -268,61 +182,3 @@ def test_one_file_serves_every_level(
     file.write_text("valid/1 : answer\n")
     with pytest.raises(ExpectedError, match="no case matches 'valid/1'"):
         expected_file(protocol, Options(level="smoke"), str(file))
-
-
-@pytest.mark.sample(0)
-@pytest.mark.slow
-def test_another_grammar_has_entries_of_its_own(tmp_path: Path, horn_text: str) -> None:
-    grammar, file = tmp_path / "horn.py", tmp_path / "f"
-    grammar.write_text(horn_text)
-    file.write_text("valid/Horn/* : answer\n")
-    only = ("conform", "sim", "--level", "smoke", "--only", "valid/Stop")
-
-    assert run("--grammar", str(grammar), *only, file=file)[0] == 0
-    wrong = command(*only, "--expect-failures", str(file))
-    assert wrong.returncode == 2
-    assert f"{file}, line 1: no case matches 'valid/Horn/*'" in sentence(wrong)
-
-
-def _hostile(tmp_path: Path, kind: str) -> Path:
-    file = tmp_path / "f"
-    if kind == "folder":
-        file.mkdir()
-    elif kind == "fifo":
-        os.mkfifo(file)
-    elif kind == "binary":
-        file.write_bytes(b"\xff\xfe\x00")
-    elif kind == "zeros":
-        file.write_bytes(b"a : b\n\0")
-    elif kind == "huge":
-        file.write_bytes(b"#" * ((1 << 20) + 1))
-    elif kind == "words":
-        file.write_bytes("valid/\x1b[31m‮\n".encode())
-    elif kind == "nul":
-        return tmp_path / "a\0b"
-    return file
-
-
-@pytest.mark.parametrize(
-    "kind", ["missing", "folder", "fifo", "binary", "zeros", "huge", "words", "nul"]
-)
-def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path: Path, kind: str) -> None:
-    known = suite_ids_here()
-
-    with pytest.raises(ExpectedError) as raised:
-        ExpectedFile(str(_hostile(tmp_path, kind)), lambda: known, known)
-
-    assert str(raised.value).isprintable()
-    if kind != "nul":
-        result = command(
-            "conform", "sim", "--level", "smoke", "--expect-failures", str(tmp_path / "f")
-        )
-        assert (result.returncode, result.stdout) == (2, b"")
-        assert len(result.stderr.decode().splitlines()) == 1
-        assert sentence(result).startswith("bilprov: ")
-
-
-def suite_ids_here() -> tuple[str, ...]:
-    from bilprov.conformance.api import Options
-
-    return suite_ids(load_protocol(), Options(level="smoke"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import stat
 import threading
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import click
 import pytest
 from msgspec.structs import replace
 
-from bilprov.analyzer.files import write_whole
 from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cli.outputs import Output, require_writable
 from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict
@@ -69,16 +67,6 @@ def test_nothing_that_a_run_says_is_lost(protocol: Protocol, tmp_path: Path) -> 
     assert again == replace(report, file=again.file)
     assert (again.ended_by, again.timing) == ("user", {"bytes_sent": 12, "wire_s": 0.25})
     assert again.comparison == report.comparison
-
-
-def test_every_verdict_is_read_back(protocol: Protocol, tmp_path: Path) -> None:
-    report = every_verdict(protocol)
-    again = read_report(str(saved(report, tmp_path)))
-
-    assert [result.verdict for result in again.results] == [r.verdict for r in report.results]
-    assert again.results == report.results
-    assert again.results[-1].reproduce == "bilprov conform sim --seed 1 --only more/2"
-    assert as_json(again) == as_json(report)
 
 
 def test_what_this_version_does_not_know_is_passed_over(protocol: Protocol, tmp_path: Path) -> None:
@@ -342,30 +330,6 @@ def test_a_file_that_this_user_may_not_write_is_refused(
     monkeypatch.setattr(os, "access", lambda path, mode: False)
 
     assert "this user may not" in refused(tmp_path)
-
-
-def test_a_file_keeps_its_mode(tmp_path: Path) -> None:
-    file = tmp_path / "out.html"
-    file.write_text("before")
-    file.chmod(0o640)
-
-    write_whole(file, b"after")
-    assert file.read_text() == "after"
-    assert stat.S_IMODE(file.stat().st_mode) == 0o640
-
-
-def test_a_link_under_the_temporary_name_is_not_followed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, "urandom", bytes)
-    somebodys = tmp_path / "somebody's"
-    somebodys.write_text("theirs")
-    (tmp_path / f".run.json.{bytes(8).hex()}.part").symlink_to(somebodys)
-
-    with pytest.raises(FileExistsError):
-        write_whole(tmp_path / "run.json", b"ours")
-
-    assert somebodys.read_text() == "theirs"
 
 
 # -- a case stands under one clause, whatever became of it ----------------------------------------

@@ -24,7 +24,7 @@ from bilprov.conformance.report.markdown import as_markdown, code, prose
 from bilprov.conformance.report.run_report import Covered, Report, conclusion
 from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
-from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
+from tests.support.reports import EVIL, a_case, every_verdict, hostile
 
 
 def shown(report: Report, *, everything: bool = False) -> str:
@@ -79,13 +79,6 @@ def test_what_is_inconclusive_for_another_reason_stays_so(unseen: Report) -> Non
     )
 
     assert "1 inconclusive" in conclusion(replace(unseen, results=(*unseen.results, flaky))).plain
-
-
-def test_with_a_probe_the_verdicts_are_counted(protocol: Protocol) -> None:
-    words = conclusion(a_run(protocol, "valid/LED/1")).plain
-
-    assert "pass" in words
-    assert "answers right" not in words
 
 
 def test_the_reason_why_nothing_could_be_judged_stands_first(protocol: Protocol) -> None:

@@ -22,25 +22,6 @@ def words(protocol: Protocol, *log: WireEvent, **profile: float) -> list[str]:
     return list(WireWords(protocol, report).of(log))
 
 
-@pytest.mark.parametrize(
-    ("hex", "meaning"),
-    [
-        ("11 ff", "Speed speed=255"),
-        ("81 05", "LED rgb=5 (R B)"),
-        ("00 00 00", "3 × Stop"),
-        ("20 11 05 20", "Forward, Speed speed=5, Forward"),
-        ("81 09", "LED rgb=9 (faulty, 02 BAD_DATA is due)"),
-        ("92 00 00", "unused 9, 2 data bytes (faulty, 01 BAD_HEADER is due)"),
-        ("10", "Speed, 0 data bytes (faulty, 04 TOO_FEW_DATA is due)"),
-        ("13 00", "Speed, 1 of 3 data bytes so far"),
-    ],
-)
-def test_what_the_host_sends_is_told_frame_by_frame(
-    protocol: Protocol, hex: str, meaning: str
-) -> None:
-    assert words(protocol, sent(hex)) == [meaning]
-
-
 def test_a_frame_that_comes_in_parts_is_one_frame(protocol: Protocol) -> None:
     assert words(protocol, sent("11"), sent("05", 49), sent("20", 50)) == [
         "Speed, 0 of 1 data byte so far",

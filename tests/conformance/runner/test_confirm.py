@@ -8,13 +8,10 @@ import pytest
 
 from bilprov.analyzer.client.operations import Procedure, drive, listen
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.noise import Confirmed, confirm
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, CountingLink, Timers
-
-FAILED = Axis(Verdict.FAIL, "0", "1", "answered 1")
 
 
 def run_of(protocol: Protocol, *, lossless: bool = False) -> Run:
@@ -59,24 +56,3 @@ def test_on_a_line_that_was_flaky_before_more_failures_are_needed(protocol: Prot
     run.counters.flaky, run.answers = 20, 2000
 
     assert confirmed(run, "xxxxxx") == Confirmed(True, 6, 6)
-
-
-@pytest.mark.parametrize(
-    ("lossless", "sure", "verdict", "reason"),
-    [
-        (False, True, Verdict.FAIL, "answered 1"),
-        (False, False, Verdict.INCONCLUSIVE, "flaky, not reproduced in 3 tries: answered 1"),
-        (
-            True,
-            False,
-            Verdict.FAIL,
-            "met 2 times in 4 tries, on a line that loses nothing: answered 1",
-        ),
-    ],
-)
-def test_only_a_lossless_line_keeps_a_failure_that_did_not_come_back(
-    protocol: Protocol, lossless: bool, sure: bool, verdict: Verdict, reason: str
-) -> None:
-    judged = Confirmed(sure, 3, 1).judged(run_of(protocol, lossless=lossless), FAILED)
-
-    assert (judged.verdict, judged.reason) == (verdict, reason)

@@ -20,7 +20,6 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.fault import Event, Fault, React, Reaction, answers
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.catalogue import find_mixture
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.choices import Choices, parse_allowed, verdict_of
@@ -286,16 +285,6 @@ def test_a_device_that_shows_two_choices_of_an_answer_fails(protocol: Protocol) 
     found = readings(probed(protocol, every_second(answers_with(3), alone)))
 
     assert found["reading/unused-length"].verdict is FAIL
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("point", ["R-stop-speed=zeroed", "R-unused-length=too-many"])
-def test_a_mixture_of_choices_fails_in_the_probes_or_in_the_suite(
-    protocol: Protocol, point: str
-) -> None:
-    device = Simulator(protocol, find_mixture(protocol, f"mixture:{point}:by-frame"))
-
-    assert conform(device, grammar=protocol, options=Options(level="smoke")).exit == 1
 
 
 @pytest.mark.parametrize(

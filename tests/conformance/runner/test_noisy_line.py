@@ -15,12 +15,6 @@ from bilprov.spec.protocol import Protocol
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("chances", [(-0.1, 0, 0), (1.5, 0, 0), (0.5, 0.5, 0.5)])
-def test_what_is_no_probability_is_refused(chances: tuple[float, float, float]):
-    with pytest.raises(ValueError, match="each is 0 to 1, together at most 1"):
-        Noise(*chances)
-
-
 def test_both_directions_are_noisy_and_counted(protocol: Protocol):
     device = NoisyDevice(Simulator(protocol), Noise(dropped=1.0), 1)
     device.receive(b"\x00", 0)

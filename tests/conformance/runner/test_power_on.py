@@ -18,19 +18,9 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.run import SPARE_ANSWERS, Run, RunConfig
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import ALL_SEEING, CountingLink, cases_of
+from tests.support.robots import ALL_SEEING, CountingLink, Hidden, cases_of
 
 FEW = Options(only=("wrong-length/Stop/*",))
-
-
-class WithoutPowerSwitch:
-    """A device object with the four methods that the suite needs, and no more."""
-
-    def __init__(self, device: Simulator) -> None:
-        self.receive = device.receive
-        self.advance = device.advance
-        self.deadline = device.deadline
-        self.look = device.look
 
 
 def verdicts(device: Device, protocol: Protocol) -> dict[str, Verdict]:
@@ -76,7 +66,7 @@ def test_bytes_that_come_before_the_first_case_and_belong_to_none_are_never_a_pa
     for number in range(count):
         device.answer(0x21, (at + 60 * number) * MS)
 
-    found = verdicts(WithoutPowerSwitch(device), protocol)
+    found = verdicts(Hidden(device), protocol)
 
     assert max(found.values()) in (Verdict.INCONCLUSIVE, Verdict.FAIL)  # the line may have made it
     assert found["power-on/Forward"] is Verdict.SKIPPED
@@ -90,7 +80,7 @@ def test_bytes_that_come_again_and_again_and_belong_to_no_case_fail(
     for number in range(10):
         device.answer(0x21, (at + 60 * number) * MS)
 
-    assert Verdict.FAIL in verdicts(WithoutPowerSwitch(device), protocol).values()
+    assert Verdict.FAIL in verdicts(Hidden(device), protocol).values()
 
 
 def test_a_device_that_has_been_driven_before_is_not_blamed_for_how_it_was_found(
@@ -136,9 +126,7 @@ def test_a_first_instruction_that_was_lost_is_a_fault_where_another_power_on_sho
 ) -> None:
     device = Simulator(protocol, fault_bank(protocol)["second-frame-unanswered"])
 
-    report = conform(
-        device if switched else WithoutPowerSwitch(device), grammar=protocol, options=FEW
-    )
+    report = conform(device if switched else Hidden(device), grammar=protocol, options=FEW)
 
     (lost,) = [result for result in report.results if result.id == "power-on/lost"]
     assert lost.verdict is verdict

@@ -150,17 +150,6 @@ def test_what_shows_too_seldom_to_be_told_from_noise_is_flaky(
     assert result.verdict is INCONCLUSIVE
 
 
-@pytest.mark.parametrize("name", ["every-7th-fault-missed", "every-16th-fault-missed"])
-def test_a_device_that_counts_fails_in_the_faults_in_a_row(protocol: Protocol, name: str) -> None:
-    device = Simulator(protocol, fault_bank(protocol)[name])
-
-    report = conform(device, grammar=protocol, options=Options(only=("sequence/faults-*",)))
-
-    assert report.exit == 1
-    (row,) = [r for r in report.results if r.id == "sequence/faults-in-a-row"]
-    assert row.verdict is FAIL
-
-
 def test_a_line_that_is_trusted_is_not_tried_again(protocol: Protocol) -> None:
     bad = cases_of(protocol, "bad-data/LED/[89]", "bad-data/LED/1?", "bad-data/LED/2[0-3]")
     fault = Fault("x", "test", "", react=lambda d, e, r: (

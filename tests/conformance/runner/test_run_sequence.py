@@ -498,30 +498,6 @@ class Lagging(Simulator):
         return past[0] if past else super().look(now)
 
 
-@pytest.mark.parametrize(
-    ("frame", "lag", "verdict"),
-    [
-        ("81 02", 60, PASS),
-        ("30", 60, PASS),
-        ("41 20", 60, PASS),
-        ("92 00 00", 60, PASS),
-        ("81 02", 300, FAIL),
-        ("92 00 00", 300, FAIL),
-    ],
-)
-def test_a_look_that_lags_is_waited_for_but_not_for_ever(
-    protocol: Protocol, frame: str, lag: int, verdict: Verdict
-) -> None:
-    device = Lagging(protocol, lag)
-    case = hand_made(protocol, frame, setup=DRIVES)
-
-    found = run_once(device, protocol, case, timers=Timers(grace=80 * MS))
-
-    assert found.result.verdict is verdict
-    if verdict is PASS:
-        assert len(found.link.looks) > 5
-
-
 def test_a_stop_that_is_seen_late_is_not_in_time_unless_the_link_lags_so(
     protocol: Protocol,
 ) -> None:
