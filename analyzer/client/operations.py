@@ -14,6 +14,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.captures.schemas import Look
 
 T = TypeVar("T")
+Step = TypeVar("Step")
 
 
 Heard: TypeAlias = tuple[tuple[int, int], ...]
@@ -136,6 +137,20 @@ def followed(
     look: Callable[[], Procedure[Observation]] = observe,
 ) -> Procedure[T]:
     """The procedure, every operation of which the followers take note of; `look` does its looks."""
+
+    def do(operation: Operation) -> Procedure[Reply]:
+        reply: Reply = (yield from look()) if isinstance(operation, Observe) else (yield operation)
+        for follower in followers:
+            follower.did(operation, reply)
+        return reply
+
+    return _performed(procedure, do)
+
+
+def _performed(
+    procedure: Procedure[T], do: Callable[[Operation], Generator[Step, Any, Reply]]
+) -> Generator[Step, Any, T]:
+    """Run a procedure whose operations `do` does; what ends one is thrown into the procedure."""
     reply: Reply | None = None
     error: Ended | None = None
     while True:
@@ -145,13 +160,9 @@ def followed(
             return end.value  # type: ignore[no-any-return]  # what the generator's type says
         error = None
         try:
-            reply = (yield from look()) if isinstance(operation, Observe) else (yield operation)
+            reply = yield from do(operation)
         except Ended as ended:
             error = ended
-        else:
-            assert reply is not None
-            for follower in followers:
-                follower.did(operation, reply)
 
 
 class Reconnected(Ended):
@@ -229,8 +240,6 @@ def steps(
     (the user's wish) or a sentence (what of the kit failed), Ended is thrown into the procedure,
     which then only homes the robot. What the operation brought is not judged: it was cut short.
     """
-    reply: Any = None
-    error: BaseException | None = None
     told = False
 
     def end_if_interrupted() -> None:
@@ -239,19 +248,16 @@ def steps(
             told = True
             raise interruption(why)
 
-    while True:
-        try:
-            operation = procedure.throw(error) if error else procedure.send(reply)
-        except StopIteration as end:
-            return end.value  # type: ignore[no-any-return]  # what the generator's type says
-        error = None
+    def do(operation: Operation) -> Generator[None, None, Reply]:
         try:
             end_if_interrupted()
             reply = link.do(operation)
             end_if_interrupted()
-        except Ended as ended:
-            error = ended
-        yield
+            return reply
+        finally:
+            yield
+
+    return _performed(procedure, do)
 
 
 def done(procedure: Procedure[T], link: Link) -> T:
