@@ -294,15 +294,11 @@ class Batch(ABC):
     @cached_property
     def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """The numbers of the host's, the device's and the other rows among all rows in order."""
-        after, others = self.after, self.others
-        host = np.arange(len(self.hosts))
-        device = np.arange(len(after))
-        before = np.searchsorted(after, host, "right") + np.searchsorted(
-            others.after, host, "right"
-        )
+        after, others, hosts = self.after, self.others, len(self.hosts)
+        before = _up_to(after, hosts) + _up_to(others.after, hosts)
         return (
-            host + before,
-            device + after + np.searchsorted(others.heard, device, "right"),
+            np.arange(hosts) + before,
+            np.arange(len(after)) + after + _up_to(others.heard, len(after)),
             np.arange(len(others)) + others.after + others.heard,
         )
 
@@ -339,6 +335,11 @@ class Batch(ABC):
         return Selection(
             self.hosts.faults.serious, self.devices.faults.serious, np.array(other, np.bool_)
         )
+
+
+def _up_to(values: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """How many of the values are at most 0, at most 1 and so on, for so many numbers."""
+    return np.bincount(values, minlength=count)[:count].cumsum()
 
 
 class Records(Batch):
