@@ -39,13 +39,12 @@ class PackedBatch:
 
     def __init__(self, batch: Batch) -> None:
         self._shared: list[Any] = []
-        packed = BytesIO()
-        with zstandard.ZstdCompressor(_LEVEL).stream_writer(packed, closefd=False) as file:
-            pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
-            # A persistent id is asked for each object: packing records would be twice as slow.
-            pickler.dispatch_table = {np.ndarray: _steps, **dict.fromkeys(_SHARED, self._share)}
-            pickler.dump(batch)
-        self._packed = packed.getvalue()
+        file = BytesIO()
+        pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
+        # A persistent id is asked for each object: packing records would be twice as slow.
+        pickler.dispatch_table = {np.ndarray: _steps, **dict.fromkeys(_SHARED, self._share)}
+        pickler.dump(batch)
+        self._packed = zstandard.ZstdCompressor(_LEVEL).compress(file.getbuffer())
 
     def _share(self, value: Any) -> tuple[Any, ...]:
         """Keep a value beside the packed bytes, which have its place there."""
@@ -54,7 +53,7 @@ class PackedBatch:
 
     def batch(self) -> Batch:
         """The batch again."""
-        data = zstandard.ZstdDecompressor().decompressobj().decompress(self._packed)
+        data = zstandard.ZstdDecompressor().decompress(self._packed)
         batch: Batch = _Unpacker(BytesIO(data), self._shared).load()
         return batch
 
