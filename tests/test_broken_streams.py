@@ -298,6 +298,13 @@ def test_a_capture_is_replayed_until_nobody_reads(runs: Path) -> None:
     assert (result.returncode, result.stderr) == (0, b"")
 
 
+def test_a_full_disk_behind_a_stream_is_one_sentence() -> None:
+    result = broken("stdout", "full", "encode", "Stop")
+
+    assert result.returncode == 2
+    assert result.stderr == b"bilprov: standard output: No space left on device\n"
+
+
 @pytest.mark.parametrize(
     ("redirections", "shown"),
     [(">&-", b""), (">&- 2>&-", b""), ("<&- >&-", b""), ("<&- 2>&-", b"00\n")],

@@ -24,8 +24,7 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.transport.pty import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.conformance.api import Options, conform, planned, run_suite, select_cases
-from bilprov.conformance.cases.levels import CONDITIONAL_CASES, level_cases
-from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.levels import CONDITIONAL_CASES
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
@@ -46,7 +45,7 @@ from tests.support.robots import (
     simulate,
 )
 from tests.support.signals import ignoring
-from tests.vectors import FRAME_COUNTS, READING_IDS
+from tests.vectors import READING_IDS
 
 pytestmark = pytest.mark.waits
 
@@ -116,20 +115,6 @@ def test_the_command_that_reproduces_a_case_does_so(tmp_path: Path) -> None:
     assert found.sent == failed[0].sent
 
 
-def test_the_command_and_the_import_say_the_same(protocol: Protocol) -> None:
-    fault = fault_bank(protocol)["no-stop-on-unknown-id"]
-    only = ("unused-id/9/?", "valid/LED/*")
-
-    result = command(*("conform", "sim", "--fault", fault.name, *FEW, "--seed", "3", "--json", "-"))
-    mine = conform(Simulator(protocol, fault), grammar=protocol, options=Options(only=only, seed=3))
-
-    theirs = report_of(result.stdout)
-    assert result.returncode == theirs.exit == mine.exit == 1
-    assert [(c.id, c.verdict) for c in theirs.cases] == [
-        (r.id, r.verdict.label) for r in mine.results
-    ]
-
-
 # -- choosing cases -------------------------------------------------------------------------------
 
 
@@ -138,27 +123,6 @@ OPENING = [
     *("power-on/at-rest", "power-on/Speed", "link/unused-id", "link/too-few", "power-on/Forward"),
     "timing/truncation-timeout",
 ]
-
-
-def listed(*arguments: str) -> list[str]:
-    """The ids that --list names, in their order."""
-    result = command("conform", *arguments, "--list")
-    assert result.returncode == 0
-    return [line.split()[0] for line in result.stdout.decode().splitlines()]
-
-
-def test_the_list_names_every_case_and_sends_nothing(protocol: Protocol) -> None:
-    ids = listed("/nowhere/port")
-    sequences = [
-        case for case in level_cases(protocol, "standard", 1) if isinstance(case, SequenceCase)
-    ]
-
-    assert ids[: len(OPENING)] == OPENING
-    assert all(ident.startswith("reading/") for ident in ids[len(OPENING) :][:READING_CASES])
-    assert {"valid/Speed/255", "unused-id/9/0", "bad-data/LED/8"} <= set(ids)
-    assert {sequence.id for sequence in sequences} <= set(ids)
-    singles = sum(FRAME_COUNTS.values()) - 1920 + 20 + 20 + 2  # few cuts, the wheels' order
-    assert len(ids) == len(set(ids)) == len(OPENING) + READING_CASES + singles + len(sequences)
 
 
 # -- wrong use ------------------------------------------------------------------------------------

@@ -428,28 +428,6 @@ def test_a_killed_run_leaves_what_can_be_judged(tmp_path: Path, protocol: Protoc
     assert found.notes == ("it ends before its run did: what is there was judged again",)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "piece"),
-    [
-        ("deadline=100,", 'deadline="a",', "Timing.answer_deadline in ms is 'a'"),
-        ('NAME = "', 'NAME = "\\x1b[2J', "NAME holds the character U+001B"),
-        ("speed=0, ", f"speed={'(' * 16 + '0' + ',0)' * 16}, ", "allowed is a whole number"),
-    ],
-    ids=["a time in text", "an escape", "tuples"],
-)
-def test_a_grammar_that_cannot_be_used_is_one_sentence(
-    faulty: Path, tmp_path: Path, grammar_text: str, old: str, new: str, piece: str
-) -> None:
-    text = grammar_text.replace(old, new, 1)
-    assert text != grammar_text
-    file = forged(faulty, tmp_path / "f.mcap", grammar=text)
-
-    result = command("recheck", str(file))
-
-    assert result.returncode == 2
-    assert piece in sentence(result)
-
-
 def test_a_grammar_that_does_more_than_declare_is_not_run(
     faulty: Path, tmp_path: Path, grammar_text: str
 ) -> None:

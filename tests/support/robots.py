@@ -54,6 +54,14 @@ ALL_SEEING = Observability(available=True)
 FEW_LOOKS = Observability(available=True, costly=True)
 
 
+class Blind:
+    """A device object whose robot nobody sees."""
+
+    def __init__(self, device: Any) -> None:
+        self.receive, self.advance, self.deadline = device.receive, device.advance, device.deadline
+        self.lossless = getattr(device, "lossless", False)
+
+
 class Hidden:
     """A device object that says nothing of its line, or what a test says."""
 

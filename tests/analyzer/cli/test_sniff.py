@@ -22,7 +22,7 @@ from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, write
 from tests.support import ROOT, commands
 from tests.support.messages import messages
 from tests.support.robots import until
-from tests.support.wires import PATIENCE, PtyRobot, json_lines, running, served
+from tests.support.wires import PtyRobot, json_lines, running, served
 
 pytestmark = pytest.mark.waits
 
@@ -306,19 +306,6 @@ def test_a_bridge_passes_every_byte_also_where_the_disk_is_full(
     assert answers == b"\x00\x00\x02"
     assert (code, b"disk full" in err) == (2 * full, full)
     assert open_capture(path).metadata["attached"] == "no"
-
-
-def test_a_reader_that_goes_ends_it_quietly_though_nothing_more_is_shown(path: Path) -> None:
-    with sniffing(path, taps=1) as one:
-        write(one.host, b"\x20")
-        one.lines()
-        one.command.stdout.close()
-        write(one.host, b"\x00")
-        one.command.process.wait(PATIENCE)
-        err = one.command.stderr.read()
-
-    assert (one.command.process.returncode, err) == (0, b"")
-    assert not open_capture(path).unfinished
 
 
 def test_the_capture_is_finished_though_nobody_reads_the_text(path: Path) -> None:

@@ -27,7 +27,7 @@ from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol, load
 from tests.support.commands import command
 from tests.support.grammars import undeclared
-from tests.support.robots import BYTE_TIME, MS, SlowProbe, sentence, served_here
+from tests.support.robots import BYTE_TIME, MS, Blind, SlowProbe, sentence, served_here
 
 OPENING = ("power-on/", "link/", "timing/", "reading/")  # what every run has
 
@@ -183,13 +183,6 @@ class Driven(Simulator):
         return reaction
 
 
-class Unseen:
-    """A robot without a probe."""
-
-    def __init__(self, robot: Simulator) -> None:
-        self.receive, self.advance, self.deadline = robot.receive, robot.advance, robot.deadline
-
-
 @pytest.mark.parametrize(
     "options",
     [
@@ -208,7 +201,7 @@ def test_a_run_drives_as_it_said(protocol: Protocol, options: Options, looks: bo
     robot = Driven(protocol)
 
     report = conform(
-        robot if looks else Unseen(robot),  # type: ignore[arg-type]  # it has no look
+        robot if looks else Blind(robot),  # type: ignore[arg-type]  # it has no look
         grammar=protocol,
         options=options,
     )

@@ -26,15 +26,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import Condition, silent, twice
 from tests.support.firmware import AVR, built
-from tests.support.robots import BYTE_TIME
-
-
-class Blind:
-    """A device whose robot nobody sees."""
-
-    def __init__(self, device: Device) -> None:
-        self.receive, self.advance, self.deadline = device.receive, device.advance, device.deadline
-        self.lossless = getattr(device, "lossless", False)
+from tests.support.robots import BYTE_TIME, Blind
 
 
 def learn(protocol: Protocol, device: Any, *, seed: int = 1) -> Learned:

@@ -25,19 +25,13 @@ from bilprov.conformance.report.run_report import Covered, Report, conclusion
 from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import EVIL, a_case, every_verdict, hostile
+from tests.support.robots import Blind
 
 
 def shown(report: Report, *, everything: bool = False) -> str:
     text = StringIO()
     show(report, Console(file=text, width=200), everything=everything)
     return text.getvalue()
-
-
-class Blind:
-    """A device object whose robot nothing sees."""
-
-    def __init__(self, device: Simulator) -> None:
-        self.receive, self.advance, self.deadline = device.receive, device.advance, device.deadline
 
 
 @pytest.fixture
