@@ -175,7 +175,7 @@ JUDGING = {
     "replay, jsonl": Judging("replay {runs}/{robot}.mcap --rate 0 --judge --format jsonl"),
     "compare": Judging("capture diff {runs}/good.mcap {runs}/{robot}.mcap --json {new}/a.json"),
     "compare, json": Judging("capture diff {runs}/good.mcap {runs}/{robot}.mcap --json -"),
-    "learn": Judging("lab learn sim {fault} --json {new}/a.json"),
+    "learn": Judging("lab learn sim {fault} --dot {new}/a.dot"),
 }
 
 
@@ -336,7 +336,7 @@ def test_sniffing_ends_when_nobody_reads_and_its_file_is_whole(tmp_path: Path) -
 # What takes long enough for the terminal to go away while the robot moves.
 LONG = {
     "conform": "conform {port} --probe {probe} --json {new}/a.json",
-    "learn": "lab learn {port} --probe {probe} --json {new}/a.json",
+    "learn": "lab learn {port} --probe {probe} --dot {new}/a.dot",
     "send": "send {port} 'Speed 255' Forward pause=60000",
     "replay": "replay {runs}/good.mcap --to {port} --rate 0.01",
 }

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from bilprov.analyzer.cli.command import command, family_protocol, group, option
-from bilprov.analyzer.cli.options import note
+from bilprov.analyzer.cli.options import note, note_each
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.captures.text import quantity
@@ -19,14 +17,11 @@ from bilprov.conformance.cli.options import seed_option
 from bilprov.conformance.cli.outputs import write_each
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target
-from bilprov.conformance.learning.drawing import dot_text, has_graphviz, seen_words, svg_text
-from bilprov.conformance.machines.wp_method import Mealy, state_cover
+from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
 from bilprov.spec.by_effect import all_movement
-from bilprov.spec.codec import spaced
 
 if TYPE_CHECKING:
-    from bilprov.conformance.learning.learner import Difference, Learned
-    from bilprov.conformance.learning.reference import Output
+    from bilprov.conformance.learning.learner import Learned
 
 _SHOWN = 5  # differences told on the screen
 
@@ -43,13 +38,12 @@ class LearnOptions:
         metavar="FILE",
         help="The machine as a picture of its kinds of motion, drawn by Graphviz.",
     )
-    json: str | None = option(metavar="FILE", help="Everything as JSON; - is standard output.")
     seed: int = seed_option(help="Seed of the random sequences.")
 
     @property
     def files(self) -> list[tuple[str, str]]:
         """The options that name files, and their paths."""
-        named = {"--dot": self.dot, "--svg": self.svg, "--json": self.json}
+        named = {"--dot": self.dot, "--svg": self.svg}
         return [(name, path) for name, path in named.items() if path is not None]
 
 
@@ -75,9 +69,9 @@ def learn(options: LearnOptions) -> int:
     name, settings = robot.named(protocol)
     robot = robot.fitting(name)
     promise_verdict()
+    require_writable(options.files)
     if options.svg is not None and not has_graphviz():
         raise click.UsageError("--svg needs Graphviz (apt-get install graphviz); --dot does not")
-    require_writable(options.files)
     from bilprov.conformance.cli.progress import bar
 
     def agreed(target: Target) -> Target:
@@ -114,21 +108,14 @@ def _confirm(target: Target, robot: RobotOptions) -> None:
 
 def _write(learned: Learned, options: LearnOptions) -> None:
     """Write the files that were asked for; a picture needs a machine."""
-    texts = list[tuple[str, str]]()
-    machine, device = learned.machine, learned.report.device
-    if machine is None and (options.dot or options.svg):
-        note("nothing is drawn: the machine was not learned")
-    elif machine is not None:
-        ends = [(machine.after(one.word[:-1]), one.word[-1]) for one in learned.differences]
-        drawn = dot_text(learned.protocol, machine, learned.names, device, ends)
-        if options.dot is not None:
-            texts.append((options.dot, drawn))
-        if options.svg is not None:
-            texts.append((options.svg, svg_text(drawn)))
-    if options.json is not None:
-        indent = None if options.json == STANDARD_OUTPUT else 1
-        texts.append((options.json, json.dumps(_as_json(learned), indent=indent) + "\n"))
-    write_each(texts)
+    machine = learned.machine
+    if machine is None:
+        note_each(["nothing is drawn: the machine was not learned"] * bool(options.files))
+        return
+    ends = [(machine.after(one.word[:-1]), one.word[-1]) for one in learned.differences]
+    drawn = dot_text(learned.protocol, machine, learned.names, learned.report.device, ends)
+    texts = {"--dot": drawn, "--svg": svg_text(drawn) if options.svg else ""}
+    write_each((path, texts[name]) for name, path in options.files)
 
 
 def _told(learned: Learned) -> Iterator[str]:
@@ -182,64 +169,3 @@ def _conclusion(learned: Learned) -> str:
     if not learned.seen:
         return "by its answers the Protocol's machine; whether it stops was not seen, see --probe"
     return "the Protocol's machine"
-
-
-def _as_json(learned: Learned) -> dict[str, Any]:
-    machine, report = learned.machine, learned.report
-    inputs = zip(learned.names, learned.steps, strict=True)
-    return {
-        "kit": report.kit,
-        "grammar": msgspec.to_builtins(report.grammar),
-        "device": report.device,
-        "link": report.link,
-        "seed": learned.seed,
-        "verdict": learned.verdict.label,
-        "exit": learned.exit,
-        "trouble": learned.trouble,
-        "seen": learned.seen,
-        "sent": asdict(learned.sent),
-        "inputs": [
-            {"name": name, "hex": spaced(step.frame), "kind": step.kind.value}
-            for name, step in inputs
-        ],
-        "states": None if machine is None else _states(machine),
-        "expected_states": learned.expected_states,
-        "readings": [
-            {"point": point, "choice": word, "verdict": label}
-            for point, word, label in learned.choices
-        ],
-        "failed_beside": [{"id": case, "reason": reason} for case, reason in learned.beside],
-        "differences": [_difference(learned, one) for one in learned.differences],
-        "more_differences": learned.more,
-    }
-
-
-def _states(machine: Mealy[Output]) -> list[dict[str, Any]]:
-    seen = seen_words(machine, lambda output: output.look_words)
-    return [
-        {
-            "name": f"{number}: {words}" if words else str(number),
-            "reached_by": list(access),
-            "transitions": [
-                {"to": target, **_output(output)}
-                for target, output in zip(targets, outputs, strict=True)
-            ],
-        }
-        for number, (words, access, targets, outputs) in enumerate(
-            zip(seen, state_cover(machine), machine.targets, machine.outputs, strict=True)
-        )
-    ]
-
-
-def _output(output: Output) -> dict[str, Any]:
-    return {"codes": list(output.codes), "look": output.look_words}
-
-
-def _difference(learned: Learned, difference: Difference) -> dict[str, Any]:
-    return {
-        "inputs": list(difference.word),
-        "sent": [spaced(frame) for frame in learned.frames_of(difference.word)],
-        "expected": _output(difference.expected),
-        "actual": _output(difference.actual),
-        "reproduce": learned.send_line(difference),
-    }

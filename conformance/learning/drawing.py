@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections import defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 
 from bilprov.captures.text import escape_controls, quantity
 from bilprov.conformance.learning.reference import Output
@@ -44,7 +44,7 @@ def dot_text(
     of a node is a shortest way to it. `differing` are the transitions (state, input) to be drawn in
     red.
     """
-    labels = seen_words(machine, lambda output: output.motion_words)
+    labels = _kinds(machine)
     nodes = list(dict.fromkeys(labels))
     lines = [f"digraph {_quoted(title)} {{", _HEAD]
     for number, label in enumerate(nodes):
@@ -79,12 +79,12 @@ def _arrow(source: int, target: int, answers: dict[str, set[str]], red: Collecti
     return f"{source} -> {target} [{words}{' ' + _RED if red else ''}];"
 
 
-def seen_words(machine: Mealy[Output], words: Callable[[Output], str]) -> list[str]:
-    """What is seen on the ways into each state, "" where that is not always the same."""
+def _kinds(machine: Mealy[Output]) -> list[str]:
+    """The kind of motion that is seen on every way into each state, "" for none."""
     seen: list[set[str]] = [set() for _ in machine.targets]
     for targets, outputs in zip(machine.targets, machine.outputs, strict=True):
         for target, output in zip(targets, outputs, strict=True):
-            seen[target].add(words(output))
+            seen[target].add(output.motion_words)
     return [min(ways) if len(ways) == 1 else "" for ways in seen]
 
 

@@ -125,7 +125,6 @@ class Learned:
 
     protocol: Protocol
     lossless: bool
-    seed: int
     steps: tuple[Step, ...]
     machine: Mealy[Output] | None = None
     expected_states: int = 0
@@ -201,12 +200,12 @@ def learn_target(
         return drive(procedure, links[0], target.interrupted)
 
     protocol = target.protocol
-    learned = Learned(protocol, target.environment.lossless, seed, alphabet(protocol))
+    learned = Learned(protocol, target.environment.lossless, alphabet(protocol))
     learned.report = report = run_suite(
         replace(target, connect=connect),
         Options(only=(_OPENING,)),
         logged=False,
-        explainer=lambda run, *_: _Learning(run, ask, learned),
+        explainer=lambda run, *_: _Learning(run, ask, learned, seed),
     )
     if report.unusable:
         raise Unusable(report.unusable)
@@ -222,8 +221,10 @@ def learn_target(
 class _Learning:
     """Learns the device once the run has found out its choices, and fills in what came of it."""
 
-    def __init__(self, run: Run, ask: Callable[[Procedure[_Outputs]], _Outputs], learned: Learned):
-        self._run, self._ask, self._learned = run, ask, learned
+    def __init__(
+        self, run: Run, ask: Callable[[Procedure[_Outputs]], _Outputs], learned: Learned, seed: int
+    ) -> None:
+        self._run, self._ask, self._learned, self._seed = run, ask, learned, seed
 
     def causes(self) -> tuple[()]:
         """What a run explains: nothing here."""
@@ -240,7 +241,7 @@ class _Learning:
         )
         reference = reference_machine(model, learned.steps)
         system = System(run, self._ask, learned.steps, reference, learned.sent)
-        learner = Learner(system, reference, seed=learned.seed)
+        learner = Learner(system, reference, seed=self._seed)
         try:
             learned.machine = machine = learner.learn()
             learned.differences, learned.more = tuple(learner.differences), learner.more
