@@ -118,7 +118,6 @@ def conform(
     name: str = SIM,
     probe: str = SIM,
     fault: str | None = None,
-    spare: SkipPolicy | None = None,
     logged: bool = True,
 ) -> Report:
     """Run every case on a device object in virtual time: no waiting, the same result every time.
@@ -127,7 +126,7 @@ def conform(
     kit's own simulator if None; one without `look` is judged by its answers alone, and where its
     attribute `lossless` is True one unexplained mismatch is a failure. `listener` is told of the
     run and of what passes over the link. `name`, `probe` and `fault` only name the device, its
-    probe and its fault in the report; `spare` and `logged` are `run_suite`'s. Raises
+    probe and its fault in the report; `logged` is `run_suite`'s. Raises
     ValueError when no case is left to run, and DeviceError, in one sentence, for a device object
     that does not keep to its four methods.
     """
@@ -138,7 +137,6 @@ def conform(
         replace(target, interrupted=interrupted),
         options or Options(),
         [listener] if listener else [],
-        skip=spare,
         logged=logged,
         explainer=Explainer if logged else None,
     )

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import statistics
 from collections import defaultdict, deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
@@ -35,6 +34,7 @@ _FLAGS = {
 }
 
 
+_LONGEST = 60_000  # ms of a time in a file
 Milliseconds = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
 
 _RECENT = 100  # answers to an instruction that tell how far its answers vary
@@ -202,11 +202,12 @@ def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Prof
         raise ValueError(f"it is not TOML ({error}); give a file that conform wrote") from error
     if told.get("sha256") != protocol.sha256:
         raise ValueError("it was made with another grammar; leave it out and make a new one")
+    try:
+        given = msgspec.convert(told, Figures)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{error}; give a file that conform wrote") from error
     profile = Profile(choices=Choices(allowed=allowed))
-    readings = told.get("readings", {})
-    if not isinstance(readings, dict):
-        raise ValueError("its readings are not a table; give a file that conform wrote")
-    for point, word in readings.items():
+    for point, word in (given.readings or {}).items():
         choice = POINTS[point].choice(word) if point in POINTS else None
         if choice is None:
             raise ValueError(f"{point} = {word!r} is not a choice that this version knows")
@@ -214,30 +215,18 @@ def profile_from(protocol: Protocol, text: str, allowed: dict[str, str]) -> Prof
             raise ValueError(f"{point} = {word!r} has to be allowed: see --allow")
         profile.choices.record(point, word, "--profile")
     for key, name in _TIMES.items():
-        if key in told:
-            setattr(profile, name, _time(told, key))
+        time = getattr(given, key)
+        if time is not None and not 0 < time <= _LONGEST:
+            raise ValueError(f"{key} = {time!r} is not a time; allowed are 0 to {_LONGEST} ms")
+        if time is not None:
+            setattr(profile, name, int(time * MS))
     for key, name in _FLAGS.items():
-        if key in told:
-            setattr(profile, name, _flag(told, key))
-    led = told.get("led_id")
-    if led is not None and led not in protocol.unused_ids:
-        raise ValueError(f"led_id = {led!r} is not an unused ID")
-    profile.choices.led_id = led
+        if getattr(given, key) is not None:
+            setattr(profile, name, getattr(given, key))
+    if given.led_id not in (None, *protocol.unused_ids):
+        raise ValueError(f"led_id = {given.led_id!r} is not an unused ID")
+    profile.choices.led_id = given.led_id
     return profile
-
-
-def _time(told: Mapping[str, Any], key: str) -> int:
-    value = told[key]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 60_000:
-        raise ValueError(f"{key} = {value!r} is not a time; allowed are 0 to 60000 ms")
-    return int(value * MS)
-
-
-def _flag(told: Mapping[str, Any], key: str) -> bool:
-    value = told[key]
-    if not isinstance(value, bool):
-        raise ValueError(f"{key} = {value!r} is neither true nor false")
-    return value
 
 
 # How much later than an answer a stop may be seen on a real line although it was in time: link and

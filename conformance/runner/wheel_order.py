@@ -12,7 +12,7 @@ from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.cases.wheel_order import READING, OrderCase
 from bilprov.conformance.oracle.judge import answer_words
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.oracle.wheel_order import Speeds, WheelOrder, sizes, spread, tolerance
+from bilprov.conformance.oracle.wheel_order import Speeds, judge_order, sizes, spread, tolerance
 from bilprov.conformance.runner.homing import set_up, watch
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.codec import judge
@@ -26,8 +26,17 @@ _PATIENCE = 100 * MS  # for a setting to settle
 def run_wheel_order(trial: Trial, case: OrderCase) -> Procedure[None]:
     """Execute the case on a homed line."""
     run, expected = trial.run, f"each of {len(case.settings)} settings taken"
-    why = "" if run.config.observable else f"not observable ({run.config.observability.why})"
-    why = why or (yield from _unseen(trial, case))
+    car, why = run.protocol.car, ""
+    motion = car.drive(case.setup).motion
+    if not run.config.observable:
+        why = f"not observable ({run.config.observability.why})"
+    else:
+        yield from set_up(run, case.setup)
+        seen = yield from watch(run, moving=True, patience=run.timers.deadline, trial=trial)
+        if None in _speeds(seen.look):
+            why = _NO_SPEEDS
+        elif not (seen.look.moving or motion in (run.profile.moves or ())):
+            why = "never seen moving in this motion"
     trial.begin(case, {"answer": Axis(Verdict.PASS, expected, expected)}, Received((), 0), 0)
     looks: dict[int, list[Speeds]] = {}
     for value, frame in () if why else case.settings:
@@ -44,24 +53,10 @@ def run_wheel_order(trial: Trial, case: OrderCase) -> Procedure[None]:
     if why:
         trial.axes = {"answer": Axis(Verdict.SKIPPED, case.requirement, "not run", why)}
         return
-    car = run.protocol.car
-    ahead = car.turn(car.drive(case.setup).motion)
-    order = WheelOrder(case.variable, ahead, looks, steers=case.variable == car.steering)
-    verdict, reason = order.verdict()
+    steers = case.variable == car.steering
+    verdict, words, reason = judge_order(case.variable, car.turn(motion), looks, steers=steers)
     reading = READING if reason else ""
-    trial.axes["state"] = Axis(verdict, case.requirement, order.words, reason, reading)
-
-
-def _unseen(trial: Trial, case: OrderCase) -> Procedure[str]:
-    """Set the robot in motion; returns why its wheels cannot be judged, "" if they can."""
-    run = trial.run
-    yield from set_up(run, case.setup)
-    seen = yield from watch(run, moving=True, patience=run.timers.deadline, trial=trial)
-    if None in _speeds(seen.look):
-        return _NO_SPEEDS
-    motion = run.protocol.car.drive(case.setup).motion
-    moves = seen.look.moving or motion in (run.profile.moves or ())
-    return "" if moves else "never seen moving in this motion"
+    trial.axes["state"] = Axis(verdict, case.requirement, words, reason, reading)
 
 
 def _refusal(trial: Trial, case: OrderCase, frame: bytes) -> Procedure[str]:
@@ -85,18 +80,17 @@ def _refusal(trial: Trial, case: OrderCase, frame: bytes) -> Procedure[str]:
 
 def _settled(trial: Trial, before: dict[int, list[Speeds]]) -> Procedure[list[Speeds]]:
     """Looks that agree, or the last when the time is up; none where the probe shows no speeds."""
-    waited = 0
-    while True:
+    for waited in range(0, _PATIENCE + _PAUSE, _PAUSE):
+        if waited:
+            trial.hear((yield from listen(None, _PAUSE)))
         looks = []
         for _ in range(_LOOKS):
             looks.append(_speeds((yield from observe()).look))
         if any(None in speeds for speeds in looks):
             return []
-        full = max(sizes({**before, -1: looks}), default=0)
-        if spread(looks) <= tolerance(full) or waited >= _PATIENCE:
-            return looks
-        trial.hear((yield from listen(None, _PAUSE)))
-        waited += _PAUSE
+        if spread(looks) <= tolerance(max(sizes({**before, -1: looks}), default=0)):
+            break
+    return looks
 
 
 def _speeds(look: Look) -> Any:

@@ -16,7 +16,7 @@ from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.oracle.wheel_order import WheelOrder
+from bilprov.conformance.oracle.wheel_order import judge_order
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import made
@@ -128,7 +128,7 @@ def test_unlike_wheels_are_told_and_change_no_exit_code(protocol: Protocol) -> N
 def test_curves_that_are_not_mirrored_are_told() -> None:
     looks = {value: [(100, 100 - (value if value > 0 else value // 2))] for value in (-90, 0, 90)}
 
-    verdict, words = WheelOrder("steering", (1, 1), looks, steers=True).verdict()
+    verdict, _, words = judge_order("steering", (1, 1), looks, steers=True)
 
     assert verdict is TOLD
     assert words.startswith("not mirrored: steering turns the wheels at -90 with")
