@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from math import inf
 
 from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected, followed
 from bilprov.conformance.cases.budget import (
@@ -176,32 +177,28 @@ class Runner:
 
     def _tell_slow(self) -> None:
         """Tell how long slow answers and slow looks take, and what that makes of the run."""
-        run = self.run
-        takes = run.profile.round_trip or 0
-        on_time, pace = takes <= run.timers.deadline, self._pace()
-        slow_answers = not on_time or (is_slow(pace.answer) and not run.config.virtual)
+        run, pace, virtual = self.run, self._pace(), self.run.config.virtual
+        takes, due = run.profile.round_trip or 0, run.timers.deadline
+        slow_answers = takes > due or (is_slow(pace.answer) and not virtual)
         told = slow_answers or is_slow(pace.look)
-        if run.config.virtual and not told:
+        if virtual and not told:
             return
-        whole, cases = run.timers.run_budget, sum(map(self._cost, self._left))
-        more = self._probes() + cases
+        cases = sum(map(self._cost, self._left))
+        more = self._probes() + min(cases, self._whole)
         about = f"the run takes about {more:.0f} s more"
-        if whole is not None and cases > whole / 1e9:
-            more = self._probes() + whole / 1e9
+        if cases > self._whole:
             about = (
-                f"the cases would take {cases:.0f} s and get {whole / 1e9:.0f} s: those that add "
+                f"the cases would take {cases:.0f} s and get {self._whole:.0f} s: those that add "
                 "least are left out"
             )
         run.limit.announce(more)
-        if not told:
-            return
-        if not on_time:
+        if takes > due:
             run.note(
-                f"an answer takes {takes / 1e6:.0f} ms and is due after "
-                f"{run.timers.deadline / 1e6:.0f} ms: slow, non-strict (R-answer-deadline); {about}"
+                f"an answer takes {takes / 1e6:.0f} ms and is due after {due / 1e6:.0f} ms: slow, "
+                f"non-strict (R-answer-deadline); {about}"
             )
-            return
-        run.note(f"{self._slow_words(pace)}: {about}")
+        elif told:
+            run.note(f"{self._slow_words(pace)}: {about}")
 
     def _tell_notices(self) -> None:
         """Note for the report what the user should know of the device before its cases."""
@@ -215,7 +212,7 @@ class Runner:
 
     def _tell_longer(self) -> None:
         """Announce anew how long the run takes with what was found out about the device."""
-        run, pace = self.run, self._pace()
+        run, pace, profile = self.run, self._pace(), self.run.profile
         if run.config.virtual:
             return
         usual = replace(pace, timeout=run.protocol.timing.truncation_timeout / 1000)
@@ -225,25 +222,32 @@ class Runner:
                 sum(map(self._cost, self._left)) - cases
             )
         }
-        if run.profile.keeps_waiting:
-            longest = run.protocol.timing.answer_longest / 1000
-            wasted, most = waits_in_vain(self._left, longest, TRUSTED), run.timers.waiting_budget
-            found["never gives up a frame that was cut short"] = (
-                wasted if most is None else min(wasted, most / 1e9)
-            )
-        if run.profile.flushes:
-            pauses = sum(map(pauses_after_faults, self._left))
-            found["discards what follows a fault until the line is idle"] = (
-                pauses * run.waiting.idle / 1e9
-            )
+        if profile.keeps_waiting:
+            wasted = waits_in_vain(self._left, run.protocol.timing.answer_longest / 1000, TRUSTED)
+            most = run.timers.waiting_budget
+            vain = wasted if most is None else min(wasted, most / 1e9)
+            found["never gives up a frame that was cut short"] = vain
+        if profile.flushes:
+            pauses = sum(map(pauses_after_faults, self._left)) * run.waiting.idle / 1e9
+            found["discards what follows a fault until the line is idle"] = pauses
         longer = {what: more for what, more in found.items() if more >= _MENTIONED}
-        if not longer:
-            return
-        whole, more = run.timers.run_budget, sum(longer.values())
-        if whole is not None and is_slow(max(pace.answer, pace.look)):
-            cases = min(cases, whole / 1e9)
-        run.limit.announce(cases + more)
-        run.note(f"this device {' and '.join(longer)}: the run takes about {more:.0f} s more")
+        if longer:
+            more = sum(longer.values())
+            cases = min(cases, self._whole) if self._is_slow else cases
+            run.limit.announce(cases + more)
+            run.note(f"this device {' and '.join(longer)}: the run takes about {more:.0f} s more")
+
+    @property
+    def _whole(self) -> float:
+        """How long (s) all cases may take on a slow line."""
+        whole = self.run.timers.run_budget
+        return inf if whole is None else whole / 1e9
+
+    @property
+    def _is_slow(self) -> bool:
+        """Whether answers or looks are so slow that the cases may take too long."""
+        pace = self._pace()
+        return is_slow(max(pace.answer, pace.look))
 
     def _slow_words(self, pace: Pace) -> str:
         """What is slow, and how long it takes."""
@@ -271,12 +275,11 @@ class Runner:
 
         A group that loses every case was not tested: those of its cases are inconclusive.
         """
-        run, pace = self.run, self._pace()
-        whole = run.timers.run_budget
-        if whole is None or not is_slow(max(pace.answer, pace.look)):
+        run = self.run
+        if self._whole == inf or not self._is_slow:
             return
-        kept = {c.id for c in within(run.protocol, self._left, whole / 1e9, self._cost)}
-        why = f"{self._slow_words(pace)}: {whole / 1e9:.0f} s are too short for every case"
+        kept = {c.id for c in within(run.protocol, self._left, self._whole, self._cost)}
+        why = f"{self._slow_words(self._pace())}: {self._whole:.0f} s are too short for every case"
         tested = {group(ident) for ident in kept}
         for case in [case for case in self._left if case.id not in kept]:
             skipped = group(case.id) in tested

@@ -129,7 +129,7 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
     if first.stopped or not first.failed:
         return first
     if run.line.explains(first.result):  # over such a line it would not tell more another time
-        return Attempt(_named(run, case, first))
+        return Attempt(_placed(case, first))
     answer = first.result.axes.get("answer")
     # How fast the wheels turn explains no wrong answer.
     if isinstance(case, Case) and (answer is None or answer.verdict < Verdict.INCONCLUSIVE):
@@ -145,8 +145,8 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
             return (yield from judge_case(run, case))
     trusted = run.counters.reproduced >= TRUSTED and not run.counters.flaky
     if trusted and not first.held_up:
-        return Attempt(_named(run, case, first))
-    known = _named(run, case, first) if run.config.lossless else first.result
+        return Attempt(_placed(case, first))
+    known = _placed(case, first) if run.config.lossless else first.result
     confirmed = False
     try:
         again = yield from _again(run, case, first)
@@ -157,11 +157,11 @@ def judge_case(run: Run, case: Case | SequenceCase) -> Procedure[Attempt]:
             run.counters.flaky += 1
             return Attempt(_not_reproduced(run, first.result, again))
         run.counters.reproduced += 1
-        known, confirmed = _named(run, case, first), True
+        known, confirmed = _placed(case, first), True
         if isinstance(case, SequenceCase) and first.mismatch:
             shorter = yield from _shortened(run, case, first, first.mismatch)
             place = replace(first.mismatch, burst=len(shorter.bursts) - 1)
-            known = _named(run, shorter, replace(first, mismatch=place))
+            known = _placed(shorter, replace(first, mismatch=place))
             known = msgspec.structs.replace(known, reproduce=reproducer(run, shorter))
     except _Stopped as stopped:
         # An interruption leaves the failure that is known; where the device made the rest
@@ -262,30 +262,6 @@ def _cannot_be_noise(run: Run, tried: Attempt) -> bool:
     if run.config.observability.foreign and not is_no_lie(run, 1, missed, run.looks.made):
         return False
     return missed > 1
-
-
-def _named(run: Run, case: Case | SequenceCase, tried: Attempt) -> CaseResult:
-    """The result that names where it failed, and the frame that the device never gave up."""
-    result = _placed(case, tried)
-    frame = _cut_short(case, tried.mismatch) if run.profile.keeps_waiting else b""
-    if not frame:
-        return result
-    why = f"the device never gave up the frame {spaced(frame)}, which had been cut short"
-    axes = {
-        name: msgspec.structs.replace(axis, reason=f"{axis.reason}; {why}")
-        if axis.verdict is Verdict.FAIL
-        else axis
-        for name, axis in result.axes.items()
-    }
-    return msgspec.structs.replace(result, axes=axes)
-
-
-def _cut_short(case: Case | SequenceCase, mismatch: Mismatch | None) -> bytes:
-    """The last frame that was cut short until a case failed, b"" if none was."""
-    if isinstance(case, Case):
-        return case.frame if case.truncated else b""
-    steps = up_to(case, mismatch).steps if mismatch and mismatch.burst >= 0 else ()
-    return next((step.frame for step in reversed([*steps]) if step.truncated), b"")
 
 
 def _placed(case: Case | SequenceCase, tried: Attempt) -> CaseResult:

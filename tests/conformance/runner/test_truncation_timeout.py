@@ -124,17 +124,11 @@ def target(protocol: Protocol, name: str, *, blind: bool = False) -> Target:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("blind", [False, True])
-def test_it_is_told_once_and_the_cases_that_follow_from_it_name_it(
-    protocol: Protocol, blind: bool
-) -> None:
+def test_it_is_told_once_however_many_cases_follow_from_it(protocol: Protocol, blind: bool) -> None:
     report = run_suite(target(protocol, "never-times-out", blind=blind), SMOKE)
 
     assert report.notices == (SENTENCE,)
-    wrong = {r.id: r.reason for r in report.results if r.verdict is Verdict.FAIL}
-    wrong.pop("timing/truncation-timeout", None)
-    assert len(wrong) > 5
-    assert all("the device never gave up the frame " in reason for reason in wrong.values())
-    assert "never gave up the frame 01, which had been cut short" in wrong["truncated/Stop/1/0"]
+    assert report.counts["fail"] > 5
 
 
 @pytest.mark.slow
