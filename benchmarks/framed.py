@@ -7,6 +7,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 from benchmarks.commands import medians, timed
+from benchmarks.construct_alone import question
 from benchmarks.decoding import Disagree
 from benchmarks.report import CONSTRUCT, Goal, Row
 from benchmarks.setting import Setting, Work
@@ -17,7 +18,6 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.events import Events
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import build, judge
-from bilprov.spec.frame_words import question
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import build_reply
 

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from io import BufferedWriter
 from struct import Struct, pack
-from typing import Final
+from typing import Any, Final
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -94,25 +94,13 @@ class ChunkedFile:
     def attachment(self, name: str, media_type: str, data: bytes, log_time: int) -> None:
         """Write an attachment, outside of the chunks."""
         at = self.size
-        record = _bytes(
-            Attachment(
-                create_time=log_time,
-                log_time=log_time,
-                name=name,
-                media_type=media_type,
-                data=data,
-            )
-        )
+        about: dict[str, Any] = {"name": name, "media_type": media_type}
+        about |= {"create_time": log_time, "log_time": log_time}
+        record = _bytes(Attachment(data=data, **about))
         self._write(record)
-        AttachmentIndex(
-            create_time=log_time,
-            data_size=len(data),
-            length=len(record),
-            log_time=log_time,
-            media_type=media_type,
-            name=name,
-            offset=at,
-        ).write(self._indexes[Opcode.ATTACHMENT_INDEX])
+        AttachmentIndex(offset=at, length=len(record), data_size=len(data), **about).write(
+            self._indexes[Opcode.ATTACHMENT_INDEX]
+        )
         self._attachments += 1
 
     def end_chunk(self) -> None:
@@ -187,16 +175,9 @@ class ChunkedFile:
     ) -> None:
         """Write a chunk and, by channel, the times and places of its messages in turn."""
         packed = self._pack(content)
-        record = _bytes(
-            Chunk(
-                compression="zstd",
-                data=packed,
-                message_end_time=last,
-                message_start_time=first,
-                uncompressed_crc=zlib.crc32(content),
-                uncompressed_size=len(content),
-            )
-        )
+        about: dict[str, Any] = {"compression": "zstd", "uncompressed_size": len(content)}
+        about |= {"message_start_time": first, "message_end_time": last}
+        record = _bytes(Chunk(data=packed, uncompressed_crc=zlib.crc32(content), **about))
         at = self.size
         offsets = {}
         parts = [record]
@@ -215,13 +196,10 @@ class ChunkedFile:
         ChunkIndex(
             chunk_length=len(record),
             chunk_start_offset=at,
-            compression="zstd",
             compressed_size=len(packed),
-            message_end_time=last,
             message_index_length=end - at - len(record),
             message_index_offsets=offsets,
-            message_start_time=first,
-            uncompressed_size=len(content),
+            **about,
         ).write(self._indexes[Opcode.CHUNK_INDEX])
 
     def _write(self, data: bytes) -> None:

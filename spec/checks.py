@@ -12,7 +12,7 @@ from functools import cached_property
 from itertools import accumulate
 from typing import Any, ClassVar, TypeAlias
 
-from bilprov.spec.value_checks import WrongValue, require_whole, shown
+from bilprov.spec.errors import WrongValue, require_whole, shown
 
 _WIDTHS = (8, 16, 24, 32)
 

@@ -17,6 +17,7 @@ from bilprov.spec.data import DataSpec, FieldSpec, Value, shown_value
 from bilprov.spec.fields import Memory, Outcome
 from bilprov.spec.layout import Part
 from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, InstructionSpec, Protocol, ResponseSpec
+from bilprov.spec.state import Assigned, assigned
 
 Registers: TypeAlias = tuple[tuple[FieldSpec, int], ...]
 """Named registers with their values, each as a field at its place in some data."""
@@ -142,7 +143,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     begun = len(frame) >= layout.head
     identity = layout.value("id", frame) if begun else None
     spec = protocol.by_id.get(identity) if identity is not None else None
-    size = layout.size(frame, spec.data if spec else None) or 0
+    size = layout.size(frame, spec) or 0
     if protocol.plain and len(frame) > size:
         raise ValueError(
             f"frame {spaced(frame)} has {data_bytes(len(frame) - 1)}, its header says {size - 1}"
@@ -203,7 +204,7 @@ def _registers(
     """The named registers that a frame writes."""
     if not protocol.registers or spec is None or not fields:
         return ()
-    return registers_in(protocol, spec.writes, spec.data, data, dict(fields))
+    return registers_in(protocol, spec.writes, spec, data, dict(fields))
 
 
 def registers_in(
@@ -286,17 +287,17 @@ def _fault(
         return Outcome.OTHER_ADDRESS, reason, None
     if spec is None:
         return Outcome.UNKNOWN_ID, _unused(protocol, frame), None
-    needed = spec.data.measure(data)
+    needed = spec.measure(data)
     came = f"the header says {length}" if protocol.plain else f"{len(data)} came"
     if needed is None or len(data) < needed:
         reason = f"{spec.name} takes {data_bytes(needed or spec.length)}, {came}"
         return Outcome.TOO_FEW, reason, None
-    if len(data) > needed and not spec.data.takes_rest:
+    if len(data) > needed and not spec.takes_rest:
         return Outcome.TOO_MANY, f"{spec.name} takes {data_bytes(needed)}, {came}", None
-    part = spec.data.wrong(data)
+    part = spec.wrong(data)
     if part is None:
         return Outcome.VALID, "", None
-    value = part.parse(spec.data.raw(part, data))
+    value = part.parse(spec.raw(part, data))
     at = f" (frame {spaced(frame)}, byte {1 + part.offset})" if protocol.plain else ""
     reason = (
         f"{spec.name}.{part.name or 'constant'} is {shown_value(part, value)}, "
@@ -342,7 +343,7 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
         part.constant if part.constant is not None else _built(spec.name, part, given)
         for part in spec.fields
     )
-    counted, needed = spec.data.counted, spec.data.measure(data)
+    counted, needed = spec.counted, spec.measure(data)
     if counted and counted.how == "expression" and needed != len(data):
         raise ValueError(
             f"{spec.name}.{spec.fields[-1].name} makes {data_bytes(len(data))}, the fields before "
@@ -390,7 +391,7 @@ def _writing(
             f"{spec.name} takes {memory.at} and {memory.value} or {' '.join(sorted(names))}, "
             "not both"
         )
-    part, width = _cells(memory, spec.data)
+    part, width = _cells(memory, spec)
     first, built = min(named), b""
     for place in sorted(named):
         one = named[place]
@@ -560,3 +561,38 @@ def _cut(part: FieldSpec, value: int) -> int:
     if part.bits:
         value &= part.high
     return min(max(value, part.low), part.high)
+
+
+_REMEMBERED = 1 << 16  # frames
+
+
+class Step(msgspec.Struct, frozen=True, gc=False):
+    """One frame's judgement, and the state variables that it sets with their new values."""
+
+    judgement: Judgement
+    sets: Assigned
+
+
+class Steps(dict[bytes, Step]):
+    """The Step of each frame by its bytes (whole, or cut short): `steps[frame]`.
+
+    At most 65,536 are remembered; then all are forgotten. Raises ValueError, as `codec.judge` does,
+    for bytes that are not one frame.
+    """
+
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__()
+        self._protocol = protocol
+
+    def __missing__(self, frame: bytes) -> Step:
+        step = self._step(judge(self._protocol, frame))
+        if len(self) >= _REMEMBERED:
+            self.clear()
+        self[frame] = step
+        return step
+
+    def _step(self, judgement: Judgement) -> Step:
+        effect = self._protocol.on_fault
+        if judgement.valid and judgement.instruction:
+            effect = judgement.instruction.effect
+        return Step(judgement, assigned(effect, dict(judgement.fields)))

@@ -13,6 +13,8 @@ from construct import (
     Const,
     Construct,
     Container,
+    Enum,
+    FlagsEnum,
     FocusedSeq,
     GreedyBytes,
     GreedyRange,
@@ -20,10 +22,9 @@ from construct import (
     Renamed,
 )
 
-from bilprov.spec.errors import one_line
+from bilprov.spec.errors import WrongValue, one_line, require_text, require_whole, require_word
 from bilprov.spec.fields import Ranged, Reports
-from bilprov.spec.numbers import LayoutError, Number, named_flags, named_values, number_of
-from bilprov.spec.value_checks import require_text, require_whole, require_word
+from bilprov.spec.numbers import Number, number_of
 
 Value: TypeAlias = int | bytes | tuple[int, ...]
 """The value of a field: a number, bytes, or some numbers."""
@@ -303,46 +304,46 @@ def prose_of(declared: Construct) -> str:
 def read_data(
     owner: str, members: list[Construct], *, framed: bool, asked: Iterable[str] = ()
 ) -> DataSpec:
-    """Read the fields of `owner`, an instruction or an answer. Raises LayoutError, in one sentence.
+    """Read the fields of `owner`, an instruction or an answer. Raises WrongValue, in one sentence.
 
     `framed` says that the frame has a length, so that the last field may take what is left.
     `asked` names what an answer may be counted by: numbers of the request.
     """
     if len(members) > _MOST_FIELDS:
-        raise LayoutError(f"{owner} has {len(members)} fields, allowed are {_MOST_FIELDS}")
+        raise WrongValue(f"{owner} has {len(members)} fields, allowed are {_MOST_FIELDS}")
     fields: list[FieldSpec] = []
     for place, member in enumerate(members):
         offset = sum(part.size for part in fields)
         one = _field(owner, member, offset)
         how = one.many.how if one.many else "fixed"
         if how != "fixed" and place < len(members) - 1:
-            raise LayoutError(f"{owner}.{one.name} is counted; only the last field may be")
+            raise WrongValue(f"{owner}.{one.name} is counted; only the last field may be")
         if one.many and one.many.expression:
             _require_counted(f"{owner}.{one.name}", one.many.expression, fields, asked)
         if how == "rest" and not framed:
-            raise LayoutError(f"{owner}.{one.name} takes the rest of a frame without a length")
+            raise WrongValue(f"{owner}.{one.name} takes the rest of a frame without a length")
         fields.append(one)
     names = [part.name.lower() for part in fields if part.name]
     for name in names:
         if names.count(name) > 1:
-            raise LayoutError(f"{owner} has two fields named {name}")
+            raise WrongValue(f"{owner} has two fields named {name}")
     return DataSpec(tuple(fields), sum(part.size for part in fields))
 
 
 def read_register(memory: str, declared: Any) -> FieldSpec:
-    """Read a named cell of a memory, or some: one number. Raises LayoutError."""
+    """Read a named cell of a memory, or some: one number. Raises WrongValue."""
     if not isinstance(declared, Renamed):
-        raise LayoutError(f'a register of {memory} must be written "name" / type')
+        raise WrongValue(f'a register of {memory} must be written "name" / type')
     one = _field(f"REGISTERS of {memory}", declared, 0)
     if one.number is None:
-        raise LayoutError(f"the register {one.name} of {memory} must be one number")
+        raise WrongValue(f"the register {one.name} of {memory} must be one number")
     return one
 
 
 def _require_counted(
     name: str, expression: Callable[[Any], Any], before: list[FieldSpec], asked: Iterable[str]
 ) -> None:
-    """Raise LayoutError for a count of what is no number before it, or in the request."""
+    """Raise WrongValue for a count of what is no number before it, or in the request."""
     own = [part.name for part in before if part.number]
     context = Container(dict.fromkeys(own, 1))
     context["_params"] = Container(asked=Container(dict.fromkeys(asked, 1)))
@@ -352,7 +353,7 @@ def _require_counted(
         return
     except Exception as error:
         allowed = [*(f"this.{one}" for one in own), *(f"asked.{one}" for one in asked)]
-        raise LayoutError(
+        raise WrongValue(
             f"{name} is counted by {one_line(error, 40)}; allowed are "
             f"{', '.join(allowed) or 'a number or Prefixed(Byte, ...)'}"
         ) from error
@@ -365,7 +366,7 @@ def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
         require_whole(f"the size of a constant of {owner} in bytes", len(raw), 1, 255)
         return FieldSpec(member.name or "", prose_of(member), offset, len(raw), constant=raw)
     if member.name is None:
-        raise LayoutError(f'a field of {owner} has no name; write it "name" / type')
+        raise WrongValue(f'a field of {owner} has no name; write it "name" / type')
     require_word(f"the name of a field of {owner}", member.name)
     name = f"{owner}.{member.name}"
     require_text(f"the prose of {name}", prose_of(member))
@@ -383,18 +384,21 @@ def _number_field(name: str, member: Construct, body: Construct, offset: int) ->
         body = unwrapped(body.subcon)
     ranged = body if isinstance(body, Ranged) else None
     inner = unwrapped(ranged.subcon) if ranged else body
-    names, flags = named_values(inner), named_flags(inner)
+    names: tuple[tuple[str, int], ...] = ()
+    if isinstance(inner, Enum):
+        names = tuple((str(name), int(value)) for name, value in inner.encmapping.items())
+    flags = tuple(inner.flags.items()) if isinstance(inner, FlagsEnum) else ()
     plain = unwrapped(inner.subcon) if names or flags else inner
     number = number_of(plain, name, ", or Bytes, Array, Prefixed or PrefixedArray")
     size = number.size
     low, high = (ranged.low, ranged.high) if ranged else (number.low, number.high)
     if low > high:
-        raise LayoutError(f"{name} has the range {low} to {high}, which holds nothing")
+        raise WrongValue(f"{name} has the range {low} to {high}, which holds nothing")
     if not number.low <= low <= high <= number.high:
-        raise LayoutError(f"{name} cannot carry its range {low} to {high}")
+        raise WrongValue(f"{name} cannot carry its range {low} to {high}")
     bits = ranged.bits if ranged else ""
     if len(bits) > 8 * size:
-        raise LayoutError(f"{name} names {len(bits)} bits, it has {8 * size}")
+        raise WrongValue(f"{name} names {len(bits)} bits, it has {8 * size}")
     if names and not ranged:
         low, high = min(value for _, value in names), max(value for _, value in names)
     return FieldSpec(
@@ -427,7 +431,7 @@ def _many(name: str, body: Construct) -> Many | None:
     if isinstance(body, Prefixed):
         inner = _many(name, unwrapped(body.subcon))
         if inner is None or inner.how != "rest" or body.includelength:
-            raise LayoutError(f"{name} must be written Prefixed(Byte, GreedyRange(Byte))")
+            raise WrongValue(f"{name} must be written Prefixed(Byte, GreedyRange(Byte))")
         return Many(inner.element, "bytes in front", prefix=_prefix(name, body.lengthfield))
     if isinstance(body, FocusedSeq) and body.parsebuildfrom == "items":  # PrefixedArray
         count, items = (unwrapped(part) for part in body.subcons)
@@ -439,7 +443,7 @@ def _many(name: str, body: Construct) -> Many | None:
 def _prefix(name: str, declared: Construct) -> Number:
     number = number_of(unwrapped(declared), f"the count of {name}")
     if number.signed or number.size > 4:
-        raise LayoutError(f"the count of {name} must be an unsigned number of at most 4 bytes")
+        raise WrongValue(f"the count of {name} must be an unsigned number of at most 4 bytes")
     return number
 
 

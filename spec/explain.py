@@ -9,12 +9,11 @@ from itertools import chain, repeat
 
 from bilprov.spec.codec import Judgement, judge, nearest, spaced
 from bilprov.spec.data import DataSpec, FieldSpec, Many
-from bilprov.spec.errata import Finding, check
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
-from bilprov.spec.readings import READINGS, Erratum, Reading
+from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Erratum, Example, Reading
 from bilprov.spec.replies import Reply, Way, covered, read_reply, reply_size
 from bilprov.spec.state import Effect, assigned, value_words
 
@@ -273,7 +272,7 @@ def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
     meaning = partial(_part_meaning, protocol, protocol.layout, judgement, None)
     spec = judgement.instruction
     read = judgement.outcome in (Outcome.VALID, Outcome.BAD_DATA)
-    data = spec.data if spec and read else None
+    data = spec if spec and read else None
     yield from _laid_out(protocol.layout, judgement, data, meaning, _no_fields(judgement))
 
 
@@ -488,3 +487,39 @@ def _whole_group(judgement: Judgement | Reply, at: int, spec: FieldSpec, value: 
     return BitGroup(
         at, spec.size, 8 * spec.size - 1, 0, _bits(raw), spec.name, value, meaning, fault
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """An example line that a conforming device refuses.
+
+    `sent` is the line's bytes, `meant` the nearest valid frame, `erratum` the entry that records
+    the contradiction (None if no entry does yet).
+    """
+
+    example: Example
+    sent: bytes
+    reason: str
+    meant: bytes
+    erratum: Erratum | None
+
+
+def check(protocol: Protocol, examples: tuple[Example, ...] = EXAMPLES) -> tuple[Finding, ...]:
+    """Return every example line that the grammar finds faulty. One line is one instruction."""
+    findings = []
+    for example in examples:
+        sent = bytes(int(bits, 2) for bits in example.bits.split())
+        framer = Framer(protocol, timeout=None)
+        frames = [*framer.feed(sent, 0), *framer.drop(0, "truncated")]
+        first = judge(protocol, frames[0].data)
+        if first.valid and len(frames) == 1:
+            continue
+        extra = len(sent) - len(first.frame)
+        reason = first.reason
+        if extra:
+            more = "1 byte more" if extra == 1 else f"{extra} bytes more"
+            reason = f"{reason or first.describe()}; {more} in the line, read as a new header"
+        known = next((e for e in ERRATA if e.example == (example.section, example.line)), None)
+        meant = nearest(protocol, first.frame, sent[len(first.frame) :])
+        findings.append(Finding(example, sent, reason, meant, known))
+    return tuple(findings)

@@ -12,10 +12,28 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from construct import Construct, ExprAdapter, Struct, Subconstruct, Validator
+from construct import (
+    Adapter,
+    Construct,
+    ExprAdapter,
+    Struct,
+    Subconstruct,
+    ValidationError,
+    Validator,
+    this,
+)
 
 from bilprov.spec.checks import Crc, Sum, Xor
-from bilprov.spec.frame_words import Address, Data, Length, Same, asked, question
+from bilprov.spec.errors import (
+    LONGEST_NAME,
+    WrongValue,
+    require_kind,
+    require_name,
+    require_number,
+    require_text,
+    require_whole,
+    shown,
+)
 from bilprov.spec.motion import Wheels
 from bilprov.spec.state import (
     AllOf,
@@ -26,16 +44,6 @@ from bilprov.spec.state import (
     Variables,
     Whole,
     Word,
-)
-from bilprov.spec.value_checks import (
-    LONGEST_NAME,
-    WrongValue,
-    require_kind,
-    require_name,
-    require_number,
-    require_text,
-    require_whole,
-    shown,
 )
 
 __all__ = [
@@ -68,7 +76,6 @@ __all__ = [
     "Word",
     "Xor",
     "asked",
-    "question",
 ]
 
 _LONGEST_TIME = 3_600_000.0  # ms
@@ -391,3 +398,88 @@ class Clauses:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             require_text(f"Clauses.{name}", getattr(self, name))
+
+
+asked = this._params.asked
+"""The request that a reply answers: `Bytes(asked.size)` has as many bytes as its field `size`."""
+
+
+class Address(Subconstruct):  # type: ignore[misc]  # construct ships no types
+    """The part that names who is meant: `low` to `high`, and `broadcast` for all, if there is one.
+
+    What is sent to all is not answered.
+    """
+
+    def __init__(
+        self, subcon: Construct, low: int, high: int, broadcast: int | None = None
+    ) -> None:
+        require_kind("the type of an Address", subcon, Construct)
+        require_whole("the lowest address", low, 0)
+        require_whole("the highest address", high, 0)
+        if low > high:
+            raise WrongValue(f"the addresses {low} to {high} hold nothing")
+        if broadcast is not None:
+            require_whole("the broadcast address", broadcast, 0)
+        super().__init__(subcon)
+        self.low = low
+        self.high = high
+        self.broadcast = broadcast
+
+
+class Length(Adapter):  # type: ignore[misc]  # construct ships no types
+    """The part that announces the data; it counts `also` bytes more than the data have."""
+
+    def __init__(self, subcon: Construct, also: int = 0) -> None:
+        require_kind("the type of a Length", subcon, Construct)
+        require_whole("what a Length counts besides the data", also, -255, 255)
+        super().__init__(subcon)
+        self.also = also
+
+    def _decode(self, obj: Any, context: Any, path: str) -> int:
+        return int(obj - self.also)
+
+    def _encode(self, obj: Any, context: Any, path: str) -> int:
+        return int(obj + self.also)
+
+
+class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
+    """The part of a reply that repeats the request's part `name`, with `plus` added to it.
+
+    What does not fit into the type is cut off.
+    """
+
+    def __init__(self, name: str, subcon: Construct, plus: int = 0) -> None:
+        require_name("the part that a Same repeats", name)
+        require_kind("the type of a Same", subcon, Construct)
+        require_whole("what a Same adds", plus, 0)
+        super().__init__(subcon)
+        self.part = name
+        self.plus = plus
+
+    def _parse(self, stream: Any, context: Any, path: str) -> int:
+        value = int(self.subcon._parsereport(stream, context, path))
+        expected = self._repeated(context)
+        if value != expected:
+            raise ValidationError(f"{self.part} is {value}, the request has {expected}", path)
+        return value
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> int:
+        value = self._repeated(context)
+        self.subcon._build(value, stream, context, path)
+        return value
+
+    def _repeated(self, context: Any) -> int:
+        value = context._params.asked[self.part] + self.plus
+        return int(value % (1 << 8 * self.subcon.sizeof()))
+
+
+class Data(Construct):  # type: ignore[misc]  # construct ships no types
+    """The data of a reply, as `answer=` of the instruction lays them out that was asked."""
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        answer = context._params.asked._answer
+        return answer._parsereport(stream, context, path) if answer is not None else None
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        answer = context._params.asked._answer
+        return answer._build(obj, stream, context, path) if answer is not None else None

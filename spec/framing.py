@@ -216,7 +216,7 @@ def frame_size(protocol: Protocol, held: bytes) -> int | None:
     spec = protocol.by_id.get(identity) if identity is not None else None
     if spec is None and layout.part("length") is None:
         return _unknown_size(layout, held) if layout.begins(held) else -1
-    return layout.size(held, spec.data if spec else None)
+    return layout.size(held, spec)
 
 
 def is_open(protocol: Protocol, held: bytes) -> bool:

@@ -1,7 +1,7 @@
 """Reads FRAME, REPLY and ERROR into layouts: where each part of a frame is, and where it ends.
 
 A layout is a plain value; no module but this one and `data` meets a construct of a frame. What
-cannot be read into a layout raises LayoutError.
+cannot be read into a layout raises WrongValue.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ from construct import (
 
 from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
 from bilprov.spec.data import DataSpec, Values, prose_of, unwrapped
-from bilprov.spec.fields import Answers
-from bilprov.spec.frame_words import Address, Data, Length, Same
-from bilprov.spec.numbers import LayoutError, Number, number_of, path_of
-from bilprov.spec.value_checks import require_text, require_whole, require_word
+from bilprov.spec.errors import WrongValue, require_text, require_whole, require_word
+from bilprov.spec.fields import Address, Answers, Data, Length, Same
+from bilprov.spec.numbers import Number, number_of, path_of
 
 Role = Literal["constant", "address", "id", "length", "code", "other", "check"]
 
@@ -312,13 +311,13 @@ def read_layout(what: str, declared: Construct, asked: tuple[str, ...] = ()) -> 
     """Read a declared frame into a layout, with the declaration of its data (None without one).
 
     `what` is FRAME, REPLY or ERROR, `asked` are the covered parts of the request. Raises
-    LayoutError.
+    WrongValue.
     """
     body = unwrapped(declared)
     if isinstance(body, Answers):
         body = Struct("code" / body)
     if not isinstance(body, Struct):
-        raise LayoutError(f"{what} is a {type(body).__name__}, it must be a Struct of parts")
+        raise WrongValue(f"{what} is a {type(body).__name__}, it must be a Struct of parts")
     reader = _Reader(what, asked)
     reader.struct(body)
     return reader.layout(), reader.data
@@ -345,7 +344,7 @@ class _Reader:
         for member in declared.subcons:
             self._member(member)
         if len(self._front) + len(self._behind) > _MOST_PARTS:
-            raise LayoutError(f"{self._what} has more than {_MOST_PARTS} parts")
+            raise WrongValue(f"{self._what} has more than {_MOST_PARTS} parts")
 
     def _member(self, member: Construct) -> None:
         body, name = unwrapped(member), member.name or ""
@@ -370,14 +369,14 @@ class _Reader:
         require_word(f"the name of the covered part of {self._what}", name)
         inner = unwrapped(body.subcon)
         if not isinstance(inner, Struct):
-            raise LayoutError(f"{self._what}.{name} must be written RawCopy(Struct(...))")
+            raise WrongValue(f"{self._what}.{name} must be written RawCopy(Struct(...))")
         begin = self.data is not None, self._at
         self.struct(inner)
         self._spans[name] = (*begin, self.data is not None, self._at)
 
     def _place_of_data(self, body: Construct) -> None:
         if self.data is not None:
-            raise LayoutError(f"{self._what} has two places for data")
+            raise WrongValue(f"{self._what} has two places for data")
         inner = body
         if isinstance(body, FixedSized):
             self._require_path("FixedSized", body.length, "length")
@@ -385,7 +384,7 @@ class _Reader:
         elif isinstance(body, Switch) and any(
             part.role == "length" and not part.width for part in self._front
         ):
-            raise LayoutError(
+            raise WrongValue(
                 f"the data of {self._what} must be written FixedSized(this.length, ...), since "
                 f"{self._what} has a length"
             )
@@ -394,11 +393,11 @@ class _Reader:
         self.data, self._at, self._head = body, 0, self._at
 
     def _require_path(self, word: str, expression: Any, name: str) -> None:
-        """Raise LayoutError unless an expression is the path to the part of that name."""
+        """Raise WrongValue unless an expression is the path to the part of that name."""
         names = path_of(expression)
         if names[-1:] != (name,) or not self._names.issuperset(names):
             told = f"this.{'.'.join(names)}" if names else "..."
-            raise LayoutError(
+            raise WrongValue(
                 f"{self._what} has {word}({told}, ...), allowed is the path to its part {name}: "
                 f"{word}(this.{name}, ...)"
             )
@@ -406,12 +405,12 @@ class _Reader:
     def _number(self, member: Construct, body: Construct) -> None:
         name = f"{self._what}.{member.name}"
         if member.name is None:
-            raise LayoutError(f'a part of {self._what} has no name; write it "name" / type')
+            raise WrongValue(f'a part of {self._what} has no name; write it "name" / type')
         require_word(f"the name of a part of {self._what}", member.name)
         if isinstance(body, Address):
             number, ends = number_of(unwrapped(body.subcon), name), (body.high, body.broadcast or 0)
             if max(ends) > number.high:
-                raise LayoutError(
+                raise WrongValue(
                     f"{name} has addresses up to {max(ends)} in a type of up to {number.high}"
                 )
             self._add(
@@ -438,14 +437,14 @@ class _Reader:
             bits = unwrapped(part)
             name = f"{self._what}.{part.name}"
             if type(bits) is not BitsInteger or bits.signed or bits.swapped:
-                raise LayoutError(f"{name} must be written BitsInteger(width)")
+                raise WrongValue(f"{name} must be written BitsInteger(width)")
             require_word(f"the name of a part of {self._what}", part.name)
             self._names.add(part.name)
             require_text(f"the prose of {name}", prose_of(part))
             require_whole(f"the width of {name}", bits.length, 1, 64)
             total += bits.length
         if total % 8 or not total:
-            raise LayoutError(
+            raise WrongValue(
                 f"the bits of {self._what} are {total} together; they must fill whole bytes"
             )
         number, above = Number(total // 8, "big", signed=False), total
@@ -461,13 +460,13 @@ class _Reader:
     def _checksum(self, member: Construct, body: Checksum) -> None:
         name = f"{self._what}.{member.name}"
         if self._check:
-            raise LayoutError(f"{self._what} has two checks")
+            raise WrongValue(f"{self._what} has two checks")
         if not isinstance(body.hashfunc, Sum | Xor | Crc):
-            raise LayoutError(f"{name} must be a Sum, a Xor or a Crc of bilprov.spec.fields")
+            raise WrongValue(f"{name} must be a Sum, a Xor or a Crc of bilprov.spec.fields")
         number = number_of(unwrapped(body.checksumfield), name)
         function, largest = body.hashfunc, (1 << body.hashfunc.bits) - 1
         if number.high < largest:
-            raise LayoutError(
+            raise WrongValue(
                 f"{name} is a {type(function).__name__} of up to {largest} in a type of up to "
                 f"{number.high}; give it a wider type or a narrower check"
             )
@@ -480,9 +479,9 @@ class _Reader:
         if role in ("id", "length", "address", "code") and any(
             one.role == role for one in (*self._front, *self._behind)
         ):
-            raise LayoutError(f"{self._what} has two parts for the {role}")
+            raise WrongValue(f"{self._what} has two parts for the {role}")
         if self.data is not None and role in ("id", "length"):
-            raise LayoutError(f"the {role} of {self._what} is behind the data; it must be before")
+            raise WrongValue(f"the {role} of {self._what} is behind the data; it must be before")
         self._parts.append(part)
         if moves:
             self._at += number.size
@@ -506,12 +505,12 @@ class _Reader:
         name, asked = self._covered_name(declared)
         after_begin, begin, after_end, end = self._spans[name]
         if after_begin:
-            raise LayoutError(f"the check of {self._what} covers nothing before the data")
+            raise WrongValue(f"the check of {self._what} covers nothing before the data")
         if has_data and not after_end:
-            raise LayoutError(f"the check of {self._what} does not cover the data")
+            raise WrongValue(f"the check of {self._what} does not cover the data")
         last = (tail if has_data else head) - end
         if offset >= 0:
-            raise LayoutError(f"the check of {self._what} is before the data; it must be behind")
+            raise WrongValue(f"the check of {self._what} is before the data; it must be behind")
         return Check(replace(part, offset=offset), declared.hashfunc, begin, last, asked)
 
     def _covered_name(self, declared: Checksum) -> tuple[str, bool]:
@@ -527,7 +526,7 @@ class _Reader:
             if found in (_HERE, _ASKED + _HERE):
                 return name, found != _HERE
         besides = f", or asked.{self._asked[0]}.data + this.covered.data," if self._asked else ""
-        raise LayoutError(
+        raise WrongValue(
             f"the check of {self._what} must cover one part: write this.covered.data{besides} "
             'behind "covered" / RawCopy(Struct(...))'
         )

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, NamedTuple
 
+from bilprov.spec.errors import WrongValue, require_kind, require_name, shown
 from bilprov.spec.state import Effect, State
-from bilprov.spec.value_checks import WrongValue, require_kind, require_name, shown
 
 
 class Motion(StrEnum):

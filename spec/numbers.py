@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from construct import Construct, Enum, FlagsEnum
+from construct import Construct
 
-from bilprov.spec.errors import UserError
+from bilprov.spec.errors import WrongValue
 
 Order = Literal["big", "little"]
-
-
-class LayoutError(UserError):
-    """Raised for a declaration that cannot be read into a layout, in one sentence."""
 
 
 _ORDERS: tuple[Order, ...] = ("big", "little")
@@ -68,7 +64,7 @@ def path_of(expression: Any) -> tuple[str, ...]:
 
 
 def number_of(declared: Construct, what: str, others: str = "") -> Number:
-    """Read a whole number of construct. Raises LayoutError for anything else.
+    """Read a whole number of construct. Raises WrongValue for anything else.
 
     `others` names what else is allowed there.
 
@@ -88,10 +84,10 @@ def number_of(declared: Construct, what: str, others: str = "") -> Number:
                 if same and [declared.build(value) for value in read] == patterns:
                     return number
     except Exception as error:  # construct raises many kinds for what is no number
-        raise LayoutError(
+        raise WrongValue(
             f"the type of {what} must be a whole number, such as Byte{others}"
         ) from error
-    raise LayoutError(f"the type of {what} must be a whole number, such as Byte{others}")
+    raise WrongValue(f"the type of {what} must be a whole number, such as Byte{others}")
 
 
 def _patterns(size: int) -> list[bytes]:
@@ -99,15 +95,3 @@ def _patterns(size: int) -> list[bytes]:
     rising = [bytes((start + 37 * place) % 256 for place in range(size)) for start in (1, 200)]
     low = bytes(size - 1)
     return [*rising, bytes(size), b"\xff" * size, b"\x80" + low, low + b"\x80"]
-
-
-def named_values(declared: Construct) -> tuple[tuple[str, int], ...]:
-    """The named values of an Enum in its order; none for any other type."""
-    if not isinstance(declared, Enum):
-        return ()
-    return tuple((str(name), int(value)) for name, value in declared.encmapping.items())
-
-
-def named_flags(declared: Construct) -> tuple[tuple[str, int], ...]:
-    """The named masks of a FlagsEnum in its order; none for any other type."""
-    return tuple(declared.flags.items()) if isinstance(declared, FlagsEnum) else ()

@@ -27,7 +27,16 @@ from bilprov.spec.data import (
     read_register,
     unwrapped,
 )
-from bilprov.spec.errors import UserError, one_line
+from bilprov.spec.errors import (
+    UserError,
+    WrongValue,
+    one_line,
+    require_kind,
+    require_text,
+    require_whole,
+    require_word,
+    shown,
+)
 from bilprov.spec.fields import (
     OF_HEADERS,
     Answers,
@@ -42,7 +51,6 @@ from bilprov.spec.fields import (
 )
 from bilprov.spec.layout import Layout, read_layout
 from bilprov.spec.motion import Moment, Wheels
-from bilprov.spec.numbers import LayoutError
 from bilprov.spec.state import (
     Changed,
     Condition,
@@ -60,14 +68,6 @@ from bilprov.spec.state import (
     plain,
     state_class,
     ways_on,
-)
-from bilprov.spec.value_checks import (
-    WrongValue,
-    require_kind,
-    require_text,
-    require_whole,
-    require_word,
-    shown,
 )
 
 _LONGEST_DATA = 255  # bytes of data that are expected where a header byte does not bound them
@@ -101,8 +101,8 @@ class GrammarError(UserError):
     """Raised for a grammar that cannot be used; the text is one sentence for the user."""
 
 
-@dataclass(frozen=True, slots=True)
-class InstructionSpec:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InstructionSpec(DataSpec):
     """One instruction: its ID, names, prose, data, effect, and the data of its answer.
 
     `answer` is None where it is not answered at all. `writes` and `reads` are the memory that it
@@ -114,7 +114,6 @@ class InstructionSpec:
     name: str
     document: str
     prose: str
-    data: DataSpec
     effect: Effect
     answer: DataSpec | None
     writes: Memory | None = None
@@ -122,37 +121,18 @@ class InstructionSpec:
     changes: str = ""
 
     @property
-    def fields(self) -> tuple[FieldSpec, ...]:
-        """The fields of its data."""
-        return self.data.fields
-
-    @property
     def names(self) -> frozenset[str]:
         """The names of its fields."""
-        return frozenset(part.name for part in self.data.fields)
-
-    @property
-    def length(self) -> int:
-        """The bytes of its data; those that they have in any case, if the last field is counted."""
-        return self.data.length
-
-    @property
-    def valid_count(self) -> int:
-        """How many valid frames there are."""
-        return self.data.valid_count
+        return frozenset(part.name for part in self.fields)
 
     @property
     def bad_data_count(self) -> int:
         """How many frames of the right length there are whose data are out of range."""
         return int(256**self.length) - self.valid_count
 
-    def decode(self, data: bytes) -> dict[str, Any]:
-        """The value of each field, in data at least as long as this instruction's."""
-        return self.data.decode(data)
-
     def in_range(self, data: bytes) -> bool:
         """Whether every field's value in such data is in its range."""
-        return self.data.wrong(data) is None
+        return self.wrong(data) is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -563,7 +543,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         _require_each_id_once(tree)
         _require_no_slip(tree, space)
         return _read(space, source, origin)
-    except (GrammarError, LayoutError, WrongValue) as error:
+    except (GrammarError, WrongValue) as error:
         where = _declared_in(tree, str(error))
         raise GrammarError(f"the grammar {origin} cannot be used: {error}{where}") from None
     except Exception as error:  # construct raises many kinds for declarations that make no sense
@@ -654,7 +634,7 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
             raise GrammarError(f"the header cannot carry the ID {identity}")
     reply, acknowledgement, errors, flags = _replies(space, layout.covered)
     specs = [_instruction(i, declared[i], layout, reply) for i in sorted(declared)]
-    asked = {*layout.told, *(name for spec in specs for name in spec.data.numbers)}
+    asked = {*layout.told, *(name for spec in specs for name in spec.numbers)}
     _require_repeated("FRAME", layout, set())
     for what, one in (("REPLY", reply), ("ACK", acknowledgement), *(("ERROR", e) for e in errors)):
         _require_repeated(what, one, asked)
@@ -1039,7 +1019,8 @@ def _instruction(
         name=name,
         document=body.document,
         prose=prose_of(declaration),
-        data=data,
+        fields=data.fields,
+        length=data.length,
         effect=Effect(),
         answer=_answer(name, body.answer, reply, [*layout.told, *data.numbers]),
         changes=body.changes,
@@ -1092,7 +1073,7 @@ def _registers(
         for place in cells:
             require_whole(f"a place in REGISTERS of {memory}", place, 0)
         found[memory] = {place: read_register(memory, cells[place]) for place in sorted(cells)}
-    data = [one for spec in instructions for one in (spec.data, spec.answer) if one]
+    data = [one for spec in instructions for one in (spec, spec.answer) if one]
     fields = {part.name.lower() for one in data for part in one.fields}
     names = (one.name for cells in found.values() for one in cells.values())
     _require_each_name_once(

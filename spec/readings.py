@@ -1,6 +1,6 @@
 """Errata, readings and open points of the source document, as data; verdicts name their ids.
 
-Quotations are the document's own Swedish words. Only the errata check (`bilprov.spec.errata`)
+Quotations are the document's own Swedish words. Only the errata check (`bilprov.spec.explain`)
 computes from these texts: it judges the document's examples by the grammar.
 """
 

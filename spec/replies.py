@@ -13,7 +13,6 @@ from bilprov.spec.codec import (
     data_bytes,
     field_words,
     registers_in,
-    spaced,
     with_registers,
 )
 from bilprov.spec.data import DataSpec, FieldSpec
@@ -343,15 +342,12 @@ def meaning(protocol: Protocol, code: int | None) -> tuple[tuple[str, ...], Resp
 
 def _unlike(layout: Layout, frame: bytes, asked: Mapping[str, Any]) -> str:
     """Why bytes are no answer, in words."""
-    for offset, raw in layout.constants:
-        found = frame[offset : offset + len(raw)]
-        if offset >= 0 and found != raw:
-            return f"{spaced(found)} stands where {spaced(raw)} must be"
+    wrong = "" if layout.begins(frame) else layout.wrong_constant(frame)
     unrepeated = layout.unrepeated(frame, asked) if asked else None
-    if unrepeated:
+    if unrepeated and not wrong:
         part, right = unrepeated
         return f"{part.name} is {part.read(frame)}, right is {right}"
-    return "the bytes are not an answer"
+    return wrong or "the bytes are not an answer"
 
 
 def _damage(protocol: Protocol, layout: Layout, frame: bytes, asked: Judgement | None) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import warnings
 
+from bilprov.spec import fields
 from bilprov.spec.errors import one_line
 
 WORDS = {
@@ -22,13 +23,7 @@ WORDS = {
         *("Byte", "Int8ub", "Int8sb", "Int8ul", "Int8sl", "BytesInteger"),
         *(f"Int{bits}{kind}" for bits in (16, 24, 32) for kind in ("ub", "ul", "sb", "sl")),
     },
-    "bilprov.spec.fields": {
-        *("Answer", "Answers", "Clauses", "From", "Instruction", "LineDefaults", "Outcome"),
-        "Memory",
-        *("Address", "Crc", "Data", "Length", "Same", "Sum", "Xor", "asked"),
-        *("Ranged", "Sets", "Timing", "Variables", "Word", "Whole", "Bits", "AnyOf", "AllOf"),
-        *("Wheels", "Changed", "Unknown", "Reports"),
-    },
+    "bilprov.spec.fields": {*fields.__all__},
     "bilprov.spec.motion": {"Motion"},
 }
 """The names that a grammar may import, by module."""

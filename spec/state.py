@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, Type
 
 import msgspec
 
-from bilprov.spec.value_checks import (
+from bilprov.spec.errors import (
     WrongValue,
     require_name,
     require_whole,

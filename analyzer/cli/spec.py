@@ -132,7 +132,7 @@ def errata(options: FormatOption) -> None:
     The document's own examples are run through the grammar.
     """
     from bilprov.analyzer.output.protocol import drawn_errata, errata_json
-    from bilprov.spec.errata import check
+    from bilprov.spec.explain import check
 
     protocol = protocol_in_use()
     _require_document(protocol, "examples")

@@ -14,7 +14,7 @@ from bilprov.captures.schemas import MS, Line
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement, spaced
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.replies import Reply, agrees
+from bilprov.spec.replies import agrees
 
 MID_FRAME = "out of step: the device answered in mid-frame"
 UNCLEAR = "came before it was clear where frames begin"
@@ -80,10 +80,7 @@ def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> An
 
     `skew` (ns) is how much earlier than its instruction two taps may timestamp an answer.
     """
-    if held.reply:
-        agree, found = _of_reply(protocol, held.reply, waiting.judgement)
-    else:
-        agree, found = _of_code(protocol, held, waiting)
+    agree, found = _of_itself(protocol, held, waiting.judgement)
     found += _open_end(held)
     latency = held.t - waiting.end
     late = protocol.timing.answer_deadline
@@ -99,26 +96,36 @@ def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> An
     return AnswerCheck(agree, faults)
 
 
-def _of_code(protocol: Protocol, held: Held, waiting: Waiting) -> tuple[bool, list[Cause]]:
-    """Whether a code is the expected one, and what is odd about it."""
-    agree = held.byte == waiting.judgement.response.code
-    if held.byte not in protocol.codes:
-        return agree, [_unused_code(protocol, held.byte)]
-    return agree, [] if agree else [_disagreeing(protocol, held, waiting)]
+def _of_itself(protocol: Protocol, held: Held, asked: Judgement) -> tuple[bool, list[Cause]]:
+    """Whether an answer is one that a conforming device may give, and what is odd about it.
 
-
-def _of_reply(protocol: Protocol, reply: Reply, asked: Judgement) -> tuple[bool, list[Cause]]:
-    """Whether an answer is one that a conforming device may give, and what is odd about it."""
-    if reply.reason:
+    A disagreeing code is a warning where a reading allows it.
+    """
+    reply = held.reply
+    if reply and reply.reason:
         return False, [Cause("damaged answer", Severity.ERROR, reply.reason)]
-    if agrees(protocol, asked, reply):
+    if agrees(protocol, asked, reply) if reply else held.byte == asked.response.code:
         return True, []
+    rests_on, severity, said = "", Severity.ERROR, ""
+    if reply:
+        said = f"answers {reply.describe()}"
+    elif held.byte not in protocol.codes:
+        return False, [_unused_code(protocol, held.byte)]
+    else:
+        # Traffic without such an answer does not load the readings: they take milliseconds.
+        from bilprov.spec.open_points import other_choices
+
+        said = f"says {protocol.codes[held.byte].name}"
+        choices = {choice.code: choice.reading for choice in other_choices(protocol, asked)}
+        reading = choices.get(held.byte) or asked.reading
+        rests_on = f" ({reading})" if reading else ""
+        severity = Severity.WARNING if held.byte in choices else severity
     because = f": {asked.reason}" if asked.reason else ", it is valid"
     reason = (
-        f"the device answers {reply.describe()} to {asked.describe()}, expected is "
-        f"{asked.response.name}{because}"
+        f"the device {said} to {asked.describe()}, expected is "
+        f"{asked.response.name}{because}{rests_on}"
     )
-    return False, [Cause("disagreeing", Severity.ERROR, reason)]
+    return False, [Cause("disagreeing", severity, reason)]
 
 
 def of_unpaired(protocol: Protocol, held: Held, why: Cause) -> AnswerCheck:
@@ -178,21 +185,3 @@ def of_line(line: Line, lost: bool) -> tuple[Anomaly, ...]:
 def _unused_code(protocol: Protocol, byte: int) -> Cause:
     used = ", ".join(str(code) for code in protocol.codes)
     return Cause("unused code", Severity.ERROR, f"{byte} is an unused response, used are {used}")
-
-
-def _disagreeing(protocol: Protocol, held: Held, waiting: Waiting) -> Cause:
-    """The cause where the answer is not the expected one: a warning if a reading allows it."""
-    # Traffic without such an answer does not load the readings: they take milliseconds to start.
-    from bilprov.spec.open_points import other_choices
-
-    judgement, said = waiting.judgement, protocol.codes[held.byte]
-    because = f": {judgement.reason}" if judgement.reason else ", it is valid"
-    choices = {choice.code: choice.reading for choice in other_choices(protocol, judgement)}
-    rests_on = choices.get(held.byte) or judgement.reading
-    reading = f" ({rests_on})" if rests_on else ""
-    return Cause(
-        "disagreeing",
-        Severity.WARNING if held.byte in choices else Severity.ERROR,
-        f"the device says {said.name} to {judgement.describe()}, expected is "
-        f"{judgement.response.name}{because}{reading}",
-    )

@@ -33,11 +33,10 @@ from bilprov.spec.arrays.answers import Answers, AnswerTables
 from bilprov.spec.arrays.layouts import Requests
 from bilprov.spec.arrays.requests import RequestTables
 from bilprov.spec.arrays.states import Known
-from bilprov.spec.codec import Judgement
+from bilprov.spec.codec import Judgement, Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_as, usual_way
 from bilprov.spec.state import State
-from bilprov.spec.steps import Steps
 
 
 @dataclass(frozen=True)

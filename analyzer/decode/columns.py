@@ -29,10 +29,10 @@ from bilprov.spec.arrays.answers import answer_tables
 from bilprov.spec.arrays.layouts import Mask, Places, Requests
 from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.arrays.states import Known
+from bilprov.spec.codec import Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import GIVES_UP
 from bilprov.spec.state import OTHERS
-from bilprov.spec.steps import Steps
 
 
 class Heard(NamedTuple):

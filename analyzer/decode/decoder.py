@@ -14,9 +14,8 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from bilprov.analyzer.decode import anomalies
-from bilprov.analyzer.decode.bus_state import BusState
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
-from bilprov.analyzer.decode.pairing import Held, Pairing, Waiting, waiting_frames
+from bilprov.analyzer.decode.pairing import Held, Pairing, ReplyFramer, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
@@ -24,14 +23,12 @@ from bilprov.analyzer.decode.records import (
     LineRecord,
     Record,
 )
-from bilprov.analyzer.decode.replies import ReplyFramer
 from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.spec.codec import FRAMING_FAULTS, Judgement
+from bilprov.spec.codec import FRAMING_FAULTS, Judgement, Steps
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind, frame_size
 from bilprov.spec.protocol import NO_ANSWER, Protocol
-from bilprov.spec.state import State, after
-from bilprov.spec.steps import Steps
+from bilprov.spec.state import OTHERS, Assigned, State, after
 
 # Line events after which bytes are known to be missing.
 LOSSES = frozenset({"gap", "overrun", "reconnected"})
@@ -501,3 +498,38 @@ def _record(
         faults=checked.faults,
         reply=held.reply,
     )
+
+
+class BusState:
+    """The states by address; that of a device which was not addressed is that of OTHERS."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._part = protocol.layout.part("address")
+        self._states: dict[int, State] = {OTHERS: protocol.power_on}
+
+    def after(self, address: int, sets: Assigned) -> State:
+        """The state of the addressed device after a frame that sets some variables.
+
+        What is sent to all changes all.
+        """
+        if self._part is not None and address == self._part.broadcast:
+            self._states = {one: after(state, sets) for one, state in self._states.items()}
+            return self._states[OTHERS]
+        state = self._states.get(address, self._states[OTHERS])
+        if self._for_one(address):
+            state = self._states[address] = after(state, sets)
+        return state
+
+    @property
+    def saved(self) -> tuple[tuple[int, State], ...]:
+        """Each address and its state."""
+        return tuple(sorted(self._states.items()))
+
+    def resume(self, states: Iterable[tuple[int, State]]) -> None:
+        """Go on from saved states; none is the state of power-on for all."""
+        self._states = {OTHERS: self._states[OTHERS], **dict(states)}
+
+    def _for_one(self, address: int) -> bool:
+        """Whether a device can have that address, so that there is no end of them."""
+        part = self._part
+        return part is not None and part.low <= address <= part.high

@@ -44,12 +44,12 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from bilprov.analyzer.decode.per_frame import PerFrame
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
     HostRecord,
     LineRecord,
+    PerFrame,
     Record,
     serious_faults,
 )

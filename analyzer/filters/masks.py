@@ -288,7 +288,7 @@ def _requests(protocol: Protocol, rows: HostRows) -> Iterator[tuple[DataSpec, _C
         if spec.fields:
             found = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
             size = rows.size[found] - head - tail
-            yield spec.data, _Carried(found, rows.offset[found] + head, size)
+            yield spec, _Carried(found, rows.offset[found] + head, size)
 
 
 def _answers(protocol: Protocol, rows: DeviceRows) -> Iterator[tuple[DataSpec, _Carried]]:

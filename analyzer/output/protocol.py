@@ -14,7 +14,7 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.spec.checks import CheckFunction, Sum, Xor
 from bilprov.spec.codec import judge, spaced
 from bilprov.spec.data import DataSpec, FieldSpec
-from bilprov.spec.errata import Finding
+from bilprov.spec.explain import Finding
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
@@ -170,7 +170,7 @@ def _instructions(protocol: Protocol) -> RenderableType:
     """The instructions with their data: in the car's family with the frame, else the answer."""
     rows = []
     for spec in protocol.instructions:
-        told, data = (spec.name, spec.document), data_in_words(spec.data)
+        told, data = (spec.name, spec.document), data_in_words(spec)
         if protocol.plain:
             header = f"{protocol.header_bytes[spec.id, spec.length]:02x}"
             rows.append((str(spec.id), *told, header + " .." * spec.length, data, spec.prose))
@@ -278,7 +278,7 @@ def _instruction_json(protocol: Protocol, spec: InstructionSpec) -> dict[str, An
             "fields": [{name: getattr(field, name) for name in shown} for field in spec.fields],
         }
     else:
-        about["fields"] = _fields_json(spec.data)
+        about["fields"] = _fields_json(spec)
         about["answer"] = None if spec.answer is None else _fields_json(spec.answer)
     return {**about, "effect": _effect_json(spec.effect)}
 

@@ -33,6 +33,7 @@ from bilprov.analyzer.decode.json_lines import JsonLine, encode, json_line
 from bilprov.analyzer.decode.records import Record, severity_of
 from bilprov.analyzer.output.text_lines import painted
 from bilprov.captures.text import escape_controls, near, printable
+from bilprov.spec.data import DataSpec
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
@@ -291,7 +292,7 @@ def own_columns(protocol: Protocol) -> Iterator[Column]:
 
 def bytes_fields(protocol: Protocol) -> frozenset[str]:
     """The names of the fields that are bytes or several numbers, which are text in a row."""
-    data = [spec.data for spec in protocol.instructions]
+    data: list[DataSpec] = [*protocol.instructions]
     data += [spec.answer for spec in protocol.instructions if spec.answer]
     return frozenset(part.name for spec in data for part in spec.fields if part.many)
 

@@ -11,12 +11,12 @@ from functools import lru_cache
 
 import click
 
-from bilprov.analyzer.decode.per_frame import PerFrame
 from bilprov.analyzer.decode.records import (
     Anomaly,
     DeviceRecord,
     HostRecord,
     LineRecord,
+    PerFrame,
     Record,
     Severity,
     severity_of,
@@ -46,7 +46,7 @@ def hex_width(protocol: Protocol) -> int:
     sizes = sorted(
         layout.head + data.length + layout.tail
         for spec in protocol.instructions
-        for layout, data in ((protocol.layout, spec.data), usual_way(protocol, spec))
+        for layout, data in ((protocol.layout, spec), usual_way(protocol, spec))
         if data
     )
     usual = sizes[len(sizes) * 3 // 4] if sizes else 0

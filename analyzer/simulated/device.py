@@ -302,7 +302,7 @@ def _elements(
     if many.how == "fixed":
         count = many.fixed
     elif many.how == "expression":
-        count = ((spec.data.measure(before) or len(before)) - len(before)) // many.width
+        count = ((spec.measure(before) or len(before)) - len(before)) // many.width
     elif spec.writes and spec.writes.value == part.name and spec.writes.count in numbers:
         count = numbers[spec.writes.count]
         count = -(-count // 8) if spec.writes.bits else count

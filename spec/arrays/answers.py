@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.spec.arrays.checks import Checking
 from bilprov.spec.arrays.layouts import (
     NO_NUMBERS,
     OUTCOMES,
     Bytes,
+    Checking,
     Mask,
     Numbers,
     Places,

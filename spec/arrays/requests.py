@@ -32,11 +32,11 @@ from bilprov.spec.arrays.layouts import (
     require_narrow,
 )
 from bilprov.spec.arrays.states import StateTables
+from bilprov.spec.codec import Step, Steps
 from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import is_open
 from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol
-from bilprov.spec.steps import Step, Steps
 
 
 class CutRequests(NamedTuple):
@@ -64,15 +64,15 @@ class RequestTables:
         self._id = identity
         require_narrow(layout)
         for spec in self.specs:
-            _require_numbers(spec.data)
-            require_arrays(spec.data)
+            _require_numbers(spec)
+            require_arrays(spec)
         self._ids = np.array([spec.id for spec in self.specs], np.int64)
         every = np.arange(256)  # each byte, for an ID of one
         self._by_byte = self._kinds_of(
             part_values(identity, every.astype(np.uint8), every - identity.offset, every)
         )
         # The sizes of frames by kind, and the kinds whose size differs.
-        sizes = [fixed_size(layout, spec.data) for spec in self.specs]
+        sizes = [fixed_size(layout, spec) for spec in self.specs]
         self._varied = [place for place, size in enumerate(sizes) if not size]
         self._fixed = np.array([*sizes, 0], np.int64)  # the last is that of unused IDs, -1
         answered = protocol.answers[Outcome.VALID] is not NO_ANSWER
@@ -146,7 +146,7 @@ class RequestTables:
         for header, spec in self._long.items():
             rows = np.flatnonzero(kind >> 8 == header)
             start = offset[rows]
-            good = self._good_data(spec.data, data, start, start + size[rows])
+            good = self._good_data(spec, data, start, start + size[rows])
             kind[rows] = header << 8 | ~good
         return Requests(offset, size, kind, self._verdict.take(kind))
 
@@ -209,7 +209,7 @@ class RequestTables:
         for place in self._varied:
             rows = np.flatnonzero(kinds == place)
             if len(rows):
-                found[rows] = frame_sizes(self.layout, self.specs[place].data, data, offset[rows])
+                found[rows] = frame_sizes(self.layout, self.specs[place], data, offset[rows])
         return found
 
     def _walk(self, data: Bytes, at: int) -> Places:
@@ -260,7 +260,7 @@ class RequestTables:
         for place, spec in enumerate(self.specs):
             rows = np.flatnonzero(good & (kind == place))
             if len(rows):
-                good[rows] = self._good_data(spec.data, data, start[rows], end[rows])
+                good[rows] = self._good_data(spec, data, start[rows], end[rows])
         return good
 
     def _good_data(self, spec: DataSpec, data: Bytes, start: Places, end: Places) -> Mask:

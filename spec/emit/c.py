@@ -133,7 +133,7 @@ def _check(name: str, check: Check) -> Iterator[Line]:
 def _instruction(protocol: Protocol, spec: InstructionSpec) -> Iterator[Line]:
     name = _word(spec.name)
     yield f"{name}_ID", str(spec.id), spec.prose
-    at_least = " at least" if spec.data.counted else ""
+    at_least = " at least" if spec.counted else ""
     yield f"{name}_LENGTH", str(spec.length), f"data bytes{at_least}"
     if protocol.plain:
         yield name, _hex(protocol.header_bytes[spec.id, spec.length]), "header byte"

@@ -76,7 +76,7 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
             spec.id: {
                 "word": word,
                 "name": spec.name,
-                "fields": _fields(spec.data),
+                "fields": _fields(spec),
                 "answer": None if spec.answer is None else _fields(spec.answer),
                 "sets": _sets(spec.effect, spec.fields),
             }

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from bilprov.analyzer.decode.near_misses import near_miss
+from bilprov.analyzer.decode.decoded_share import near_miss
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.arrays.checks import Checking
+from bilprov.spec.arrays.layouts import Checking
 from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
 from tests.vectors_modbus_rtu import REQUESTS
 

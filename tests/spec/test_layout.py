@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 from construct import Construct, ConstructError, Container
 
+from benchmarks.construct_alone import question
 from bilprov.spec.checks import Crc, Sum, Xor
 from bilprov.spec.codec import build, judge
-from bilprov.spec.fields import Outcome, question
+from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import build_reply, read_reply, reply_size

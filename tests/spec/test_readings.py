@@ -7,7 +7,7 @@ import re
 import pytest
 
 from bilprov.spec.codec import judge, raw_frame
-from bilprov.spec.errata import check
+from bilprov.spec.explain import check
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Example, Reading
 from tests.support import ROOT

@@ -22,10 +22,10 @@ from construct import (
     ValidationError,
 )
 
+from benchmarks.construct_alone import question
 from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
 from bilprov.spec.codec import Judgement, build, judge
 from bilprov.spec.data import DataSpec
-from bilprov.spec.fields import question
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import load
 from bilprov.spec.replies import agrees, read_reply, reply_size
@@ -193,7 +193,7 @@ def test_the_kit_judges_a_request(name: str, vector: RequestVector) -> None:
         assert judged.name == vector.name
     if vector.outcome == "valid":
         assert judged.instruction
-        assert by_name(judged.instruction.data, dict(judged.fields)) == vector.fields
+        assert by_name(judged.instruction, dict(judged.fields)) == vector.fields
         assert judged.address == vector.address
 
 
@@ -202,7 +202,7 @@ def test_a_valid_request_is_built_of_its_fields(name: str, vector: RequestVector
     protocol = load_protocol(name)
     if vector.outcome != "valid" or vector.name is None:
         return
-    fields = numbers(protocol.by_name[vector.name].data, vector.fields)
+    fields = numbers(protocol.by_name[vector.name], vector.fields)
     to = {} if vector.address is None else {"address": vector.address}
 
     assert build(protocol, vector.name, {**fields, **to}) == vector.frame

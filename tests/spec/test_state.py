@@ -15,9 +15,9 @@ from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.arrays.states import Known
 from bilprov.spec.by_effect import change_by, effect_words
 from bilprov.spec.codec import judge
+from bilprov.spec.errors import WrongValue
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
-from bilprov.spec.value_checks import WrongValue
 from tests.support import ROOT
 from tests.support.car import car_state
 from tests.support.commands import command

@@ -11,18 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.arrays.checks import Checking
-from bilprov.spec.arrays.layouts import OUTCOMES, WIDEST, field_values, number_values
+from bilprov.spec.arrays.layouts import OUTCOMES, WIDEST, Checking, field_values, number_values
 from bilprov.spec.arrays.requests import RequestTables, request_tables
 from bilprov.spec.arrays.states import Known
 from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
-from bilprov.spec.codec import build, judge, nearest, raw_frame
+from bilprov.spec.codec import Steps, build, judge, nearest, raw_frame
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import Motion
 from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.state import State, after
-from bilprov.spec.steps import Steps
 from tests.support.car import VARIABLES, car_state
 from tests.support.grammars import undeclared
 

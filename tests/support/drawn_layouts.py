@@ -71,7 +71,7 @@ def drawn_values(draw: Random, protocol: Protocol, spec: InstructionSpec) -> dic
             values[part.name] = draw.randint(part.low, part.high)
         if part.role == "other":
             values[part.name] = draw.randint(0, part.most)
-    return values | drawn_fields(draw, spec.data)
+    return values | drawn_fields(draw, spec)
 
 
 def drawn_fields(draw: Random, data: Any) -> dict[str, Any]:

@@ -67,10 +67,10 @@ def drawn_request(protocol: Protocol, random: Random) -> bytes:
 
 def request_fields(random: Random, spec: InstructionSpec) -> dict[str, Any]:
     """Values for the fields of a request; no answer becomes long."""
-    values = drawn_fields(random, spec.data)
+    values = drawn_fields(random, spec)
     numbers = [one for one in spec.fields if one.number]
     while not all(one.in_range(values[one.name]) for one in numbers):  # a counted field is empty
-        values = drawn_fields(random, spec.data)
+        values = drawn_fields(random, spec)
     for name in ("size", "quantity", "read_quantity"):
         if name in values and not any(p.many and p.many.expression for p in spec.fields):
             values[name] = random.randint(1, 9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.analyzer.decode.near_misses import Checked, declared, fitting_check, near_miss
+from bilprov.analyzer.decode.decoded_share import Checked, declared, fitting_check, near_miss
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.checks import Crc, Sum
 
