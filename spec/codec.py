@@ -317,8 +317,11 @@ def _response(
     part = protocol.layout.part("address")
     if part and address is not None and not part.low <= address <= part.high:
         return NO_ANSWER  # sent to all, or to nobody
-    if spec and spec.answer is None and outcome is Outcome.VALID:
-        return NO_ANSWER
+    if spec and outcome is Outcome.VALID:
+        if spec.answer is None:
+            return NO_ANSWER
+        if protocol.key_of(spec.id) in protocol.uncoded:
+            return PLAIN_ANSWER
     named = next((one for one in protocol.responses if code and one.name == code), None)
     return named or protocol.answers[outcome]
 

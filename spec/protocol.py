@@ -243,6 +243,16 @@ class Protocol:
         return {Outcome.VALID: plain, **dict.fromkeys(tuple(Outcome)[1:], NO_ANSWER), **found}
 
     @cached_property
+    def uncoded(self) -> frozenset[int]:
+        """The keys of the instructions that get an answer without a code if they are valid."""
+        return frozenset(
+            self.key_of(spec.id)
+            for spec in self.instructions
+            if spec.answer is not None
+            and (self.reply if spec.answer.fields else self.acknowledgement).part("code") is None
+        )
+
+    @cached_property
     def plain(self) -> bool:
         """Whether a header byte tells ID and length, and one byte answers each frame.
 

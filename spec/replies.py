@@ -86,6 +86,9 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         specs = {spec.name: spec for spec in data.fields}
         return (*((specs[name], value) for name, value in self.fields), *self.registers)
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {spaced(self.frame)}: {self.describe()}>"
+
     def describe(self) -> str:
         """The answer in words: its names, its fields and its registers."""
         to = f"@{self.address} " if self.address is not None else ""

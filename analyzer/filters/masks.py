@@ -218,7 +218,8 @@ def _of_side(protocol: Protocol, rows: HostRows | DeviceRows) -> Makers:
 
     def judgement() -> Column:
         codes = np.array([*(protocol.answers[outcome].code for outcome in OUTCOMES), -1])
-        code = codes.take(rows.verdict)
+        uncoded = np.isin(rows.header, list(protocol.uncoded)) & (rows.verdict == VALID)
+        code = np.where(uncoded, -1, codes.take(rows.verdict))
         return Numbers(code, code >= 0)
 
     def faults() -> Column:

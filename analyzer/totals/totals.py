@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from bilprov.analyzer.decode.batch import (
 from bilprov.analyzer.decode.records import LineRecord, serious_faults
 from bilprov.analyzer.totals.latencies import Latencies, Spread
 from bilprov.analyzer.totals.rates import SECOND, Rates
-from bilprov.spec.arrays.layouts import OUTCOMES
+from bilprov.spec.arrays.layouts import OUTCOMES, VALID
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
 
 
@@ -65,9 +65,12 @@ SERIES = ("frames", "faults", "host_bytes", "device_bytes")
 """What is counted by time, each frame when it ended."""
 
 
-def _verdicts(verdict: NDArray[np.uint8]) -> list[int]:
+_UNCODED = len(OUTCOMES)  # stands for a valid frame whose answer has no code
+
+
+def _verdicts(verdict: NDArray[Any]) -> list[int]:
     """How many frames there are of each verdict."""
-    return [int(np.count_nonzero(verdict == place)) for place in range(len(OUTCOMES))]
+    return [int(np.count_nonzero(verdict == place)) for place in range(_UNCODED + 1)]
 
 
 def _numbered(name: str) -> tuple[int, str]:
@@ -112,7 +115,8 @@ class Totals:
         self._groups = np.array(groups, np.int64)
         self._headers = np.zeros(256, np.int64)
         self._verdicts = np.zeros(len(OUTCOMES), np.int64)
-        self._due = np.zeros(len(OUTCOMES), np.int64)  # of these, the ones to be answered
+        self._due = np.zeros(_UNCODED + 1, np.int64)  # of these, the ones to be answered
+        self._uncoded = np.isin(np.arange(256), list(protocol.uncoded))
         self._answers: Counter[str] = Counter()
         self._paired: Counter[tuple[int, str]] = Counter()  # by ID and name of the answer
         self.latencies = Latencies(protocol.timing, len(places) + 1)
@@ -187,9 +191,9 @@ class Totals:
     def expected(self) -> dict[str, int]:
         """How often each response is the one that a conforming device gives."""
         found: dict[str, int] = {}
-        for outcome, count in zip(OUTCOMES, self._due.tolist(), strict=True):
-            spec = self._protocol.answers[outcome]
-            if spec.outcomes:
+        specs = [self._protocol.answers[outcome] for outcome in OUTCOMES]
+        for spec, count in zip([*specs, PLAIN_ANSWER], self._due.tolist(), strict=True):
+            if spec.outcomes and (count or spec in specs):
                 found[spec.name] = found.get(spec.name, 0) + count
         return found
 
@@ -247,11 +251,12 @@ class Totals:
             frames = verdict != NO_VERDICT
             header, verdict, end = header[frames], verdict[frames], end[frames]
         self._headers += np.bincount(header, minlength=256)
-        verdicts = _verdicts(verdict)
-        self._verdicts += verdicts
+        self._verdicts += _verdicts(verdict)[:-1]
         if hosts.due is not None:
-            verdicts = _verdicts(hosts.verdict[rows][hosts.due[rows]])
-        self._due += verdicts
+            due = hosts.due[rows]
+            header, verdict = hosts.header[rows][due], hosts.verdict[rows][due]
+        uncoded = self._uncoded.take(header) & (verdict == VALID)
+        self._due += _verdicts(np.where(uncoded, _UNCODED, verdict))
         self.rates.count("frames", end)
         self._ended(end)
         return [start, last]

@@ -389,6 +389,8 @@ local function judge(item, bytes)
     item.silent = item.cut and layout.check or not row[3] or valid and not item.spec.answer
         or item.address and not item.alone
     item.judgement = not item.silent and (item.code or row[2]) or nil
+    local form = valid and (#(item.spec.answer or {}) > 0 and GRAMMAR.reply or GRAMMAR.ack)
+    if form and not part_of(form, "code") then item.judgement = nil end
     if reason then
         local code = item.judgement and CODES and CODES[item.judgement]
         item.info = format("%s: %s%s", item.words, code and code .. ", " or "", reason)

@@ -293,6 +293,7 @@ def test_the_answer_of_send_has_its_values_in_words() -> None:
     answer = meter.send("WriteSingleCoil", coil=3, value="on")
     assert answer is not None
     assert answer.told == (("coil", 3), ("value", "on"))
+    assert repr(answer) == "<Reply 01 05 00 03 ff 00 7c 3a: @1 answer coil=3 value=65280 (on)>"
     text = (ROOT / "examples" / "feetech.py").read_text(encoding="utf-8")
     for old, new in (
         ("import Byte, Enum,", "import Byte, FlagsEnum,"),

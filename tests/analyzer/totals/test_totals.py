@@ -293,4 +293,7 @@ def test_only_answers_that_are_due_are_expected(grammar: str, odd: float) -> Non
     batches = told(StreamDecoder(protocol), events, [len(events)])
     judged = [record.judgement for record in hosts(records_of(batches)) if record.judgement]
     due = Counter(one.response.name for one in judged if one.answer_due)
-    assert without_none(totals(protocol, batches).expected()) == due
+    found = totals(protocol, batches)
+    assert without_none(found.expected()) == due
+    if not odd:
+        assert without_none(found.responses()) == due
