@@ -87,7 +87,7 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         return (*((specs[name], value) for name, value in self.fields), *self.registers)
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} {spaced(self.frame)}: {self.describe()}>"
+        return f"<{type(self).__name__} {self.frame.hex(' ')}: {self.describe()}>"
 
     def describe(self) -> str:
         """The answer in words: its names, its fields and its registers."""
