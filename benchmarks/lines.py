@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from benchmarks.commands import Stream, cpu_time, holds_open, started
 from benchmarks.traffic import Traffic, reads
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.captures.schemas import Direction
 from bilprov.spec.protocol import Protocol
 

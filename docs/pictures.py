@@ -24,9 +24,16 @@ from rich.text import Text
 from bilprov.analyzer.cli.stats import plot
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.doctor.examination import Answered, Reply, heard, rates_of, told
+from bilprov.analyzer.doctor.examination import (
+    Answered,
+    Reply,
+    examined,
+    heard,
+    rates_of,
+    subject,
+    told,
+)
 from bilprov.analyzer.doctor.finding import INDENT, Finding, Grade, conclusion, drawn, title
-from bilprov.analyzer.doctor.system import examined, subject
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.console import heading
 from bilprov.analyzer.screen.browser import Browser, Told

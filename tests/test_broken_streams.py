@@ -24,7 +24,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from tests.support import ROOT

@@ -22,7 +22,7 @@ from bilprov import __main__ as front_door
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.grammar_file import SHIPPED
 from bilprov.analyzer.output.help import examples_in
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT

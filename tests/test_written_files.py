@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.files import write_whole
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from tests.support.commands import Done, command, process
 from tests.support.robots import sentence

@@ -121,8 +121,7 @@ def cut(options: CutOptions) -> None:
 
     Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT.
     """
-    from bilprov.analyzer.edit.cut import write_selected, write_window
-    from bilprov.analyzer.edit.new_capture import cut_metadata
+    from bilprov.analyzer.edit.cut import cut_metadata, write_selected, write_window
     from bilprov.analyzer.replay.capture_decoding import opened_at, require_begun, said_about
     from bilprov.captures.reader import open_quickly
 
@@ -167,7 +166,7 @@ def repair(options: CopyOptions) -> None:
     metadata and attachments; a gap stands where something is lost. IN may also be a capture that
     was never finished, and stays as it is. bilprov capture check IN.mcap reports what is lost.
     Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT."""
-    from bilprov.analyzer.edit.new_capture import edited_metadata
+    from bilprov.analyzer.edit.cut import edited_metadata
 
     capture, protocol = _opened(options)
     about = edited_metadata(capture, protocol, f"repair {printable(options.path.name)}")
@@ -236,7 +235,7 @@ def decode(options: DecodeOptions) -> None:
     including those that were not written while traffic was heavy. IN may come from an older version
     or from another program, and may be unfinished or damaged. Ctrl-C leaves no OUT.
     """
-    from bilprov.analyzer.edit.new_capture import decoded_metadata
+    from bilprov.analyzer.edit.cut import decoded_metadata
 
     capture, protocol = _opened(options, half_duplex=options.half_duplex)
     _copied(options, capture, protocol, decoded_metadata(capture, protocol), decoded=True)
@@ -334,7 +333,7 @@ def _copying(
 
     `shown` is as in `reading`. The time 0 is that of the capture that begins first.
     """
-    from bilprov.analyzer.edit.new_capture import new_capture
+    from bilprov.analyzer.edit.cut import new_capture
 
     inputs = [str(capture.path) for capture in captures]
     require_writable([("OUT", str(options.new))], inputs, force=options.force, regular=True)

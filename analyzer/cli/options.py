@@ -308,7 +308,7 @@ def above_latency(timeout: int, *ports: str) -> int:
 
 def note_hindrances(*names: str) -> None:
     """Print a note for what makes opened ports slow or unsafe; URLs and ptys have nothing."""
-    from bilprov.analyzer.doctor.system import notes
+    from bilprov.analyzer.doctor.examination import notes
 
     for name in names:
         note_each(notes(name))

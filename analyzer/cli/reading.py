@@ -51,7 +51,7 @@ def split(capture: Capture, protocol: Protocol) -> Capture:
 
     It is kept in a temporary file as long as the command runs. Raises CaptureError and UserError.
     """
-    from bilprov.analyzer.edit.new_capture import new_capture, split_metadata, write_split
+    from bilprov.analyzer.edit.cut import new_capture, split_metadata, write_split
     from bilprov.captures.reader import open_capture
 
     folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="bilprov-"))

@@ -45,11 +45,12 @@ from bilprov.analyzer.replay.capture_decoding import (
     capture_timeout,
     decoded,
     heard,
+    interruptible,
     opened_at,
+    paced,
     require_begun,
     said_about,
 )
-from bilprov.analyzer.replay.playback import interruptible, paced
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line, Look

@@ -9,8 +9,8 @@ from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.records import Anomaly, FaultRecord, HostRecord, Record, Severity
 from bilprov.analyzer.output.outputs import Output, Window
 from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.replay.capture_decoding import paced
 from bilprov.analyzer.replay.comparison import ReplayRun, differences
-from bilprov.analyzer.replay.playback import paced
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture

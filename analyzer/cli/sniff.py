@@ -48,8 +48,14 @@ from bilprov.analyzer.output.findings import tell_findings
 from bilprov.analyzer.output.outputs import NoOutput, Shown, TextQueue, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.recorder import Recorder, Rotation, rotation_at, session_metadata
-from bilprov.analyzer.replay.spool import Spool, new_name
+from bilprov.analyzer.replay.recorder import (
+    Recorder,
+    Rotation,
+    Spool,
+    new_name,
+    rotation_at,
+    session_metadata,
+)
 from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
 from bilprov.analyzer.transport.errors import SIM, LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, timeout_in_ns

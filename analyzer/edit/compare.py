@@ -50,8 +50,7 @@ from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.capture_stats import grammar_json, spread_json
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.analyzer.replay.capture_decoding import Progress, decoded_batches, heard
-from bilprov.analyzer.totals.latencies import Spread
-from bilprov.analyzer.totals.totals import Totals
+from bilprov.analyzer.totals.totals import Spread, Totals
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import printable, quantity
@@ -59,7 +58,7 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.decode.records import HostRecord
-    from bilprov.analyzer.totals.latencies import Spread
+    from bilprov.analyzer.totals.totals import Spread
 
 
 @dataclass(slots=True, eq=False)

@@ -22,7 +22,7 @@ from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.edit.new_capture import (
+from bilprov.analyzer.edit.cut import (
     Timed,
     batched,
     copy_batch,

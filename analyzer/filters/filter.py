@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from bilprov.analyzer.filters import tree, values
 from bilprov.analyzer.filters.fields import Field, Kind, bytes_names, find, folded
-from bilprov.analyzer.filters.moments import Instant
 from bilprov.analyzer.filters.syntax import FilterError, Part, parse
-from bilprov.analyzer.filters.values import kind_of, owners, refuse, refuse_part, shown
+from bilprov.analyzer.filters.values import Instant, kind_of, owners, refuse, refuse_part, shown
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:

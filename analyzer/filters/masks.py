@@ -26,8 +26,8 @@ from bilprov.analyzer.decode.batch import (
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.filters import tree
 from bilprov.analyzer.filters.fields import Kind, fields_of
-from bilprov.analyzer.filters.moments import DAY, STEP, offset
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
+from bilprov.analyzer.filters.values import DAY, STEP, offset
 from bilprov.spec.arrays.layouts import (
     BAD_DATA,
     OUTCOMES,

@@ -6,14 +6,68 @@ A value that the name can never have is a mistake, and so is a unit that does no
 from __future__ import annotations
 
 import math
+import re
+import time
 from collections.abc import Mapping
-from typing import NoReturn
+from functools import lru_cache
+from typing import NamedTuple, NoReturn
 
-from bilprov.analyzer.filters import moments
 from bilprov.analyzer.filters.fields import Field, Kind, Value, fields_of, find, folded
 from bilprov.analyzer.filters.syntax import FilterError, Part, octets_of
 from bilprov.captures.text import near, printable
 from bilprov.spec.protocol import Protocol
+
+SECOND = 1_000_000_000  # ns
+DAY = 86_400 * SECOND  # ns
+STEP = 900 * SECOND
+"""Ns between the moments at which a time zone may change its offset: all do at a quarter."""
+
+_WRITTEN = re.compile(
+    r"(?:(?P<day>\d{4}-\d\d-\d\d)[T ]?)?"
+    r"(?:(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:\.(?P<part>\d{1,9}))?)?)?"
+    r"(?P<zone>Z|[+-]\d\d:?\d\d)?",
+    re.ASCII,
+)
+
+
+class Instant(NamedTuple):
+    """A moment in ns: since midnight if it is `daily`, or else since 1970."""
+
+    daily: bool
+    ns: int
+
+
+def instant(text: str) -> Instant | None:
+    """The moment that is written as `14:03:20`, `2026-11-22 14:03:20` or `2026-11-22`.
+
+    Minutes are enough, a fraction of a second has up to nine digits. A date is local, unless `Z` or
+    an offset like `+02:00` stands behind it. None for what is no moment.
+    """
+    match = _WRITTEN.fullmatch(text)
+    if match is None or not (match["day"] or match["hour"]):
+        return None
+    hour, minute, second = (int(match[name] or 0) for name in ("hour", "minute", "second"))
+    rest = int((match["part"] or "").ljust(9, "0"))
+    if hour > 23 or minute > 59 or second > 59:
+        return None
+    if match["day"] is None:
+        ns = (hour * 3600 + minute * 60 + second) * SECOND + rest
+        return None if match["zone"] else Instant(True, ns)
+    from datetime import datetime
+
+    clock = f"{hour:02d}:{minute:02d}:{second:02d}"
+    try:
+        since = datetime.fromisoformat(f"{match['day']}T{clock}{match['zone'] or ''}").timestamp()
+    except (ValueError, OverflowError, OSError):
+        return None
+    return Instant(False, int(since) * SECOND + rest)
+
+
+@lru_cache(maxsize=4096)
+def offset(step: int) -> int:
+    """How far (ns) local time is ahead of UTC from a moment on: a number of STEPs since 1970."""
+    return time.localtime(step * STEP // SECOND).tm_gmtoff * SECOND
+
 
 UNITS: Mapping[str, int] = {"us": -6, "ms": -3, "s": 0, "µs": -6, "μs": -6}  # both letters mu
 """The units of time, each as the power of ten that it is of a second."""
@@ -24,7 +78,7 @@ _LARGEST = 1e30
 
 def value(
     protocol: Protocol, part: Part, field: Field
-) -> float | str | bytes | frozenset[str] | moments.Instant:
+) -> float | str | bytes | frozenset[str] | Instant:
     """What a part stands for beside a field: a whole number is an int, seconds are in s.
 
     Raises FilterError for a value of another kind, and for a word that names none of its values.
@@ -68,9 +122,9 @@ def word(protocol: Protocol, part: Part, field: Field) -> Value:
     return refuse_part(part, f"is not a value of {field.name} in this grammar: {hint}")
 
 
-def _instant(part: Part) -> moments.Instant:
+def _instant(part: Part) -> Instant:
     """The moment that a part stands for. Raises FilterError."""
-    found = moments.instant(part.text) if part.kind in ("moment", "quoted") else None
+    found = instant(part.text) if part.kind in ("moment", "quoted") else None
     if found is not None:
         return found
     if part.kind == "number":

@@ -74,9 +74,7 @@ from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.totals.latencies import Spread
-    from bilprov.analyzer.totals.rates import Rates
-    from bilprov.analyzer.totals.totals import Totals
+    from bilprov.analyzer.totals.totals import Rates, Spread, Totals
 
 SECOND = 1e9  # ns
 

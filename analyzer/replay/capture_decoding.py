@@ -1,24 +1,27 @@
 """Decodes captures as they were recorded, from the beginning or a moment on, in batches.
 
 The settings of the recording session hold where the file has them. From a moment on decoding begins
-at the last checkpoint before it, where there is one. Memory does not grow with a capture.
+at the last checkpoint before it, where there is one. Memory does not grow with a capture. Its
+events can be played at recorded, faster or slower time.
 """
 
 from __future__ import annotations
 
 import math
+import select
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from bilprov.analyzer.decode import checkpoint
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import carried_protocol, load_protocol
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.playback import AFTERMATH
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named
+from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture
-from bilprov.captures.schemas import MS, Chunk, Direction, Line, Recorded, look_class
+from bilprov.captures.schemas import MS, Chunk, Direction, Line, Look, Recorded, look_class
 from bilprov.captures.text import printable
 from bilprov.captures.topics import CHECKPOINT, CUT_START, DEVICE_RAW, GRAMMAR_HASH, HOST_RAW
 from bilprov.spec.errors import UserError
@@ -29,6 +32,63 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.totals.totals import Totals
     from bilprov.captures.events import Events
+
+Event = Chunk | Line | Look
+Paced = TypeVar("Paced", bound=Event)
+
+AFTERMATH = 3_000_000_000
+"""Ns after a window's end whose events are still needed to decode what began inside it."""
+
+
+def paced(
+    events: Iterable[Paced],
+    rate: float,
+    *,
+    sleep: Callable[[float], object],
+    clock: Callable[[], float] = time.monotonic,
+    start: int | None = None,
+    end: int | None = None,
+) -> Iterator[Paced]:
+    """Yield the events needed to decode `start <= t < end` (ns), those inside at their times.
+
+    `rate` 1 is recorded time, 2 twice as fast, 0 without delays. `clock` and `sleep` are in
+    seconds, like `time.monotonic` and `time.sleep`. Delays do not add up, since each due time
+    counts from the beginning of playing, which is at `start`.
+
+    Events before the window come without delay, because the predicted state and the framing depend
+    on them. So do events shortly after it, because they may complete what began inside.
+    """
+    began: float | None = None
+    for event in events:
+        if end is not None and event.t > end + AFTERMATH:
+            return
+        if rate and event.t >= (start or 0) and (end is None or event.t < end):
+            began = clock() if began is None else began
+            wait = began + (event.t - (start or 0)) / 1e9 / rate - clock()
+            if wait > 0:
+                sleep(wait)
+        yield event
+
+
+def interruptible(
+    stopper: Stopper, meanwhile: Callable[[float], object]
+) -> Callable[[float], None]:
+    """Make a sleep function (s) that Ctrl-C ends and that reports its progress to `meanwhile`.
+
+    `meanwhile` is called at least ten times a second with the seconds slept so far, which are
+    always less than the whole duration.
+    """
+
+    def sleep(seconds: float) -> None:
+        began = time.monotonic()
+        while not stopper.stopped:
+            left = began + seconds - time.monotonic()
+            if left <= 0:
+                return
+            select.select([stopper], [], [], min(left, 0.1))
+            meanwhile(min(time.monotonic() - began, seconds * 0.999))
+
+    return sleep
 
 
 _LONGEST = 60_000.0  # ms that a file may ask for

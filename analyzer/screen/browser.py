@@ -31,15 +31,14 @@ from bilprov.analyzer.output.row_columns import (
     chosen_columns,
     columns_of,
 )
-from bilprov.analyzer.replay.spool import new_name
+from bilprov.analyzer.replay.recorder import new_name
 from bilprov.analyzer.screen.details import FieldTree
 from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
 from bilprov.analyzer.screen.frame_list import OWN, SHOWN_ONLY, FrameList
 from bilprov.analyzer.screen.keys import ALIASES, BINDINGS, Help
 from bilprov.analyzer.screen.panes import figures, head_line, picture, status_line
 from bilprov.analyzer.screen.prompt import REFUSAL, Prompt, Question, row_of
-from bilprov.analyzer.screen.recording import Recording, View
-from bilprov.analyzer.screen.row_export import export, new_file, rows_file
+from bilprov.analyzer.screen.recording import Recording, View, export, new_file, rows_file
 from bilprov.captures.text import quantity
 from bilprov.spec.codec import spaced
 

@@ -16,8 +16,7 @@ from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.replay.capture_decoding import WHOLE, Opened, event_batches
-from bilprov.analyzer.replay.recorder import Recorder
-from bilprov.analyzer.replay.spool import Spool
+from bilprov.analyzer.replay.recorder import Recorder, Spool
 from bilprov.analyzer.screen.recording import Recording
 from bilprov.captures.reader import Capture, appended
 from bilprov.spec.protocol import Protocol

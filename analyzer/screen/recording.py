@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
 from itertools import groupby
+from pathlib import Path
 from threading import Lock, RLock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 import zstandard
@@ -24,7 +25,11 @@ from numpy.typing import NDArray
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.column_batch import Decoding
 from bilprov.analyzer.decode.records import Record
+from bilprov.analyzer.files import whole_file, why_not_writable
+from bilprov.analyzer.output.outputs import opened_output
+from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.totals.totals import Totals
+from bilprov.captures.text import printable, quantity
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 
 if TYPE_CHECKING:
@@ -358,3 +363,63 @@ class View:
         """The last row before a row that has an anomaly and passes; None if there is none."""
         found = self._recording.faults.last(row, self._passing)
         return found if found is not None and found >= self._recording.first else None
+
+
+_TOGETHER = 4096  # rows
+_FORMATS = ("csv", "jsonl")
+
+
+def rows_file(name: str) -> str:
+    """The name of a new file for rows. Raises ValueError if they cannot be written there."""
+    if Path(name).suffix[1:] not in _FORMATS:
+        raise ValueError("the name ends in .csv or .jsonl, which sets the format")
+    return new_file(name)
+
+
+def new_file(name: str) -> str:
+    """The name of a new file. Raises ValueError if none can have it."""
+    path = Path(name)
+    try:
+        there = path.exists() or path.is_symlink()
+        why = why_not_writable(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"no file can have this name: {printable(error)}") from error
+    if there:
+        raise ValueError(f"{printable(name)} exists and is never overwritten: choose another name")
+    if why:
+        raise ValueError(why)
+    return name
+
+
+def export(
+    recording: Recording,
+    view: View,
+    name: str,
+    rows: RowStyle,
+    start_wall: int,
+    goes_on: Callable[[float], bool] = lambda share: True,
+) -> str:
+    """Write the rows that a view has now, and return in a sentence how it ended.
+
+    `goes_on` is asked with the share that is written; where it denies, no file is left.
+    """
+    first, count, written = view.first, view.count, 0
+    style = cast(Literal["csv", "jsonl"], Path(name).suffix[1:])
+
+    def write(text: str) -> None:
+        nonlocal written
+        file.write(text.encode("utf-8", "backslashreplace"))
+        written += text.count("\n")  # events of the line are rows only on the screen
+
+    try:
+        with whole_file(Path(name), replace=False) as file:
+            output = opened_output(style, recording.protocol, rows, start_wall, write)
+            written = 0
+            for at in range(first, count, _TOGETHER):
+                if not goes_on((at - first) / (count - first)):
+                    raise InterruptedError(0, "stopped")
+                output.records(recording.records(view.rows(at, min(at + _TOGETHER, count))))
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        return f"{printable(name)} cannot be written ({printable(why)})"
+    return f"{quantity(written, 'row')} written to {printable(name)}"

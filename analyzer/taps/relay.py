@@ -20,9 +20,8 @@ from typing import TypeAlias
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port, wait_readable
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.server import Stop
 
 LONGEST = 60_000_000_000  # ns that a byte may be held back

@@ -16,9 +16,8 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.machine import Machine
-from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.port import Openings, Port, open_pty
 from bilprov.analyzer.transport.ports import open_port, same_line, wait_readable
-from bilprov.analyzer.transport.pty import Openings, open_pty
 from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Chunk, Direction, Line

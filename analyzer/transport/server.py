@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.pty import Openings, open_pty
+from bilprov.analyzer.transport.port import Openings, open_pty
 from bilprov.captures.closing import Closing
 
 _READ_LIMIT = 1 << 14  # bytes taken in one turn: some 20 ms of a simulator's time

@@ -23,9 +23,14 @@ from bilprov.analyzer.decode import stream
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.capture_file import of_capture
 from bilprov.analyzer.edit.compare import compared
-from bilprov.analyzer.edit.cut import write_selected, write_window
+from bilprov.analyzer.edit.cut import (
+    cut_metadata,
+    edited_metadata,
+    new_capture,
+    write_selected,
+    write_window,
+)
 from bilprov.analyzer.edit.join import Joined, write_joined
-from bilprov.analyzer.edit.new_capture import cut_metadata, edited_metadata, new_capture
 from bilprov.analyzer.export.pcapng import write_pcapng
 from bilprov.analyzer.export.rows import Chosen, write_text
 from bilprov.analyzer.filters.filter import Filter, compile_filter

@@ -25,7 +25,7 @@ from benchmarks.torture.exits import items, replay_to
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.client.rest import stops
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.fields import Outcome
 

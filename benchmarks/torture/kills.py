@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from benchmarks.torture.harm import Harm, Progress, Row
 from benchmarks.torture.unplugged_taps import Listener
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk

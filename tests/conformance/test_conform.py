@@ -21,7 +21,7 @@ import pytest
 
 from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.conformance.api import Options, conform, planned, run_suite, select_cases
 from bilprov.conformance.cases.levels import CONDITIONAL_CASES

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk

@@ -31,7 +31,7 @@ from bilprov.analyzer.output.text_lines import LineRenderer
 from bilprov.analyzer.replay import target as of_target
 from bilprov.analyzer.screen.details import details
 from bilprov.analyzer.transport import machine as of_machine
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol

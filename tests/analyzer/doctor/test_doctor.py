@@ -20,13 +20,24 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.client.operations import Listen, Operation, Received, Send
-from bilprov.analyzer.doctor.examination import RATES, Reply, asked, heard, of_line, rates_of, told
+from bilprov.analyzer.doctor.examination import (
+    RATES,
+    Reply,
+    Subject,
+    asked,
+    examined,
+    heard,
+    notes,
+    of_line,
+    rates_of,
+    subject,
+    told,
+)
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
-from bilprov.analyzer.doctor.system import Subject, examined, notes, subject
 from bilprov.analyzer.transport.errors import NO_BRAILLE, LinkError, denied
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Held, Machine
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.conformance.dut.simulator import Simulator

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.transport.machine import Machine
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from tests.support import ROOT
 from tests.support.machines import FakeMachine
 

@@ -22,8 +22,13 @@ from bilprov.analyzer.decode.records import (
     is_frame,
 )
 from bilprov.analyzer.decode.session import BOTH, Session
-from bilprov.analyzer.edit.cut import CUT_THROUGH, write_selected, write_window
-from bilprov.analyzer.edit.new_capture import edited_metadata, new_capture
+from bilprov.analyzer.edit.cut import (
+    CUT_THROUGH,
+    edited_metadata,
+    new_capture,
+    write_selected,
+    write_window,
+)
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.captures.reader import open_capture, open_quickly

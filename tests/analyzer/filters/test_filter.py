@@ -18,8 +18,8 @@ from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import Filter, compile_filter
-from bilprov.analyzer.filters.moments import offset
 from bilprov.analyzer.filters.syntax import FilterError
+from bilprov.analyzer.filters.values import offset
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol, load

@@ -13,8 +13,8 @@ from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.filters.moments import offset
 from bilprov.analyzer.filters.syntax import FilterError
+from bilprov.analyzer.filters.values import offset
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.__main__ import COMMANDS
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from tests.support import ROOT
 from tests.support.commands import PATIENCE, command
 

@@ -22,7 +22,7 @@ from bilprov.analyzer.output.row_columns import (
     chosen_columns,
     columns_of,
 )
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.writer import CaptureWriter

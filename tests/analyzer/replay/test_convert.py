@@ -16,8 +16,7 @@ from bilprov.analyzer.api import read_capture
 from bilprov.analyzer.decode.records import HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.edit.cut import write_window
-from bilprov.analyzer.edit.new_capture import decoded_metadata, new_capture
+from bilprov.analyzer.edit.cut import decoded_metadata, new_capture, write_window
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.analyzer.replay.recorder import Recorder, RecordWriter

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.analyzer.replay.playback import paced
+from bilprov.analyzer.replay.capture_decoding import paced
 from bilprov.captures.schemas import Chunk
 
 SECOND = 1_000_000_000

@@ -14,14 +14,14 @@ import pytest
 
 from benchmarks.adapter import Adapter
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.replay.capture_decoding import paced
 from bilprov.analyzer.replay.comparison import (
     UNANSWERED_STOPS,
     ReplayRun,
     differences,
     first_difference,
 )
-from bilprov.analyzer.replay.playback import paced
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol, load

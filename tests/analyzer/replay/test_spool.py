@@ -9,8 +9,7 @@ from random import Random
 
 import pytest
 
-from bilprov.analyzer.replay.recorder import session_metadata
-from bilprov.analyzer.replay.spool import PARTS, Spool
+from bilprov.analyzer.replay.recorder import PARTS, Spool, session_metadata
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line

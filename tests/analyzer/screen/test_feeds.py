@@ -18,12 +18,10 @@ from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.replay.capture_decoding import Opened, capture_decoder, opened_at
-from bilprov.analyzer.replay.recorder import session_metadata
-from bilprov.analyzer.replay.spool import PARTS, Spool
+from bilprov.analyzer.replay.recorder import PARTS, Spool, session_metadata
 from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_feed
 from bilprov.analyzer.screen.panes import figures, picture, status_line
-from bilprov.analyzer.screen.recording import Recording, View
-from bilprov.analyzer.screen.row_export import export
+from bilprov.analyzer.screen.recording import Recording, View, export
 from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter

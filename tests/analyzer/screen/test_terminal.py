@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
+from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter

@@ -16,7 +16,7 @@ import bilprov
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.decode.test_foreign_traffic import TRAFFIC, events

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.taps.relay import LONGEST, ImpairedDirection, LineFaults, Noise, join
 from bilprov.analyzer.transport.errors import LinkError
+from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from tests.support.commands import process
 from tests.support.robots import simulate, unwell

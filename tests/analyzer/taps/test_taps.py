@@ -25,9 +25,8 @@ from bilprov.analyzer.taps.sources import (
 )
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
-from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port, wait_readable
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS, Chunk, Line
 

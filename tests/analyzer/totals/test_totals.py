@@ -19,9 +19,16 @@ from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.totals.latencies import Bin, Latencies, Spread
-from bilprov.analyzer.totals.rates import BUCKETS, SECOND, Rates
-from bilprov.analyzer.totals.totals import SERIES, Totals
+from bilprov.analyzer.totals.totals import (
+    BUCKETS,
+    SECOND,
+    SERIES,
+    Bin,
+    Latencies,
+    Rates,
+    Spread,
+    Totals,
+)
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event, devices, hosts

@@ -20,9 +20,8 @@ import serial.rfc2217
 
 from bilprov.analyzer.transport.errors import LinkError, link_lost, opening_failed
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
 from bilprov.analyzer.transport.ports import list_ports, open_port, wait_readable
-from bilprov.analyzer.transport.pty import PtyPair, open_pty
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.wires import read_from

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.transport.pty import open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.analyzer.transport.replug import Place
 from tests.support.machines import FakeMachine
 
