@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,15 +16,19 @@ from bilprov.analyzer.cli.options import (
     LineOptions,
     confirm_effect,
     note,
+    note_each,
     note_suspension,
     text_format_option,
 )
 from bilprov.analyzer.cli.settings import PortName
-from bilprov.analyzer.output.console import show, show_json
-from bilprov.captures.text import escape_controls
+from bilprov.analyzer.output.console import show, show_json, table
+from bilprov.captures.text import escape_controls, printable
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from bilprov.analyzer.doctor.finding import Finding
+    from bilprov.analyzer.transport.ports import PortInfo
     from bilprov.spec.protocol import Protocol
 
 
@@ -109,7 +113,6 @@ def ports(options: PortsOptions) -> int:
 
 def _list(*, as_json: bool) -> None:
     """List the ports of this machine."""
-    from bilprov.analyzer.output.port_list import drawn, unseen
     from bilprov.analyzer.transport.ports import list_ports
 
     found = list_ports()
@@ -123,8 +126,53 @@ def _list(*, as_json: bool) -> None:
             "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
             "bilprov simulate"
         )
-    if unseen(found):
-        note(unseen(found))
+    note_each([unseen(found)])
+
+
+_BY_ID = "/dev/serial/by-id"
+
+
+def drawn(found: Sequence[PortInfo]) -> Iterator[RenderableType]:
+    """Yield the tables: each port with its driver and holders, its device, its lasting name."""
+    from rich.text import Text
+
+    yield table(
+        ("", "port", "usb", "driver", "latency", "held by"),
+        [
+            (
+                "*" if port.likely else "",
+                printable(port.path),
+                port.usb,
+                printable(port.driver),
+                "" if port.latency_ms is None else f"{port.latency_ms} ms",
+                ", ".join(f"{holder.name} (pid {holder.pid})" for holder in port.holders),
+            )
+            for port in found
+        ],
+        right="latency",
+    )
+    for heading, told in (
+        ("device", [(port.path, _device(port)) for port in found]),
+        (f"name in {_BY_ID}, which stays", [(port.path, Path(port.by_id).name) for port in found]),
+    ):
+        rows = [(printable(path), printable(said)) for path, said in told if said]
+        if rows:
+            yield Text()
+            yield table(("port", heading), rows)
+
+
+def _device(port: PortInfo) -> str:
+    serial = f"serial {port.serial_number}" if port.serial_number else ""
+    return ", ".join(part for part in (port.description, serial) if part)
+
+
+def unseen(found: Sequence[PortInfo]) -> str:
+    """A sentence where other users' processes could not be looked into, else ""."""
+    count = max((port.unseen for port in found), default=0)
+    if not count:
+        return ""
+    which = "1 process of another user" if count == 1 else f"{count} processes of other users"
+    return f"{which} could not be examined: sudo shows every program that holds a port"
 
 
 def _what_may_move(

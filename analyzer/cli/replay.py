@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -24,6 +23,7 @@ from bilprov.analyzer.cli.options import (
     max_drive_option,
     note,
     note_each,
+    note_suspension,
     only_reading_option,
     plain_option,
     require_reading,
@@ -32,9 +32,10 @@ from bilprov.analyzer.cli.options import (
 from bilprov.analyzer.cli.reading import protocol_of, split
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.decode.records import HostRecord
+from bilprov.analyzer.decode.records import Anomaly, FaultRecord, HostRecord, Record, Severity
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.output.outputs import Format, Shown, Window, opened_output
+from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.output.outputs import Shown, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import (
@@ -53,15 +54,15 @@ from bilprov.analyzer.replay.capture_decoding import (
 )
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, open_capture, open_quickly
-from bilprov.captures.schemas import MS, Chunk, Line, Look
+from bilprov.captures.schemas import MS, Chunk, Look
+from bilprov.captures.text import quantity
 from bilprov.captures.topics import HOST_RAW
 from bilprov.spec.by_effect import effect_words
-from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.filters.filter import Filter
-    from bilprov.analyzer.monitor.passive_judge import PassiveJudge
-    from bilprov.analyzer.output.row_columns import RowStyle
+    from bilprov.analyzer.decode.batch import Batch
+    from bilprov.analyzer.replay.comparison import ReplayRun
+    from bilprov.analyzer.replay.target import Target
 
 
 @dataclass(frozen=True)
@@ -124,177 +125,228 @@ def replay(options: ReplayOptions) -> int:
     object of kind judgement) shows which parts of the document the traffic covered and what
     contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
     """
-    port, rate = options.port, options.rate
-    if options.judged and port is not None:
+    if options.judged and options.port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
-    if options.shown.count is not None and port is not None:
+    if options.shown.count is not None and options.port is not None:
         raise click.UsageError("--count counts the frames shown; with --to, --duration ends it")
     if options.judged:
         promise_verdict()
-    window = options.span.window(options.duration)
-    style = options.shown.style(options.plain, options.in_lines)
-    timeout = options.truncation_timeout
-    timeout = None if timeout is None else round(timeout * MS)
-    opened, protocol = _opened(options, timeout, window, style)
-    rows = options.shown.rows.style(protocol, style)
-    test = compiled(options.shown.expression, protocol)
-    capture = opened.capture
-    test = test and test.started(capture.start)
-    require_begun(capture, window.first)
-    if style == "live":
-        _look_through(options, opened, protocol, rows, test, window)
-        return 0
-    note_each((*said_about(capture, protocol), opened.note))
-    if port is not None:
-        if not capture.contents.counts.get(HOST_RAW):
-            raise click.UsageError(f"{options.path} holds no bytes of the host to send")
-        # Before Ctrl-C is taken over, so that it can end the question.
-        if options.only_reading:
-            require_reading(protocol, _frames(protocol, capture, timeout, window))
-        if not options.yes:  # what it does is in the whole capture
-            words = effect_words(protocol, _frames(protocol, capture, timeout, window))
-            does = "move" if protocol.wheels else "do"
-            what = f"the device at {port} will {does} as recorded in {options.path}"
-            confirm_effect(protocol, what, words, yes=False)
-    with ExitStack() as stack:
-        stopper = stack.enter_context(Stopper())
-        target, sent = None, 0
-        if port is not None:
-            from bilprov.analyzer.cli.resend import send_again
-            from bilprov.analyzer.replay.comparison import ReplayRun
-            from bilprov.analyzer.replay.target import Target, scaled_timeout
-            from bilprov.analyzer.transport.ports import open_port
+    return _Replay(options).done()
 
-            run = ReplayRun()
-            pause = scaled_timeout(capture_timeout(capture, protocol, timeout), rate)
-            opened_port = open_port(port, options.line.settings(protocol))
-            target = stack.enter_context(
-                Target(protocol, opened_port, pause, stopper, run.record, options.max_drive)
-            )
+
+class _Replay:
+    """A capture that is played as the options ask: what is opened, decoded and shown of it."""
+
+    def __init__(self, options: ReplayOptions) -> None:
+        self.options = options
+        self.window = options.span.window(options.duration)
+        self.style = options.shown.style(options.plain, options.in_lines)
+        timeout = options.truncation_timeout
+        self.timeout = None if timeout is None else round(timeout * MS)
+        # All of it is opened for what is compared or judged. For the screen the index is enough, so
+        # that the first rows are there at once.
+        seeks = self.window.first is not None and not options.in_lines
+        opened = open_quickly if seeks or self.style == "live" else open_capture
+        capture = opened(options.path)
+        self.protocol = protocol_of(capture)
+        if options.half_duplex:
+            capture = split(capture, self.protocol)
+        if seeks:
+            first = self.window.first or 0
+            self.opened = opened_at(capture, self.protocol, first, self.timeout)
+        else:
+            self.opened = Opened(capture, self.decoder(capture))
+        self.capture = self.opened.capture
+        self.rows = options.shown.rows.style(self.protocol, self.style)
+        test = compiled(options.shown.expression, self.protocol)
+        self.test = test and test.started(self.capture.start)
+        require_begun(self.capture, self.window.first)
+
+    def decoder(self, capture: Capture) -> StreamDecoder:
+        """A decoder of a capture from its beginning on."""
+        return capture_decoder(capture, self.protocol, self.timeout)
+
+    def done(self) -> int:
+        """Do what the options ask, and return the exit code."""
+        if self.style == "live":
+            self.look_through()
+            return 0
+        note_each((*said_about(self.capture, self.protocol), self.opened.note))
+        if self.options.port is not None:
+            self.require_allowed(self.options.port)
         judge = None
-        if options.judged:
+        if self.options.judged:
             from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 
-            attached = capture.metadata.get("attached") != "no"
-            judge = PassiveJudge(protocol, paired=heard(capture) >= BOTH, attached=attached)
-        output = opened_output(style, protocol, rows, capture.start)
-        shown = Shown(output, test, options.shown.count, window)
-        pipeline = Pipeline(opened.decoder, Statistics(), shown, judge=judge)
-        if target is not None:
-            sent = send_again(
-                protocol, capture, pipeline, output, target, run, rate, window, stopper
-            )
-        elif rate or judge:
-            events = capture.sights() if judge else opened.events()
-            _play(events, pipeline, rate, window, stopper, judge)
-        else:
-            _show(opened, shown, window, stopper)
-    if target is not None and not target.answered_stops:
-        from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
+            attached = self.capture.metadata.get("attached") != "no"
+            paired = heard(self.capture) >= BOTH
+            judge = PassiveJudge(self.protocol, paired=paired, attached=attached)
+        with Stopper() as stopper:
+            output = opened_output(self.style, self.protocol, self.rows, self.capture.start)
+            shown = Shown(output, self.test, self.options.shown.count, self.window)
+            pipeline = Pipeline(self.opened.decoder, Statistics(), shown, judge=judge)
+            if self.options.port is not None:
+                return self.send_again(self.options.port, pipeline, stopper)
+            if self.options.rate or judge:
+                self.play(pipeline, stopper)
+            else:
+                self.show(shown, stopper)
+        if judge is None:
+            return 0
+        from bilprov.analyzer.output.findings import tell_findings
 
-        note(UNANSWERED_STOPS)
-        return sent or 1
-    if judge is None:
-        return sent
-    from bilprov.analyzer.output.findings import tell_findings
+        return tell_findings(judge.finish(), self.style)
 
-    return tell_findings(judge.finish(), style)
+    def require_allowed(self, port: str) -> None:
+        """Refuse what may not be sent, or ask; before Ctrl-C is taken over, which ends that."""
+        if not self.capture.contents.counts.get(HOST_RAW):
+            raise click.UsageError(f"{self.options.path} holds no bytes of the host to send")
+        if self.options.only_reading:
+            require_reading(self.protocol, self.frames())
+        if not self.options.yes:  # what it does is in the whole capture
+            words = effect_words(self.protocol, self.frames())
+            does = "move" if self.protocol.wheels else "do"
+            what = f"the device at {port} will {does} as recorded in {self.options.path}"
+            confirm_effect(self.protocol, what, words, yes=False)
 
-
-def _frames(
-    protocol: Protocol, capture: Capture, timeout: int | None, window: Window
-) -> Iterator[bytes]:
-    """The frames that the host sent in the window, those that are cut short among them."""
-    decoder = capture_decoder(capture, protocol, timeout)
-    inside = ([event] for event in capture.events() if window.has(event.t))
-    parts = chain.from_iterable(map(decoder.feed, inside))
-    for batch in chain(parts, decoder.finish()):
-        for record in batch.records():
+    def frames(self) -> Iterator[bytes]:
+        """The frames that the host sent in the window, those that are cut short among them."""
+        decoder = self.decoder(self.capture)
+        inside = ([event] for event in self.capture.events() if self.window.has(event.t))
+        parts = chain.from_iterable(map(decoder.feed, inside))
+        for record in _records(chain(parts, decoder.finish())):
             if isinstance(record, HostRecord) and record.judgement:
                 yield record.data
 
+    def look_through(self) -> None:
+        """Show the capture on the screen until it is left."""
+        from bilprov.analyzer.screen.browser import Told
+        from bilprov.analyzer.screen.feeds import capture_feed
+        from bilprov.analyzer.screen.terminal import shown
 
-def _opened(
-    options: ReplayOptions, timeout: int | None, window: Window, style: Format
-) -> tuple[Opened, Protocol]:
-    """Open the capture, from where the window begins; all of it for what is compared or judged.
+        capture, options = self.capture, self.options
+        feed = capture_feed(self.opened, self.protocol, self.test, options.shown.count, self.window)
+        # The screen has one line for it, so the file's name stands without its folder.
+        named = replace(capture, path=Path(capture.path.name))
+        sentences = (*said_about(named, self.protocol), self.opened.note)
+        feed.notice = "" if feed.live else "; ".join(filter(None, sentences))
+        told = Told(
+            capture.path.name,
+            capture.start,
+            capture_line(capture, self.protocol).byte_time,
+            self.rows,
+            options.shown.expression or "",
+            self.test,
+            options.rate,
+        )
+        with Stopper() as stopper:
+            try:
+                shown(feed, told, stopper)
+            finally:
+                feed.stop()
+            feed.join()
 
-    For the screen its index is enough, so that the first rows are there at once.
-    """
-    seeks = window.first is not None and not options.in_lines
-    opened = open_quickly if seeks or style == "live" else open_capture
-    capture = opened(options.path)
-    protocol = protocol_of(capture)
-    if options.half_duplex:
-        capture = split(capture, protocol)
-    if seeks:
-        return opened_at(capture, protocol, window.first or 0, timeout), protocol
-    return Opened(capture, capture_decoder(capture, protocol, timeout)), protocol
+    def show(self, shown: Shown, stopper: Stopper) -> None:
+        """Show what is decoded of the window, as fast as it goes."""
+        opened = self.opened
+        for batch in decoded(
+            opened.decoder, opened.batches(), window=self.window, largest=TEXT_BATCH
+        ):
+            if stopper.stopped or shown.full:
+                return
+            shown.show(batch)
+
+    def play(self, pipeline: Pipeline, stopper: Stopper) -> None:
+        """Show the events at their times, and judge the device by them where there is a judge."""
+        now, rate, window, judge = 0, self.options.rate, self.window, pipeline.judge
+        events = self.capture.sights() if judge else self.opened.events()
+        # Between two events, time passes as it did in the recording.
+        sleep = interruptible(
+            stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9))
+        )
+        for event in paced(events, rate, sleep=sleep, start=window.first, end=window.after):
+            if stopper.stopped or pipeline.shown.full:
+                return
+            now = event.t
+            if not isinstance(event, Look):
+                pipeline.events([event])
+            pipeline.advance(now)
+            if judge and isinstance(event, Look) and window.has(now):
+                judge.look(event)
+        pipeline.finish()
+
+    def send_again(self, port: str, pipeline: Pipeline, stopper: Stopper) -> int:
+        """Send the host bytes of the window, compare the answers, and return the exit code."""
+        from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS, ReplayRun
+        from bilprov.analyzer.replay.target import Target, scaled_timeout
+        from bilprov.analyzer.transport.ports import open_port
+
+        protocol, options = self.protocol, self.options
+        recorded, now = ReplayRun(), ReplayRun()
+        pause = capture_timeout(self.capture, protocol, self.timeout)
+        pause = scaled_timeout(pause, options.rate)
+        opened = open_port(port, options.line.settings(protocol))
+        with Target(protocol, opened, pause, stopper, now.record, options.max_drive) as target:
+            self.send(target, pipeline, recorded)
+            if target.driven_out:
+                words = target.driven_out_words
+                note(f"{words}; --max-drive allows more, and nothing was compared")
+                code = 1
+            else:
+                target.finish()
+                code = self.compare(recorded, now, pipeline, stopper)
+        if target.answered_stops:
+            return code
+        note(UNANSWERED_STOPS)
+        return code or 1
+
+    def send(self, target: Target, pipeline: Pipeline, recorded: ReplayRun) -> None:
+        """Send what the host sent, at its times; at the rate 0 each frame by itself."""
+        rate, window = self.options.rate, self.window
+
+        def handle(batches: Iterable[Batch]) -> None:
+            """Note what was recorded; send each frame after the one before it was answered."""
+            for record in _records(batches):
+                recorded.record(record)
+                if not rate and isinstance(record, HostRecord) and not target.ended:
+                    target.send(record.data)
+                    target.settle()
+
+        target.begin()
+        inside = (event for event in self.capture.events() if window.has(event.t))
+        for event in paced(inside, rate, sleep=target.wait, start=window.first):
+            if target.ended:
+                break
+            handle(pipeline.events([event]))
+            if rate and isinstance(event, Chunk) and event.direction == "host":
+                target.send(event.data)
+            pipeline.advance(event.t)
+        handle(pipeline.finish())
+
+    def compare(
+        self, recorded: ReplayRun, now: ReplayRun, pipeline: Pipeline, stopper: Stopper
+    ) -> int:
+        """Show what was answered otherwise than in the recording, and return the exit code."""
+        from bilprov.analyzer.decode.batch import Records
+        from bilprov.analyzer.replay.comparison import differences
+
+        if stopper.stopped:
+            note_suspension(stopper)
+            note(f"stopped after {quantity(len(now.frames), 'instruction')}, nothing was compared")
+            return 0
+        if not recorded.answers:
+            note("the recording holds no answers: there is nothing to compare with")
+            return 3
+        found = list(differences(self.protocol, recorded, now))
+        for difference in found:
+            about = difference.instruction
+            t = 0 if about is None else recorded.frames[about].t
+            fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
+            pipeline.shown.output.show(Records([FaultRecord(fault, self.protocol.power_on)]))
+        sent = quantity(len(recorded.frames), "instruction")
+        note(f"{sent} sent, {quantity(len(found), 'difference')}")
+        return 1 if found else 0
 
 
-def _look_through(
-    options: ReplayOptions,
-    opened: Opened,
-    protocol: Protocol,
-    rows: RowStyle,
-    test: Filter | None,
-    window: Window,
-) -> None:
-    """Show the capture on the screen until it is left."""
-    from bilprov.analyzer.screen.browser import Told
-    from bilprov.analyzer.screen.feeds import capture_feed
-    from bilprov.analyzer.screen.terminal import shown
-
-    capture = opened.capture
-    feed = capture_feed(opened, protocol, test, options.shown.count, window)
-    # The screen has one line for it, so the file's name stands without its folder.
-    named = replace(capture, path=Path(capture.path.name))
-    sentences = (*said_about(named, protocol), opened.note)
-    feed.notice = "" if feed.live else "; ".join(filter(None, sentences))
-    told = Told(
-        capture.path.name,
-        capture.start,
-        capture_line(capture, protocol).byte_time,
-        rows,
-        options.shown.expression or "",
-        test,
-        options.rate,
-    )
-    with Stopper() as stopper:
-        try:
-            shown(feed, told, stopper)
-        finally:
-            feed.stop()
-        feed.join()
-
-
-def _show(opened: Opened, shown: Shown, window: Window, stopper: Stopper) -> None:
-    """Show what is decoded of the window, as fast as it goes."""
-    for batch in decoded(opened.decoder, opened.batches(), window=window, largest=TEXT_BATCH):
-        if stopper.stopped or shown.full:
-            return
-        shown.show(batch)
-
-
-def _play(
-    events: Iterable[Chunk | Line | Look],
-    pipeline: Pipeline,
-    rate: float,
-    window: Window,
-    stopper: Stopper,
-    judge: PassiveJudge | None,
-) -> None:
-    now = 0
-    # Between two events, time passes as it did in the recording.
-    sleep = interruptible(stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9)))
-    playing = paced(events, rate, sleep=sleep, start=window.first, end=window.after)
-    for event in playing:
-        if stopper.stopped or pipeline.shown.full:
-            return
-        now = event.t
-        if not isinstance(event, Look):
-            pipeline.events([event])
-        pipeline.advance(now)
-        if judge and isinstance(event, Look) and window.has(now):
-            judge.look(event)
-    pipeline.finish()
+def _records(parts: Iterable[Batch]) -> Iterator[Record]:
+    return (record for part in parts for record in part.records())

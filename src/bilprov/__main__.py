@@ -98,9 +98,7 @@ COMMANDS = {
     ),
     "spec show": Row("analyzer.spec", "Show the grammar in use."),
     "spec grammars": Row("analyzer.spec", "List the grammars that the kit has."),
-    "spec check": Row(
-        "analyzer.spec_check", "Report how much of recorded bytes a grammar decodes."
-    ),
+    "spec check": Row("analyzer.spec", "Report how much of recorded bytes a grammar decodes."),
     "spec readings": Row("analyzer.spec", "Show how the document is read where it is silent."),
     "spec errata": Row("analyzer.spec", "Show where the document contradicts itself."),
     "spec emit": Row(
@@ -117,7 +115,7 @@ COMMANDS = {
     "spec emit stub": Row("analyzer.spec", "The instructions as typed methods, for Python."),
     "spec emit grammar": Row("analyzer.spec", "The text of a grammar, to be changed."),
     "config": Row("analyzer.config", "Show the settings in force."),
-    "completion": Row("analyzer.completion", "Print a shell's completion script."),
+    "completion": Row("analyzer.config", "Print a shell's completion script."),
 }
 """Every command by its name, those of a group behind the group's name; `help` is not listed."""
 
@@ -267,7 +265,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _run(arguments: list[str]) -> int:
     """Run a subcommand. Its exit code is what it returns or exits with, 0 where it says nothing."""
     if asked := os.environ.get("_BILPROV_COMPLETE"):
-        from bilprov.analyzer.cli.completion import answer
+        from bilprov.analyzer.cli.config import answer
 
         return answer(front_door, asked)
     try:

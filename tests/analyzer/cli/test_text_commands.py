@@ -8,7 +8,7 @@ import json
 import pytest
 from rich.console import Console
 
-from bilprov.analyzer.output.port_list import drawn, unseen
+from bilprov.analyzer.cli.ports import drawn, unseen
 from bilprov.analyzer.transport.machine import Process
 from bilprov.analyzer.transport.ports import PortInfo
 from tests.support.commands import command, process
