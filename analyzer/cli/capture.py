@@ -33,8 +33,7 @@ from bilprov.analyzer.cli.reading import opened_captures, protocol_of, reading
 from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.replay.capture_decoding import Progress
-    from bilprov.analyzer.replay.recorder import RecordWriter
+    from bilprov.analyzer.edit.cut import Copy
     from bilprov.captures.reader import Capture
     from bilprov.spec.protocol import Protocol
 
@@ -137,15 +136,13 @@ def cut(options: CutOptions) -> None:
     note_each((*said_about(capture, protocol), opened.note if window.first else ""))
     metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
     times = 1 if test is None else 2
-    with _copying(options, [capture], metadata, protocol, times=times) as (out, progress):
+    with _copying(options, [capture], metadata, protocol, times=times) as copy:
         if test is None:
-            size = write_window(opened, protocol, out, window, progress)
+            write_window(opened, window, copy)
         else:
             held = test.started(capture.start)
-            size = write_selected(
-                lambda t: opened_at(found, protocol, t), protocol, out, window, held, progress
-            )
-    _note_size(options.new, size, str(options.path))
+            write_selected(lambda t: opened_at(found, protocol, t), window, held, copy)
+    _note_size(options.new, copy, str(options.path))
 
 
 @dataclass(frozen=True)
@@ -214,9 +211,9 @@ def join(options: JoinOptions) -> None:
     captures, protocol = opened_captures(options.paths, copied=True)
     joined = Joined(protocol, captures)
     inputs_in_order = [source.capture for source in joined.sources]
-    with _copying(options, inputs_in_order, joined.metadata(), protocol) as (out, progress):
-        size = write_joined(joined, protocol, out, progress)
-    _note_size(options.new, size, f"{len(captures)} captures")
+    with _copying(options, inputs_in_order, joined.metadata(), protocol) as copy:
+        write_joined(joined, copy)
+    _note_size(options.new, copy, f"{len(captures)} captures")
 
 
 @dataclass(frozen=True)
@@ -304,8 +301,8 @@ def _copied(
     metadata: Mapping[str, str],
     *,
     decoded: bool = False,
-) -> int:
-    """Write a whole capture anew, and return how many raw bytes it holds."""
+) -> Copy:
+    """Write a whole capture anew."""
     from bilprov.analyzer.edit.cut import write_window
     from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.replay.capture_decoding import Opened, capture_decoder
@@ -313,12 +310,13 @@ def _copied(
     opened = Opened(capture, capture_decoder(capture, protocol))
     # To write each frame takes long, however few bytes there are.
     shown = {"least": 0} if decoded else {}
-    with _copying(options, [capture], metadata, protocol, **shown) as (out, progress):
-        return write_window(opened, protocol, out, Window(), progress, decoded=decoded)
+    with _copying(options, [capture], metadata, protocol, **shown) as copy:
+        write_window(opened, Window(), copy, decoded=decoded)
+    return copy
 
 
-def _note_size(new: Path, size: int, of: str) -> None:
-    note(f"{new} holds {quantity(size, 'byte')} of {of}")
+def _note_size(new: Path, copy: Copy, of: str) -> None:
+    note(f"{new} holds {quantity(copy.size, 'byte')} of {of}")
 
 
 @contextmanager
@@ -328,26 +326,21 @@ def _copying(
     metadata: Mapping[str, str],
     protocol: Protocol,
     **shown: int,
-) -> Iterator[tuple[RecordWriter, Progress]]:
-    """Give the writer of the new capture, with the attachments of the others, and their progress.
-
-    `shown` is as in `reading`. The time 0 is that of the capture that begins first.
-    """
+) -> Iterator[Copy]:
+    """Give the new capture, which is written while `reading` shows the progress as `shown` says."""
     from bilprov.analyzer.edit.cut import new_capture
 
     inputs = [str(capture.path) for capture in captures]
     require_writable([("OUT", str(options.new))], inputs, force=options.force, regular=True)
     for capture in captures:
         note_each(left_out(capture))
-    start = min(capture.start for capture in captures)
     with (
         reading(captures, **shown) as progress,
-        new_capture(options.new, start, metadata, protocol, force=options.force) as out,
+        new_capture(
+            options.new, captures, metadata, protocol, progress, force=options.force
+        ) as copy,
     ):
-        for capture in captures:
-            for file in capture.attachments():
-                out.attach(file.name, file.media_type, file.data, file.log_time - start)
-        yield out, progress
+        yield copy
 
 
 def left_out(capture: Capture) -> Iterator[str]:

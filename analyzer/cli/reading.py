@@ -58,11 +58,9 @@ def split(capture: Capture, protocol: Protocol) -> Capture:
     path, metadata = Path(folder, capture.path.name), split_metadata(capture, protocol)
     with (
         reading([capture]) as progress,
-        new_capture(path, capture.start, metadata, protocol, force=False) as out,
+        new_capture(path, [capture], metadata, protocol, progress, force=False) as copy,
     ):
-        for file in capture.attachments():
-            out.attach(file.name, file.media_type, file.data, file.log_time - capture.start)
-        write_split(capture, protocol, out, progress)
+        write_split(capture, copy)
     return replace(open_capture(path), path=capture.path)
 
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -131,36 +131,41 @@ def write_values(out: RecordWriter, batch: list[Timed]) -> None:
             out.write(one.value, one.value.t)
 
 
-def copy_batch(
-    out: RecordWriter,
-    decoder: StreamDecoder,
-    checkpoints: Checkpoints,
-    batch: list[Timed],
-    size: int,
-    *,
-    decoded: bool = False,
-) -> int:
-    """Write and decode a batch, and write a checkpoint if one is due.
+class Copy:
+    """A new capture while it is written: its `writer`, and how many raw bytes it has (`size`).
 
-    With `decoded` what it completes is written too. `size` raw bytes were copied before; returns
-    how many are now.
+    `progress` is told how many raw bytes were read for it.
     """
-    write_values(out, batch)
-    records = decoder.feed(events_in(batch))
-    if decoded:
-        write_records(out, records)
-    size += size_of(batch)
-    made = checkpoints.made(batch[-1].now, size, lambda: encoded_or_none(decoder.saved()))
-    if made:
-        out.write(made, made.t)
-    return size
 
+    def __init__(self, writer: RecordWriter, protocol: Protocol, progress: Progress) -> None:
+        self.writer = writer
+        self.protocol = protocol
+        self.progress = progress
+        self.size = 0
+        self._checkpoints = Checkpoints(protocol.sha256)
 
-def write_records(out: RecordWriter, batches: Iterable[Batch]) -> None:
-    """Write all records of decoded batches."""
-    for batch in batches:
-        for record in batch.records():
-            out.record(record)
+    def take(self, batch: list[Timed], decoder: StreamDecoder, *, decoded: bool = False) -> None:
+        """Write a batch, and a checkpoint of the decoder that follows it, if one is due.
+
+        With `decoded` what the batch completes is written too.
+        """
+        write_values(self.writer, batch)
+        records = decoder.feed(events_in(batch))
+        if decoded:
+            self.records(records)
+        size = size_of(batch)
+        self.size += size
+        now = batch[-1].now
+        made = self._checkpoints.made(now, self.size, lambda: encoded_or_none(decoder.saved()))
+        if made:
+            self.writer.write(made, now)
+        self.progress(size)
+
+    def records(self, batches: Iterable[Batch]) -> None:
+        """Write all records of decoded batches."""
+        for batch in batches:
+            for record in batch.records():
+                self.writer.record(record)
 
 
 def first_state(decoder: StreamDecoder) -> DecoderState:
@@ -172,18 +177,28 @@ def first_state(decoder: StreamDecoder) -> DecoderState:
 
 @contextmanager
 def new_capture(
-    out: Path, start_wall: int, metadata: Mapping[str, str], protocol: Protocol, *, force: bool
-) -> Iterator[RecordWriter]:
-    """Give the writer of a new capture, which is finished and gets its name when the block ends.
+    out: Path,
+    captures: Sequence[Capture],
+    metadata: Mapping[str, str],
+    protocol: Protocol,
+    progress: Progress,
+    *,
+    force: bool,
+) -> Iterator[Copy]:
+    """Give a new capture, which is finished and gets its name when the block ends.
 
-    If the block raises, nothing is left of it. Raises CaptureError where it cannot be written.
+    It has the attachments of the `captures`; its time 0 is that of the one that begins first. If
+    the block raises, nothing is left of it. Raises CaptureError where it cannot be written.
     """
+    start = min(capture.start for capture in captures)
     writer: RecordWriter | None = None
     try:
         with replaced_whole(out, force=force) as part:
-            writer = RecordWriter(part, start_wall, metadata, shapes_of(protocol))
+            writer = RecordWriter(part, start, metadata, shapes_of(protocol))
             try:
-                yield writer
+                for file in chain.from_iterable(one.attachments() for one in captures):
+                    writer.attach(file.name, file.media_type, file.data, file.log_time - start)
+                yield Copy(writer, protocol, progress)
             finally:
                 if not writer.failed:
                     writer.close()
@@ -269,9 +284,7 @@ def split_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
     return about | {"heard": " ".join(sorted(BOTH)), "skew_ms": "0"}
 
 
-def write_split(
-    capture: Capture, protocol: Protocol, out: RecordWriter, progress: Progress
-) -> None:
+def write_split(capture: Capture, copy: Copy) -> None:
     """Write what was recorded by one tap on a wire, each byte with the direction that it has.
 
     Raises UserError where the capture has the directions already, and CaptureError where it cannot
@@ -282,16 +295,17 @@ def write_split(
             f"{printable(capture.path)} has the directions apart already: --half-duplex is for a "
             "capture of one tap"
         )
+    protocol = copy.protocol
     wire = HalfDuplex(protocol, capture_timeout(capture, protocol))
     for value in capture.recorded(looks=look_class(protocol.state_type)):
         values: list[Recorded] = []
         if isinstance(value, Chunk):
-            progress(len(value.data))
+            copy.progress(len(value.data))
             values += wire.feed(value.data, value.t)
         else:
             values += [*wire.rest(), value]
-        write_values(out, [Timed(one.t, one) for one in values])
-    write_values(out, [Timed(one.t, one) for one in wire.rest()])
+        write_values(copy.writer, [Timed(one.t, one) for one in values])
+    write_values(copy.writer, [Timed(one.t, one) for one in wire.rest()])
 
 
 def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
@@ -304,26 +318,19 @@ def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
 CUT_THROUGH = "cut here, in the middle of a frame or its answer, which continues after it"
 
 
-def write_window(
-    opened: Opened,
-    protocol: Protocol,
-    out: RecordWriter,
-    window: Window,
-    progress: Progress,
-    *,
-    decoded: bool = False,
-) -> int:
-    """Write what was recorded in a window, and return how many raw bytes that is.
+def write_window(opened: Opened, window: Window, copy: Copy, *, decoded: bool = False) -> None:
+    """Write what was recorded in a window.
 
     `opened` stands at any place before the window. With `decoded` each record that is decoded from
     the bytes is written too, behind the event that completes it. Raises CaptureError as
     `Capture.events` and the writer do.
     """
+    protocol = copy.protocol
     settings = capture_settings(opened.capture, protocol)
     decoder = opened.decoder
     values = timed(opened.recorded(protocol), first_state(decoder).time)
     if window.first is not None:
-        state, values = _state_at(decoder, values, window.first, progress)
+        state, values = _state_at(decoder, values, window.first, copy.progress)
         decoder = StreamDecoder(protocol, **settings)
         decoder.resume(state)
         begin = next(values, None)
@@ -333,44 +340,35 @@ def write_window(
         begun = begin and isinstance(begin.value, Resumption) and begin.value.silent
         if not begun:
             at = window.first if begin is None else min(window.first, begin.now)
-            write_resumption(out, protocol, state, at)
-    kept = 0
+            write_resumption(copy.writer, protocol, state, at)
     behind: list[Timed] = []
-    checkpoints = Checkpoints(protocol.sha256)
     together = 1 if decoded else BATCH_VALUES
     for batch in batched(_before(values, window.after, behind), together):
-        kept = copy_batch(out, decoder, checkpoints, batch, kept, decoded=decoded)
-        progress(size_of(batch))
+        copy.take(batch, decoder, decoded=decoded)
     if decoded:
-        write_records(out, decoder.finish())
+        copy.records(decoder.finish())
     if behind and window.after is not None:
         decoder.advance(window.after - 1)
         end = decoder.saved()
         soon = end and behind[0].now <= end.time + AFTERMATH
         if end and soon and (end.frame or end.held):  # which may go on behind the window
-            out.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)
-    return kept
+            copy.writer.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)
 
 
 def write_selected(
-    opened_at: Callable[[int], Opened],
-    protocol: Protocol,
-    out: RecordWriter,
-    window: Window,
-    test: Filter,
-    progress: Progress,
-) -> int:
-    """Write the reads of the frames in a window for which a filter holds; return how many bytes.
+    opened_at: Callable[[int], Opened], window: Window, test: Filter, copy: Copy
+) -> None:
+    """Write the reads of the frames in a window for which a filter holds.
 
     `opened_at` opens the capture at a place before a time (ns). Its events are read twice: first to
     see when something is selected, and there again. Raises as `write_window` does.
     """
     start = max(0, (window.first or 0) - AFTERMATH)
     end = None if window.after is None else window.after + AFTERMATH
-    selected = _selected_times(opened_at(start), protocol, window, test, progress)
+    selected = _selected_times(opened_at(start), window, test, copy)
     opened = opened_at(start)
-    part = _Part(protocol, out, opened.decoder)
-    values = timed(opened.recorded(protocol), first_state(opened.decoder).time)
+    part = _Part(copy, opened.decoder)
+    values = timed(opened.recorded(copy.protocol), first_state(opened.decoder).time)
     for batch in batched(_before(values, end, [])):
         if selected.meets(batch[0].now, batch[-1].now) or part.hunts:
             for one in batch:
@@ -380,22 +378,19 @@ def write_selected(
         for one in batch:
             # What is no event, such as the looks of a conformance run, is kept.
             if not isinstance(one.value, Chunk | Line | Checkpoint) and window.has(one.now):
-                out.write(one.value, one.value.t)
-        progress(size_of(batch))
+                copy.writer.write(one.value, one.value.t)
+        copy.progress(size_of(batch))
     part.close()
-    return part.size
 
 
 class _Part:
     """Writes the values of a capture that are kept, and what decoding needs between them.
 
-    `size` is how many raw bytes were kept. The decoder is that of the whole recording.
+    The decoder is that of the whole recording.
     """
 
-    def __init__(self, protocol: Protocol, out: RecordWriter, decoder: StreamDecoder) -> None:
-        self.size = 0
-        self._protocol = protocol
-        self._out = out
+    def __init__(self, copy: Copy, decoder: StreamDecoder) -> None:
+        self._copy = copy
         self._decoder = decoder
         self._known = first_state(decoder)  # the last state in which boundaries were known
         self._since: list[Timed] = []  # what came since then
@@ -451,8 +446,8 @@ class _Part:
 
     def _write(self, batch: list[Timed]) -> None:
         for event in events_in(batch):
-            self._out.event(event)
-        self.size += size_of(batch)
+            self._copy.writer.event(event)
+        self._copy.size += size_of(batch)
         self._now = batch[-1].now if batch else self._now
 
     def _resume(self, state: DecoderState, t: int) -> None:
@@ -462,7 +457,7 @@ class _Part:
             said = f"{what} left out here by bilprov capture cut"
             begin = min(t, state.time) if self._now is None else self._now
             gap = Line(begin, "gap", "", said)
-        write_resumption(self._out, self._protocol, state, t, gap)
+        write_resumption(self._copy.writer, self._copy.protocol, state, t, gap)
         self._left_out = 0
 
 
@@ -487,13 +482,11 @@ class _Times:
         return self._at < len(self._first) and self._first[self._at] <= last
 
 
-def _selected_times(
-    opened: Opened, protocol: Protocol, window: Window, test: Filter, progress: Progress
-) -> _Times:
+def _selected_times(opened: Opened, window: Window, test: Filter, copy: Copy) -> _Times:
     """When what is selected came, each instruction with its answer."""
-    settings = capture_settings(opened.capture, protocol)
+    settings = capture_settings(opened.capture, copy.protocol)
     found = _Exchanges(paired=settings["heard"] >= BOTH, skew=settings["skew"])
-    batches = decoded(opened.decoder, opened.batches(), progress, window, TEXT_BATCH)
+    batches = decoded(opened.decoder, opened.batches(), copy.progress, window, TEXT_BATCH)
     for batch in batches:
         chosen = batch.in_order(test.selection(batch) & batch.inside(window.first, window.after))
         for record, selected in zip(batch.records(), chosen.tolist(), strict=True):

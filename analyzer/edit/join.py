@@ -23,18 +23,15 @@ from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.edit.cut import (
+    Copy,
     Timed,
     batched,
-    copy_batch,
     parted,
     said_of,
-    size_of,
     timed,
 )
-from bilprov.analyzer.replay.capture_decoding import Progress, capture_settings
+from bilprov.analyzer.replay.capture_decoding import capture_settings
 from bilprov.analyzer.replay.recorder import (
-    Checkpoints,
-    RecordWriter,
     decoding_metadata,
     grammar_metadata,
 )
@@ -119,24 +116,18 @@ class Joined:
         return about
 
 
-def write_joined(joined: Joined, protocol: Protocol, out: RecordWriter, progress: Progress) -> int:
-    """Write the captures as one, and return how many raw bytes they hold.
-
-    Raises CaptureError as `Capture.events` and the writer do.
-    """
+def write_joined(joined: Joined, copy: Copy) -> None:
+    """Write the captures as one. Raises CaptureError as `Capture.events` and the writer do."""
+    protocol = copy.protocol
     decoder = StreamDecoder(protocol, **joined.settings)
-    checkpoints = Checkpoints(protocol.sha256)
     streams = [_values(joined, place, protocol) for place in range(len(joined.sources))]
     merged = (one.value for one in heapq.merge(*streams, key=lambda one: one.now))
-    size = 0
     for batch in parted(batched(timed(merged, 0))):
         first = batch[0].value
         if isinstance(first, Resumption):
             numbered = _numbered(first, decoder.saved(), protocol)
             batch[0] = Timed(batch[0].now, numbered)
-        size = copy_batch(out, decoder, checkpoints, batch, size)
-        progress(size_of(batch))
-    return size
+        copy.take(batch, decoder)
 
 
 def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:

@@ -11,7 +11,7 @@ from typing import Any
 from bilprov.analyzer.html.markup import Safe, bar, joined, json_block, tag
 from bilprov.analyzer.html.page import html_page
 from bilprov.analyzer.output.capture_stats import Json
-from bilprov.analyzer.totals.timeline import Mark, Range, Timeline, numbers_of, word_of
+from bilprov.analyzer.totals.timeline import Mark, Timeline, numbers_of, word_of
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
 
@@ -19,6 +19,7 @@ _ASSETS = Path(__file__).parent / "assets"
 SECOND = 1e9  # ns
 _SHARE = 10  # an idle time is folded if it is longer than this part of the rest of the recording
 
+_RANGES = ("seen", "high", "count")  # what exact rows have once
 _KEYS = (
     "Wheel, pinch or + and - zoom; drag or Shift with the arrows moves; the arrows move the line "
     "at which values are read; n and N go to the next and the previous anomaly; 0 shows all again."
@@ -58,8 +59,8 @@ def plot_page(
 
 def plot_data(protocol: Protocol, timeline: Timeline) -> dict[str, Any]:
     """What the page's script draws. Times are in ns; those of a list each from the one before."""
-    states, latencies, (marks, _) = timeline.states(), timeline.latencies(), timeline.marks()
-    exact = not states.step
+    (states, states_step), (latencies, step) = timeline.states(), timeline.latencies()
+    marks, _ = timeline.marks()
     word, variables = word_of(protocol), protocol.variables
     words = variables[word].words if word else ()
     return {
@@ -68,21 +69,11 @@ def plot_data(protocol: Protocol, timeline: Timeline) -> dict[str, Any]:
         "folds": [(first, last, _long(last - first)) for first, last in _folds(timeline)],
         "word": word,
         "motions": [one.replace("_", " ") for one in words],
-        "bounds": {name: (variables[name].low, variables[name].high) for name in states.ranges},
-        "states": {
-            "t": _deltas(states.t),
-            "motion": states.motion,
-            "seen": None if exact else states.seen,
-            **{name: _range(values, exact=exact) for name, values in states.ranges.items()},
-        },
-        "latencies": {
-            "t": _deltas(latencies.t),
-            "low": latencies.low,
-            "high": latencies.high if latencies.step else None,
-            "count": latencies.count if latencies.step else None,
-        },
+        "bounds": {n: (variables[n].low, variables[n].high) for n in numbers_of(protocol)},
+        "states": _columns(states, states_step),
+        "latencies": _columns(latencies, step),
         "marks": {"t": _deltas([mark.t for mark in marks]), "n": [mark.amount for mark in marks]},
-        "steps": [states.step, latencies.step],
+        "steps": [states_step, step],
     }
 
 
@@ -93,16 +84,19 @@ def _folds(timeline: Timeline) -> list[tuple[int, int]]:
     return [(first, last) for first, last in idle if last - first > rest / _SHARE]
 
 
+def _columns(columns: dict[str, Any], step: int) -> dict[str, Any]:
+    """The columns of a timeline; exact rows (`step` is 0) have one value each."""
+    found = {**columns, "t": _deltas(columns["t"])}
+    if not step:
+        found = {name: value for name, value in found.items() if name not in _RANGES}
+        for name, value in found.items():
+            if isinstance(value, dict):
+                found[name] = {"last": value["last"]}
+    return found
+
+
 def _deltas(times: list[int]) -> list[int]:
     return [*times[:1], *(after - before for before, after in pairwise(times))]
-
-
-def _range(values: Range, *, exact: bool) -> dict[str, list[int] | None]:
-    return {
-        "last": values.last,
-        "low": None if exact else values.low,
-        "high": None if exact else values.high,
-    }
 
 
 def _facts(capture: Capture, protocol: Protocol, stats: Json, kit: str) -> Safe:
@@ -196,8 +190,8 @@ def _reduced(timeline: Timeline) -> str:
     said = [
         f"{name} are reduced to the lowest and the highest in each {_span(step / SECOND)}"
         for name, step in (
-            ("states", timeline.states().step),
-            ("latencies", timeline.latencies().step),
+            ("states", timeline.states()[1]),
+            ("latencies", timeline.latencies()[1]),
         )
         if step
     ]

@@ -7,9 +7,8 @@ exact; after that a row holds what was in one step of time, whose width doubles 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import groupby
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,41 +33,6 @@ _FINEST = 1000  # ns of the narrowest step
 
 Table: TypeAlias = NDArray[np.int64]
 """Rows by columns, the first of which is the time (ns)."""
-
-
-class Range(NamedTuple):
-    """A variable in some rows: its value at the end of each, the lowest and the highest inside."""
-
-    last: list[int]
-    low: list[int]
-    high: list[int]
-
-
-@dataclass(frozen=True, slots=True)
-class States:
-    """The predicted state: each row holds from its time `t` (ns) to the next one's.
-
-    `motion` is the place of a word, twice, plus 1 while the device moves; `seen` has a bit for each
-    such value that occurs in the row. In exact rows (`step` is 0 ns) there is one. `ranges` are
-    those of the variables that are numbers.
-    """
-
-    t: list[int]
-    motion: list[int]
-    seen: list[int]
-    ranges: dict[str, Range]
-    step: int
-
-
-@dataclass(frozen=True, slots=True)
-class LatencyRows:
-    """Answers: when they came (`t`, ns), and the lowest and highest of `count` latencies (ns)."""
-
-    t: list[int]
-    low: list[int]
-    high: list[int]
-    count: list[int]
-    step: int
 
 
 class Mark(NamedTuple):
@@ -123,21 +87,33 @@ class Timeline:
         self._add_latencies(devices.t[answering], devices.latency[answering])
         self._add_marks(batch)
 
-    def states(self) -> States:
-        """The states, from `begin` on."""
+    def states(self) -> tuple[dict[str, Any], int]:
+        """The states from `begin` on as lists, and the width (ns) of the steps, 0 for exact rows.
+
+        Each row holds from its time `t` (ns) to the next one's. `motion` is the place of a word,
+        twice, plus 1 while the device moves; `seen` has a bit for each such value that occurs in
+        the row. Each variable that is a number has its value at the end (`last`) of each row, and
+        the lowest and the highest inside (`low`, `high`).
+        """
         table, step = self._states.reduced()
         table[:1, 0] = self.begin  # the state at power-on
         if step:
             table = np.concatenate([table, _held_after(table[-1:], step)])
         t, motion, seen, *ranges = (column.tolist() for column in table.T)
-        named = {name: Range(*ranges[3 * at :][:3]) for at, name in enumerate(self._numbers)}
-        return States(t, motion, seen, named, step)
+        named = {
+            name: dict(zip(("last", "low", "high"), ranges[3 * at :], strict=False))
+            for at, name in enumerate(self._numbers)
+        }
+        return {"t": t, "motion": motion, "seen": seen, **named}, step
 
-    def latencies(self) -> LatencyRows:
-        """The latencies, in the order in which the answers came."""
+    def latencies(self) -> tuple[dict[str, list[int]], int]:
+        """When (`t`, ns) answers came, and the lowest and highest of `count` latencies (ns) each.
+
+        And the width (ns) of the steps, 0 where each row is one answer.
+        """
         table, step = self._latencies.reduced()
-        t, low, high, count = (column.tolist() for column in table.T)
-        return LatencyRows(t, low, high, count, step)
+        columns = (column.tolist() for column in table.T)
+        return dict(zip(("t", "low", "high", "count"), columns, strict=True)), step
 
     def marks(self) -> tuple[list[Mark], int]:
         """The anomalies in order, and the width (ns) of the steps; 0 where each has its mark."""

@@ -46,7 +46,6 @@ from bilprov.analyzer.replay.capture_decoding import (
     decoded_batches,
     opened_at,
 )
-from bilprov.analyzer.replay.recorder import RecordWriter
 from bilprov.analyzer.totals.timeline import Timeline
 from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.errors import CaptureError
@@ -89,14 +88,9 @@ def mended(path: Path) -> None:
     protocol = load_protocol()
     capture = open_capture(path)
 
-    def write(out: RecordWriter) -> int:
-        for file in capture.attachments():
-            at = file.log_time - capture.start
-            out.attach(file.name, file.media_type, file.data, at)
-        return write_window(opened_at(capture, protocol, 0), protocol, out, Window(), _told)
-
     about = edited_metadata(capture, protocol, "repair")
-    size, whole = _written(capture.start, about, write)
+    opened = opened_at(capture, protocol, 0)
+    size, whole = _written([capture], about, lambda copy: write_window(opened, Window(), copy))
     require(size == len(_bytes_of(whole)), "what was recovered has other bytes than was said")
     require(_bytes_of(whole) == _bytes_of(capture), "what was recovered has other bytes")
 
@@ -109,10 +103,10 @@ def edited(path: Path) -> None:
     )
     test = compile_filter("faulty", protocol).started(capture.start)
     frames, part = _written(
-        capture.start,
+        [capture],
         cut_metadata(capture, protocol, None, None, "faulty"),
-        lambda out: write_selected(
-            lambda t: opened_at(capture, protocol, t), protocol, out, Window(), test, _told
+        lambda copy: write_selected(
+            lambda t: opened_at(capture, protocol, t), Window(), test, copy
         ),
     )
     size = len(_bytes_of(part))
@@ -122,23 +116,22 @@ def edited(path: Path) -> None:
         joined = Joined(protocol, [capture, open_capture(_other())])
     except (CaptureError, UserError):
         return
-    said, both = _written(
-        joined.start, joined.metadata(), lambda out: write_joined(joined, protocol, out, _told)
-    )
+    captures = [source.capture for source in joined.sources]
+    said, both = _written(captures, joined.metadata(), lambda copy: write_joined(joined, copy))
     held = len(_bytes_of(capture)) + len(_bytes_of(open_capture(_other())))
     require(said == len(_bytes_of(both)) == held, "bytes were lost or doubled")
 
 
 def _written(
-    start: int, metadata: dict[str, str], write: Callable[[RecordWriter], int]
+    captures: list[Capture], metadata: dict[str, str], write: Callable[[Copy], None]
 ) -> tuple[int, Capture]:
     """What `write` says that it wrote into a new capture, and that capture, which is whole."""
     new = folder() / "new.mcap"
-    with new_capture(new, start, metadata, load_protocol(), force=True) as out:
-        said = write(out)
+    with new_capture(new, captures, metadata, load_protocol(), _told, force=True) as copy:
+        write(copy)
     made = open_capture(new)
     require(not made.damage and not made.unfinished, "what was written is damaged")
-    return said, made
+    return copy.size, made
 
 
 def _bytes_of(capture: Capture) -> bytes:

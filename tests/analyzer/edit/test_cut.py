@@ -81,19 +81,12 @@ def cut(
     capture = open_capture(path)
     metadata = edited_metadata(capture, protocol, "cut")
     test = compiled(expression, protocol)
-    with new_capture(out, capture.start, metadata, protocol, force=True) as writer:
+    with new_capture(out, [capture], metadata, protocol, bool, force=True) as copy:
         if test is None:
             opened = opened_at(open_quickly(path), protocol, window.first or 0)
-            write_window(opened, protocol, writer, window, lambda size: True)
+            write_window(opened, window, copy)
         else:
-            write_selected(
-                lambda t: opened_at(open_quickly(path), protocol, t),
-                protocol,
-                writer,
-                window,
-                test,
-                lambda size: True,
-            )
+            write_selected(lambda t: opened_at(open_quickly(path), protocol, t), window, test, copy)
     return out
 
 
@@ -436,9 +429,9 @@ def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:
 
     with (
         pytest.raises(KeyboardInterrupt),
-        new_capture(out, capture.start, metadata, protocol, force=False) as writer,
+        new_capture(out, [capture], metadata, protocol, stop, force=False) as copy,
     ):
-        write_window(opened, protocol, writer, Window(0, 1 << 40), stop)
+        write_window(opened, Window(0, 1 << 40), copy)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -216,9 +216,11 @@ def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(
     opened = opened_at(capture, protocol, 0)
     with (
         pytest.raises(CaptureError, match="changed while it was read"),
-        new_capture(tmp_path / "new.mcap", START, about, protocol, force=False) as out,
+        new_capture(
+            tmp_path / "new.mcap", [capture], about, protocol, progress, force=False
+        ) as new,
     ):
-        write_window(opened, protocol, out, Window(), progress, decoded=True)
+        write_window(opened, Window(), new, decoded=True)
     assert not list(tmp_path.glob("*new*"))
 
 
