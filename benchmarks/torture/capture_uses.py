@@ -24,6 +24,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.capture_file import of_capture
 from bilprov.analyzer.edit.compare import compared
 from bilprov.analyzer.edit.cut import (
+    Copy,
     cut_metadata,
     edited_metadata,
     new_capture,

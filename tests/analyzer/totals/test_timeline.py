@@ -129,7 +129,7 @@ def test_a_frame_that_began_before_all_that_came_earlier_is_the_begin(protocol: 
     ):
         for batch in decoder.feed(events):
             found.add(batch)
-    states, step = found.states()
+    states, _ = found.states()
     assert (found.begin, found.end) == (0, 9 * MS)
     assert (states["t"], states["speed"]["last"]) == ([0, 9 * MS], [0, 80])
 
