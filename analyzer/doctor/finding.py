@@ -6,15 +6,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-
-from rich.console import RenderableType
-from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
+from typing import TYPE_CHECKING
 
 from bilprov.analyzer.transport.errors import LinkError, path_in
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.text import escape_controls, quantity
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.text import Text
+
 
 _SHORT = 100  # characters of a command that fits into a note
 
@@ -87,6 +88,10 @@ def title(name: str, machine: Machine | None = None) -> str:
 
 def drawn(finding: Finding) -> RenderableType:
     """A finding without its command, which must stay on one line to be copied."""
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
     grid = Table.grid(padding=(0, 2, 0, 0))
     grid.add_column(no_wrap=True, min_width=INDENT - 4)
     grid.add_column()
@@ -97,6 +102,8 @@ def drawn(finding: Finding) -> RenderableType:
 
 def conclusion(names: Sequence[str], findings: Sequence[Finding]) -> Text:
     """The last line: whether the ports can be used."""
+    from rich.text import Text
+
     which = escape_controls(" and ".join(name or "''" for name in names))
     if not usable(findings):
         return Text(
