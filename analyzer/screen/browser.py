@@ -44,7 +44,7 @@ from bilprov.spec.codec import spaced
 
 _SOON = 20_000  # rows that are filtered at once; more take a worker
 _FIGURES_EVERY = 0.5  # s
-_DRAWING_SHARE = 0.08  # of the time, at most, that drawing what comes may take
+_DRAWING_SHARE = 0.05  # of the time, at most, that drawing what comes may take
 _SIDE_FROM = 110  # columns from which on the predicted state is drawn
 _FAULTS = "faulty"
 _STYLES: dict[TimeStyle, str] = {
