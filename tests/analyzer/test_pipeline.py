@@ -60,7 +60,7 @@ def shown(
 
 
 @pytest.mark.slow
-@settings(max_examples=80)
+@settings(max_examples=30)
 @given(
     ACTS,
     BATCHES,
@@ -92,7 +92,7 @@ def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
 
 
 @pytest.mark.slow
-@settings(max_examples=80)
+@settings(max_examples=30)
 @given(ACTS, BATCHES)
 def test_batches_are_counted_as_their_records_are(
     protocol: Protocol, acts: list[Act], batches: list[int]

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
@@ -60,7 +60,6 @@ def given_by(capture: Capture) -> Iterator[object]:
     yield from capture.losses()
 
 
-@settings(max_examples=60)
 @given(
     library=TEXTS,
     pairs=st.dictionaries(TEXTS, TEXTS, max_size=2),

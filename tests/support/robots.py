@@ -152,13 +152,16 @@ def judged_exit(code: int, report: dict[str, Any]) -> int:
     """The exit code of a run in real time that ended with `code` and wrote this JSON report.
 
     Where nothing else is inconclusive than what a busy machine cannot time, it is 0: pauses in a
-    frame, answers that it took up too late, and what was not seen again.
+    frame, answers that it took up too late, what was not seen again, and what its delays hide.
     """
     assert code == report["exit"]
     unsure = [case for case in report["cases"] if case["verdict"] == "inconclusive"]
     late = all(
         case["id"] in (*TIMED_PROBES, "timing/truncation-timeout", "line/lost", "line/unsolicited")
-        or any(axis["reason"].startswith("flaky") for axis in case["axes"].values())
+        or any(
+            axis["reason"].startswith(("flaky", "the line delays bytes"))
+            for axis in case["axes"].values()
+        )
         for case in unsure
     )
     return 0 if code == 3 and late else code

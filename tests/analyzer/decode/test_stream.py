@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -82,7 +82,6 @@ def kinds(found: Kinds) -> list[tuple[str, ...]]:
 
 @pytest.mark.sample(2)
 @pytest.mark.slow
-@settings(max_examples=60)
 @given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS)
 def test_columns_hold_the_records_of_a_session(
     each_protocol: Protocol,
@@ -110,7 +109,6 @@ def conversation(protocol: Protocol, count: int, seed: int) -> list[Event]:
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-@settings(max_examples=60)
 @given(
     ACTS,
     BATCHES,
@@ -177,7 +175,7 @@ LATE, LONGEST, SHORT, CUT = 100 * MS, 1000 * MS, 20 * MS, 50 * MS
 ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)]
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("pause", ENDS)
 @pytest.mark.parametrize("skew", [0, 20 * MS])
 def test_at_the_ends_of_all_times_columns_hold_the_records_of_a_session(

@@ -46,7 +46,7 @@ from tests.support.traffic import ACTS, SETTINGS, played
 HOW = SETTINGS.map(lambda how: how | {"timeout": how["timeout"] or None})
 START = 1_790_000_000_000_000_000
 ALL = Window()
-FEW = settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FEW = settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 FILTERS = [
     "faulty",
     "latency > 0.002",

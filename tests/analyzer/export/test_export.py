@@ -257,7 +257,7 @@ finally:
 """
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.waits
 @pytest.mark.parametrize("style", FORMATS)
 def test_memory_does_not_grow_with_the_capture(tmp_path: Path, style: str) -> None:

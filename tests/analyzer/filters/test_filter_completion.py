@@ -90,7 +90,6 @@ def test_what_stands_behind_the_cursor_does_not_matter(protocol: Protocol) -> No
     assert completions("name == fo and faulty", 10, protocol)[0].text == "Forward"
 
 
-@settings(max_examples=60)
 @given(data=st.data())
 def test_what_is_offered_leads_on_to_a_filter(each_protocol: Protocol, data: st.DataObject) -> None:
     text = data.draw(expressions(each_protocol))

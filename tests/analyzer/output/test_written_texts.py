@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.json_lines import JsonLine
@@ -37,7 +37,6 @@ WALL = 1_790_000_000_987_654_321
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-@settings(max_examples=60)
 @given(ACTS, SETTINGS, st.sampled_from(TimeStyle))
 def test_rows_made_at_once_are_those_made_one_by_one(
     each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any], style: TimeStyle

@@ -33,7 +33,7 @@ def on_screen(protocol: Protocol) -> Browser:
 
 
 @pytest.mark.slow
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("size", [(100, 30), (80, 24)])
 @pytest.mark.parametrize("grammar", FRAMED)
 def test_every_row_can_be_chosen_and_looked_into(

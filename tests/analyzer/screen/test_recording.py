@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Batch, Records
@@ -42,7 +42,6 @@ def recorded(protocol: Protocol, batches: list[Batch]) -> Recording:
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-@settings(max_examples=60)
 @given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, together=st.sampled_from([1, 3, 1024]))
 def test_rows_are_the_records_in_order(
     each_protocol: Protocol,
@@ -66,7 +65,6 @@ def test_rows_are_the_records_in_order(
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-@settings(max_examples=60)
 @given(data=st.data(), acts=ACTS, batches=BATCHES, chosen=SETTINGS)
 def test_a_view_has_the_rows_whose_lines_pass(
     each_protocol: Protocol,
@@ -169,7 +167,6 @@ def test_filtering_can_be_cancelled(protocol: Protocol) -> None:
     assert view.behind == recording.rows
 
 
-@settings(max_examples=60)
 @given(
     masks=st.lists(st.lists(st.booleans() | st.just(False), max_size=40), max_size=8),
     others=st.lists(st.booleans(), max_size=200),

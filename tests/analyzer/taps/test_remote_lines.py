@@ -136,7 +136,7 @@ def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> Non
 
 
 @AVR
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @lines
 @pytest.mark.parametrize(
     ("switches", "ends"), [("", 0), ("-DBUG_STOP_KEEPS_PWM", 1)], ids=["clean", "bug"]

@@ -10,7 +10,7 @@ from operator import or_
 from typing import Any, NamedTuple
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.records import (
@@ -135,7 +135,6 @@ def test_a_frame_that_began_before_all_that_came_earlier_is_the_begin(protocol: 
 
 
 @pytest.mark.sample(1)
-@settings(max_examples=60)
 @given(acts=ACTS, batches=BATCHES, chosen=SETTINGS, most=st.sampled_from([1 << 14, 30, 8]))
 def test_a_timeline_has_what_the_records_have(
     each_protocol: Protocol,

@@ -398,7 +398,7 @@ def test_the_level_complete_holds_what_standard_does_and_the_proofs() -> None:
 @pytest.mark.slow
 def test_a_group_that_is_independent_is_the_same_without_the_others(protocol: Protocol) -> None:
     whole = level_cases(protocol, "standard", 1)
-    for left_out in INDEPENDENT_GROUPS[::2], INDEPENDENT_GROUPS[1::2]:
+    for left_out in (INDEPENDENT_GROUPS[1:],):
         found = level_cases(protocol, "standard", 1, 0, 0, frozenset(left_out))
         assert found == tuple(c for c in whole if c.id.rpartition("/")[0] not in left_out)
 

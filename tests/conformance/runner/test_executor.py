@@ -171,7 +171,6 @@ def test_an_interrupt_at_any_moment_leaves_the_robot_at_rest(
 
 @given(asks=st.integers(0, ASKS + PROBING), discover=st.booleans())
 @example(asks=ASKS, discover=True)
-@settings(max_examples=60)
 def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
     protocol: Protocol, cases: tuple[Case, ...], asks: int, discover: bool
 ) -> None:
