@@ -183,6 +183,18 @@ def test_a_grammar_that_runs_ends_in_a_sentence_too(
             "does not load: SyntaxError: invalid syntax (line ~); start from what "
             "`bilprov spec emit grammar` writes",
         ),
+        (
+            'FAULTY = Sets(motion="stopped", steering=0)',
+            "FAULTY = Same()",
+            "does not load: NameError: name 'Same' is not defined (line ~); add "
+            "`from bilprov.spec.fields import Same`",
+        ),
+        (
+            'FRAME = Struct("header" / HEADER, "data" / Switch(this.header.id, INSTRUCTIONS))',
+            "FRAME = RawCopy(HEADER)",
+            "does not load: NameError: name 'RawCopy' is not defined (line ~); add "
+            "`from construct import RawCopy`",
+        ),
     ],
 )
 def test_the_sentence_says_the_file_and_the_line(
