@@ -23,7 +23,7 @@ from bilprov.conformance.cases.budget import (
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.discovery.discover import discover
-from bilprov.conformance.runner.first_choices import first_choices
+from bilprov.conformance.runner.discovery.state import first_choices
 from bilprov.conformance.runner.homing import find_speed, home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
 from bilprov.conformance.runner.probe_trust.probe_check import first_looks, settle_failures

@@ -28,7 +28,7 @@ from bilprov.conformance.oracle.judge import (
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.noise import case_bytes, confirm
+from bilprov.conformance.runner.retry import case_bytes, confirm
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.codec import spaced
 from bilprov.spec.readings import FLUSH_POINTS

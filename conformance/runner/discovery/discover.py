@@ -19,8 +19,8 @@ from bilprov.conformance.runner.discovery.answers import answer_experiments
 from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.discovery.state import state_experiments
 from bilprov.conformance.runner.homing import home
-from bilprov.conformance.runner.noise import case_bytes, is_no_chance
 from bilprov.conformance.runner.power_on import first_frames_lost
+from bilprov.conformance.runner.retry import case_bytes, is_no_chance
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol

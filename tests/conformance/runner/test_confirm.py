@@ -8,7 +8,7 @@ import pytest
 
 from bilprov.analyzer.client.operations import Procedure, drive, listen
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.runner.noise import Confirmed, confirm
+from bilprov.conformance.runner.retry import Confirmed, confirm
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, CountingLink, Timers
