@@ -20,7 +20,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 
 if TYPE_CHECKING:
     from bilprov.conformance.api import Options
-    from bilprov.conformance.dut.fault import Fault
+    from bilprov.conformance.dut.simulator import Fault
     from bilprov.conformance.report.expected import ExpectedFile
     from bilprov.conformance.report.run_report import Report
     from bilprov.spec.protocol import Protocol

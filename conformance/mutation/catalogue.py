@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.simulator import Fault
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.random_faults import PREFIX, find_random_fault
 from bilprov.conformance.mutation.variants import MIXTURE, mixtures, mixtures_of, variants

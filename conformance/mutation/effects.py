@@ -12,7 +12,7 @@ from operator import floordiv, xor
 from typing import Any, NamedTuple, TypeVar
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Event, MutatedDevice, React, Reaction, answers
+from bilprov.conformance.dut.simulator import Event, React, Reaction, Simulator, answers
 from bilprov.conformance.mutation.triggers import OUTCOMES, Trigger, trigger
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Wheels
@@ -22,7 +22,7 @@ from bilprov.spec.readings import POINTS, Behaviour
 class At(NamedTuple):
     """A frame that came to a device, and its reaction so far."""
 
-    device: MutatedDevice
+    device: Simulator
     event: Event
     reaction: Reaction
 
@@ -510,7 +510,7 @@ def at_frames(acting: Trigger, change: React) -> React:
 def then(*changes: React) -> React:
     """Return the hook that makes the changes one after the other."""
 
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         for change in changes:
             reaction = change(device, event, reaction)
         return reaction

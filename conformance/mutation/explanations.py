@@ -15,8 +15,7 @@ from bilprov.conformance.causes.exchanges import Exchange, Exchanges
 from bilprov.conformance.causes.explained import Explainer
 from bilprov.conformance.causes.reproduction import exchanged, shows
 from bilprov.conformance.causes.trace import Trace
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.effects import then
@@ -83,7 +82,7 @@ def _marked(fault: Fault) -> tuple[Fault, dict[int, bool]]:
     if inner is None:
         return fault, acted
 
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         changed = inner(device, event, reaction)
         acted[event.now] = changed != reaction
         return changed

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from bilprov.conformance.dut.fault import Fault, React
+from bilprov.conformance.dut.simulator import Fault, React
 from bilprov.conformance.mutation.effects import (
     EFFECTS,
     WATCHING,

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from bilprov.captures.schemas import MS, Look
-from bilprov.conformance.dut.fault import Event, MutatedDevice, Reaction
+from bilprov.conformance.dut.simulator import Event, Reaction, Simulator
 from bilprov.conformance.mutation.effects import at_frames, entered
 from bilprov.conformance.mutation.triggers import Trigger
 from bilprov.spec.fields import Outcome
@@ -31,7 +31,7 @@ hook = entered(HOOKS)
 def echo(protocol: Protocol, acting: Trigger) -> Hooks:
     """Send back what comes: a loop-back plug."""
 
-    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    def hear(device: Simulator, data: bytes, now: int) -> bytes:
         for byte in data:
             device.answer(byte, now)
         return b""
@@ -50,17 +50,17 @@ def loses_bytes(protocol: Protocol, acting: Trigger, *lost: int) -> Hooks:
 def loses_next_byte(protocol: Protocol, acting: Trigger) -> Hooks:
     """Lose the byte that comes after a frame of the trigger."""
 
-    def marks(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def marks(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         device.memory["deaf"] = 1
         return reaction
 
-    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    def hear(device: Simulator, data: bytes, now: int) -> bytes:
         return b"" if device.memory.pop("deaf", 0) else data
 
     return {"react": at_frames(acting, marks), "hear": hear}
 
 
-def _burst(device: MutatedDevice, now: int) -> int:
+def _burst(device: Simulator, now: int) -> int:
     """Count a byte: return its number, from 1, since the line last paused."""
     memory = device.memory
     together = now - memory.get("byte at", -(1 << 60)) <= device.byte_time
@@ -79,7 +79,7 @@ def buffer(protocol: Protocol, acting: Trigger, size: int) -> Hooks:
 def torn_between_chunks(protocol: Protocol, acting: Trigger, size: int) -> Hooks:
     """Forget a frame that lies across two chunks of that size."""
 
-    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    def hear(device: Simulator, data: bytes, now: int) -> bytes:
         if _burst(device, now) % size == 1 and device.held:
             device.drop()
         return data
@@ -91,7 +91,7 @@ def torn_between_chunks(protocol: Protocol, acting: Trigger, size: int) -> Hooks
 def deaf_after_fault(protocol: Protocol, acting: Trigger) -> Hooks:
     """Lose the byte that comes while the answer to a fault is sent."""
 
-    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    def hear(device: Simulator, data: bytes, now: int) -> bytes:
         over = device.over_at
         if device.row == 0 or device.held or over is None:
             return data
@@ -104,7 +104,7 @@ def deaf_after_fault(protocol: Protocol, acting: Trigger) -> Hooks:
 def sleeps(protocol: Protocol, acting: Trigger, milliseconds: int) -> Hooks:
     """Lose the byte that ends so long a silence between two frames."""
 
-    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    def hear(device: Simulator, data: bytes, now: int) -> bytes:
         before = device.memory.get("byte at")
         device.memory["byte at"] = now
         asleep = before is not None and now - before > milliseconds * MS
@@ -118,11 +118,11 @@ def flushes(protocol: Protocol, acting: Trigger, milliseconds: int = 0) -> Hooks
     """Drop all bytes after a frame of the trigger until the line is idle so long, or a time-out."""
     pause = (milliseconds or int(protocol.timing.truncation_timeout)) * MS
 
-    def marks(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def marks(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         device.memory["idle at"] = event.now + pause
         return reaction
 
-    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    def hear(device: Simulator, data: bytes, now: int) -> bytes:
         if now < device.memory.get("idle at", now):
             device.memory["idle at"] = now + pause
             return b""
@@ -136,11 +136,11 @@ def flushes(protocol: Protocol, acting: Trigger, milliseconds: int = 0) -> Hooks
 def puts_cut_frames_before_the_next(protocol: Protocol, acting: Trigger) -> Hooks:
     """Keep the bytes of a truncated frame and put them before the next byte."""
 
-    def put_aside(device: MutatedDevice, frame: bytes) -> bytes:
+    def put_aside(device: Simulator, frame: bytes) -> bytes:
         device.memory["aside"] = int.from_bytes(b"\1" + frame, "big")
         return b""
 
-    def put_before(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    def put_before(device: Simulator, data: bytes, now: int) -> bytes:
         aside = device.memory.pop("aside", None)
         if aside is None:
             return data
@@ -239,7 +239,7 @@ def answers_at_header(protocol: Protocol, acting: Trigger) -> Hooks:
 def stops_at_header(protocol: Protocol, acting: Trigger, which: str = "") -> Hooks:
     """Stop at a wrong header (only of `unused` IDs); the answer comes after the data, as usual."""
 
-    def begins(device: MutatedDevice, header: int) -> tuple[int, ...]:
+    def begins(device: Simulator, header: int) -> tuple[int, ...]:
         identity, length = protocol.headers[header]
         known = protocol.by_id.get(identity)
         if known is None or (not which and length != known.length):
@@ -256,7 +256,7 @@ def refuses_at_header(protocol: Protocol, acting: Trigger) -> Hooks:
     The data end when all have come, or after a pause that truncates a frame.
     """
 
-    def hear(device: MutatedDevice, data: bytes, now: int) -> bytes:
+    def hear(device: Simulator, data: bytes, now: int) -> bytes:
         memory = device.memory
         if memory.get("skips"):
             pause = device.timeouts[memory["skips of"]]

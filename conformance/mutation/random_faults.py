@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple, TypeVar
 
-from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.simulator import Fault
 from bilprov.conformance.mutation.faults import Row, hooks, names, table
 from bilprov.conformance.mutation.triggers import TRUNCATED, trigger
 from bilprov.spec.by_effect import variable_of

@@ -18,8 +18,7 @@ import msgspec
 
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.fault import CONFORMING
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import CONFORMING, Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.faults import fault_bank

@@ -14,7 +14,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import Event
+from bilprov.conformance.dut.simulator import Event
 from bilprov.spec.fields import OF_HEADERS
 from bilprov.spec.motion import Moment, visible_motion
 from bilprov.spec.open_points import open_point, points_after

@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from bilprov.conformance.dut.fault import Event, Fault
+from bilprov.conformance.dut.simulator import Event, Fault
 from bilprov.conformance.mutation.faults import Row, filled, hooks, table
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol

@@ -28,8 +28,8 @@ from bilprov.conformance.api import (
     suite_steps,
 )
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.link import Environment
+from bilprov.conformance.dut.simulator import Fault
 from bilprov.conformance.dut.target import Target, open_target, target_named
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report

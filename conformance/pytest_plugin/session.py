@@ -24,7 +24,7 @@ from bilprov.analyzer.transport.signals import handled, unhandled
 from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS, STANDARD
 from bilprov.conformance.dut.boards import EmulatorError
-from bilprov.conformance.dut.fault import Fault
+from bilprov.conformance.dut.simulator import Fault
 from bilprov.conformance.dut.target import SIM
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict

@@ -25,8 +25,7 @@ from bilprov.analyzer.transport.ending import ENDINGS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.fault import CONFORMING, Fault
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.pytest_plugin.bench import Client
 from bilprov.spec.protocol import Protocol, load

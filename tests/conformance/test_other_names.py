@@ -9,8 +9,7 @@ from dataclasses import replace
 import pytest
 
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.random_faults import find_random_fault
@@ -90,7 +89,7 @@ def test_a_variable_that_a_grammar_adds_is_judged_too(horn_text: str) -> None:
     }
     protocol = load(mutated(horn_text, changes))
 
-    def mutes(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def mutes(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         return replace(reaction, state=reaction.state.but(horn=0))
 
     for fault, failed in ((None, set()), (Fault("mute", "test", "", react=mutes), {1, 2, 3})):

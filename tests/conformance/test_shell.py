@@ -15,8 +15,7 @@ import pytest
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cli.shell.prompt import candidates
-from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from bilprov.conformance.mutation.effects import does_effect, does_watching, then
 from bilprov.conformance.mutation.faults import Row, hooks
 from bilprov.conformance.mutation.triggers import OUTCOME_WORDS, trigger
@@ -69,7 +69,7 @@ def every(*conditions: Condition) -> Condition:
 def when(matches: Condition, change: React) -> React:
     """The change, at the frames that match."""
 
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         return change(device, event, reaction) if matches(event) else reaction
 
     return react

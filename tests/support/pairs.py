@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import combinations
 
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
+from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from bilprov.conformance.mutation.effects import then
 from bilprov.conformance.mutation.variants import FAMILY, Variant, hooks_of, variants
 from bilprov.spec.protocol import Protocol
@@ -57,7 +57,7 @@ def _place(variant: Variant) -> tuple[int, bool]:
 def behind(lossy: React, reacts: React) -> React:
     """Return a hook: a frame that the first one loses is not reacted to, any other is."""
 
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         left = lossy(device, event, reaction)
         return reacts(device, event, reaction) if left is reaction else left
 

@@ -17,8 +17,7 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.replug import Place
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.items import _resumed
-from bilprov.conformance.dut.fault import Event, Fault, Reaction
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process

@@ -14,9 +14,8 @@ from bilprov.conformance.api import Options, conform, estimated, run_suite, sele
 from bilprov.conformance.cases.budget import Pace, before_the_cases, run_movement, seconds
 from bilprov.conformance.cases.coverage import BAD, COMBINED, VALID, covered
 from bilprov.conformance.cases.levels import level_cases, matching
-from bilprov.conformance.dut.fault import Event, Fault, Reaction
 from bilprov.conformance.dut.link import Environment, Observability
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank

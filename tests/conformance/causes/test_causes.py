@@ -15,8 +15,7 @@ from bilprov.conformance.causes.exchanges import Exchanges, Timing
 from bilprov.conformance.causes.features import features, matches
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shows
 from bilprov.conformance.causes.trace import Trace
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.choices import Choices
@@ -82,7 +81,7 @@ def test_what_keeps_it_moving_stands_before_a_wrong_led(protocol: Protocol) -> N
     assert led.react
     assert drives_on.react
 
-    def both(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def both(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         assert led.react
         assert drives_on.react
         return drives_on.react(device, event, led.react(device, event, reaction))
@@ -95,7 +94,7 @@ def test_what_keeps_it_moving_stands_before_a_wrong_led(protocol: Protocol) -> N
 
 
 def test_causes_follow_the_grammar(horn: Protocol) -> None:
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         refused = horn.answers[Outcome.BAD_DATA].code
         loud = event.judgement.name == "Horn" and event.judgement.frame[1:] == b"\x03"
         return replace(reaction, answers=((0, refused),)) if loud else reaction
@@ -107,7 +106,7 @@ def test_causes_follow_the_grammar(horn: Protocol) -> None:
 
 
 def test_a_setting_kept_in_a_signed_byte_is_named_as_that(protocol: Protocol) -> None:
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         kept = (reaction.state.steering + 128) % 256 - 128
         return replace(reaction, state=reaction.state.but(steering=kept))
 

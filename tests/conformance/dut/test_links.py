@@ -35,8 +35,7 @@ from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
-from bilprov.conformance.dut.fault import Fault, answers
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator, answers
 from bilprov.conformance.dut.virtual_link import DeviceError, VirtualLink
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import BYTE_TIME, PATIENCE, ProbeServer, served_here

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.conformance.dut.fault import Fault, answers
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator, answers
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol

@@ -14,9 +14,8 @@ from bilprov.analyzer.client.operations import Listen, Observation, Observe, Rec
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction
 from bilprov.conformance.dut.link import Device
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.learning.learner import Difference, Learned, learn_target
@@ -188,7 +187,7 @@ def ends_the_reset(event: Event) -> bool:
 def at_times(condition: Condition, change: React, turns: Container[int]) -> Fault:
     """A robot that misbehaves at some frames of this kind, by their count."""
 
-    def react(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         if not condition(event):
             return reaction
         turn = device.memory["turn"] = device.memory.get("turn", 0) + 1

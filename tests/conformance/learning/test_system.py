@@ -9,9 +9,8 @@ import pytest
 from bilprov.analyzer.client.operations import drive
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, React, Reaction, answers
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.learning.learner import Difference, NotLearned, System
 from bilprov.conformance.learning.reference import Output, alphabet, reference_machine
@@ -44,7 +43,7 @@ def letters(protocol: Protocol, *frames: str) -> bytes:
 def answering(outcome: Outcome, codes: Sequence[int]) -> React:
     """Such a frame is answered with these codes, one a time, and with the last of them for ever."""
 
-    def change(device: MutatedDevice, event: Event, reaction: Reaction) -> Reaction:
+    def change(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         turn = device.memory[outcome.name] = device.memory.get(outcome.name, -1) + 1
         return answers(reaction, codes[min(turn, len(codes) - 1)])
 

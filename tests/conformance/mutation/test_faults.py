@@ -13,8 +13,7 @@ import pytest
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, suite_ids
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.fault import CONFORMING, Fault
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
 from bilprov.conformance.mutation import triggers
 from bilprov.conformance.mutation.effects import EFFECTS, WATCHING
 from bilprov.conformance.mutation.explanations import (

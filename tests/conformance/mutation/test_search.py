@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.conformance.dut.fault import CONFORMING
+from bilprov.conformance.dut.simulator import CONFORMING
 from bilprov.conformance.mutation import search as room
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.search import hints, search

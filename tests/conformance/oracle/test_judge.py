@@ -22,8 +22,7 @@ from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.fault import Event, Fault, MutatedDevice, Reaction, answers
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
 from bilprov.conformance.mutation.hooks import stops_at_header
 from bilprov.conformance.mutation.triggers import trigger
 from bilprov.conformance.oracle.choices import Choices
@@ -534,8 +533,8 @@ def choice(
     )
 
 
-def stops_at_the_header(device: MutatedDevice, header: int) -> Sequence[int]:
-    begins: Callable[[MutatedDevice, int], Sequence[int]]
+def stops_at_the_header(device: Simulator, header: int) -> Sequence[int]:
+    begins: Callable[[Simulator, int], Sequence[int]]
     begins = stops_at_header(device.protocol, trigger(""))["begins"]
     return begins(device, header)
 

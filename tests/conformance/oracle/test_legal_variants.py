@@ -8,8 +8,7 @@ import pytest
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.fault import Event, Fault, Reaction
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.mutation.catalogue import find_fault, find_mixture, find_variant
 from bilprov.conformance.mutation.variants import mixtures, variants
 from bilprov.conformance.oracle.judge import look_words

@@ -8,8 +8,7 @@ import pytest
 
 from bilprov.analyzer.client.operations import Ended, Procedure, drive, followed
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.dut.fault import Event, Fault, Reaction, answers
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.homing import home

@@ -17,9 +17,8 @@ from bilprov.analyzer.client.operations import (
     listen,
 )
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.fault import Event, Fault, React, Reaction, answers
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.choices import Choices, parse_allowed, verdict_of

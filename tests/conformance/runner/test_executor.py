@@ -25,9 +25,8 @@ from bilprov.analyzer.client.operations import (
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.dut.fault import Fault, answers
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator, answers
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.fault import Event, Fault, Reaction
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol

@@ -12,8 +12,7 @@ import pytest
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.dut.target import Target, device_target
 from bilprov.conformance.mutation.catalogue import find_fault, find_variant
 from bilprov.conformance.oracle.verdicts import Verdict

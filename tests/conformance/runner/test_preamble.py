@@ -12,8 +12,7 @@ from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform, run_suite
 from bilprov.conformance.cases.steps import FrameClass
-from bilprov.conformance.dut.fault import Event, Fault, React, Reaction
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict

@@ -8,8 +8,7 @@ import pytest
 
 from bilprov.analyzer.client.operations import Operation, Reconnected, Reply, Send, drive
 from bilprov.conformance.cases.levels import level_cases
-from bilprov.conformance.dut.fault import Fault
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.profile import Timers

@@ -12,9 +12,8 @@ from bilprov.analyzer.client.operations import Listen, Observation, Operation, R
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.dut.fault import Fault, React, answers
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, React, Simulator, answers
 from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import Verdict

@@ -22,9 +22,8 @@ from bilprov.analyzer.client.operations import (
 )
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.link import Environment
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants

@@ -12,9 +12,8 @@ from rich.console import Console
 
 from bilprov.analyzer.client.operations import drive
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.fault import Fault
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.dut.target import Target, device_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
