@@ -22,7 +22,7 @@ from bilprov.analyzer.replay.capture_decoding import (
     decoded,
     said_of_other,
 )
-from bilprov.analyzer.taps.sources import opened_tap
+from bilprov.analyzer.taps.sources import Ports, opened_tap
 from bilprov.analyzer.transport.line_settings import (
     LineSettings,
     line_settings,
@@ -136,7 +136,7 @@ def sniff(
     settings = settings or line_settings(protocol)
     if half_duplex and device is not None:
         raise ValueError(f"one wire has both directions: leave out {device}, or half_duplex")
-    given = {"half_duplex": [host]} if half_duplex else {"": [host, device]}
+    given = Ports(half_duplex=host) if half_duplex else Ports(host, device)
     timeout = timeout_in_ns(protocol, None)
     with opened_tap(given, settings, protocol, timeout) as taps:
         timeout = max(timeout, Machine().least_pause(*taps.names.values()))

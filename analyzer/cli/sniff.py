@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +20,6 @@ from bilprov.analyzer.cli.command import (
     flag,
     group,
     option,
-    option_each,
     protocol_in_use,
 )
 from bilprov.analyzer.cli.failures import say
@@ -56,7 +55,7 @@ from bilprov.analyzer.replay.recorder import (
     rotation_at,
     session_metadata,
 )
-from bilprov.analyzer.taps.sources import TAPS, Source, opened_tap
+from bilprov.analyzer.taps.sources import Ports, Source, opened_tap
 from bilprov.analyzer.transport.errors import SIM, LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, timeout_in_ns
 from bilprov.analyzer.transport.replug import opened_when_there
@@ -86,12 +85,15 @@ class SniffOptions:
 
     host: str | None = argument(required=False, type=PortName())
     device: str | None = argument(required=False, type=PortName())
-    taps: dict[str, str] = option_each(
-        {
-            tap.option: {"metavar": tap.metavar, "type": PortName(), "help": tap.help}
-            for tap in TAPS
-            if tap.option
-        }
+    bridge: str | None = option(
+        metavar="PORT",
+        type=PortName(),
+        help="Sit between host and device, at a pty whose name is printed.",
+    )
+    half_duplex: str | None = option(
+        metavar="PORT",
+        type=PortName(),
+        help="Listen to one wire that has both directions, as RS-485 and servo buses.",
     )
     path: str | None = option(
         "-w", "--write", metavar="FILE.mcap", help="Log into a new capture file."
@@ -115,9 +117,9 @@ class SniffOptions:
     yes: bool = flag("Accepted for scripts; sniff asks nothing.")
 
     @property
-    def ports(self) -> dict[str, tuple[str | None, ...]]:
-        """The ports that are named, by the option of their tap."""
-        return {"": (self.host, self.device)} | {name: (port,) for name, port in self.taps.items()}
+    def ports(self) -> Ports:
+        """The ports that are named."""
+        return Ports(self.host, self.device, self.bridge, self.half_duplex)
 
     def rotation(self) -> Rotation | None:
         """How the recording is kept in parts, None for one file.
@@ -288,14 +290,11 @@ def sniff(options: SniffOptions) -> int:
     return code
 
 
-def _simulated(
-    protocol: Protocol, given: Mapping[str, Sequence[str | None]], settings: LineSettings
-) -> Source | None:
+def _simulated(protocol: Protocol, given: Ports, settings: LineSettings) -> Source | None:
     """The simulated drive, if it is asked for and no file has its name."""
-    names = [name for names in given.values() for name in names if name is not None]
-    if given[""][0] != SIM or Path(SIM).exists():
+    if given.host != SIM or Path(SIM).exists():
         return None
-    if len(names) > 1:
+    if given != Ports(SIM):
         raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
     from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Final, NamedTuple, TypeAlias
 
@@ -366,63 +366,29 @@ class Bridge(Source):
             events.append(Line(self.now(), "gap", tap, dropped))
 
 
-class Tap(NamedTuple):
-    """A kind of tap: the option that asks for it, the option's metavar and help, and its opener.
+class Ports(NamedTuple):
+    """The names of the ports to listen to: those of two taps or one, of a bridge, or of a wire."""
 
-    The kind whose `option` is empty takes the command's arguments. `opened` gets the names of the
-    ports, one for an option, and what `opened_tap` gets. It raises ValueError for wrong use,
-    LinkError for a port that cannot be opened.
+    host: str | None = None
+    device: str | None = None
+    bridge: str | None = None
+    half_duplex: str | None = None
+
+
+def opened_tap(ports: Ports, settings: LineSettings, protocol: Protocol, timeout: int) -> Source:
+    """Open the tap that was asked for; `timeout` (ns) is the longest pause within a frame.
+
+    Raises ValueError, in one sentence, if not exactly one kind was asked for or one line would be
+    tapped twice, LinkError for a port that cannot be opened.
     """
-
-    option: str
-    metavar: str
-    help: str
-    opened: Callable[[Sequence[str], LineSettings, Protocol, int], Source]
-
-    @property
-    def usage(self) -> str:
-        """How the tap is asked for on the command line."""
-        if not self.option:
-            return self.metavar
-        return f"--{self.option.replace('_', '-')} {self.metavar}"
-
-
-TAPS = (
-    Tap("", "HOST [DEVICE]", "", lambda names, settings, *_: open_taps(settings, *names)),
-    Tap(
-        "bridge",
-        "PORT",
-        "Sit between host and device, at a pty whose name is printed.",
-        lambda names, settings, *_: Bridge(open_port(names[0], settings)),
-    ),
-    Tap(
-        "half_duplex",
-        "PORT",
-        "Listen to one wire that has both directions, as RS-485 and servo buses.",
-        lambda names, settings, *how: HalfDuplexTap(open_port(names[0], settings), *how),
-    ),
-)
-
-
-def opened_tap(
-    given: Mapping[str, Sequence[str | None]],
-    settings: LineSettings,
-    protocol: Protocol,
-    timeout: int,
-) -> Source:
-    """Open the tap that was asked for; `given` are the names of ports by option, None for none.
-
-    `timeout` (ns) is the longest pause within a frame.
-    Raises ValueError, in one sentence, if not exactly one kind was asked for, and what opening it
-    raises.
-    """
-    ports = {
-        option: [name for name in names if name is not None] for option, names in given.items()
-    }
-    asked = [tap for tap in TAPS if ports.get(tap.option)]
-    usages = " or ".join(tap.usage for tap in TAPS)
+    host, device, bridge, wire = ports
+    usages = "HOST [DEVICE] or --bridge PORT or --half-duplex PORT"
+    asked = [name for name in (host, bridge, wire) if name is not None]
     if not asked:
         raise ValueError(f"nothing to sniff: give {usages}")
     if len(asked) > 1:
         raise ValueError(f"give either {usages}, only one of them")
-    return asked[0].opened(ports[asked[0].option], settings, protocol, timeout)
+    if host is not None:
+        return open_taps(settings, host, device)
+    port = open_port(asked[0], settings)
+    return Bridge(port) if bridge is not None else HalfDuplexTap(port, protocol, timeout)
