@@ -104,7 +104,7 @@ def _brought_about(bag: Bag, causes: Sequence[Cause], back: int) -> Cause | None
     """
     for cause in causes:
         facets = {effect.relation.facet for effect in cause.effects}
-        if bag.deviation.facet in facets and any(cause.foresees(e) for e in bag.exchanges):
+        if bag.deviation.facet in facets and any(matches(cause.rule, e) for e in bag.exchanges):
             return cause
     case = bag.exchanges[-1].case
     exchange: Exchange | None = bag.exchanges[-1]
@@ -154,7 +154,7 @@ def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
 
 def _cost(rule: Rule) -> int:
     """How much it takes to say a rule: what its features cost, and each of its conditions."""
-    return sum(literal.feature.cost + 1 for literal in rule)
+    return sum(literal.cost + 1 for literal in rule)
 
 
 def _explains(rule: Rule, effect: Effect) -> bool:

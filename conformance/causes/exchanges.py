@@ -20,10 +20,13 @@ from bilprov.conformance.oracle.sight import facets_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.spec.codec import Judgement, judge
 from bilprov.spec.motion import Wheels, visible_motion
+from bilprov.spec.open_points import open_after
 
 ANSWER, MOTION = "answer", "motion"
 """The facets besides the values that are set; no variable has these names but the kind of motion.
 """
+FRAMES, FAULTS, VALID, TRUNCATED, STOPPING = "frames", "faults", "valid", "truncated", "stopping"
+"""Classes of frames that are counted, besides each `kind` and each open point."""
 
 
 class Deviation(NamedTuple):
@@ -41,17 +44,20 @@ class Deviation(NamedTuple):
 
 
 class History(NamedTuple):
-    """What came before a frame since power-on: how many frames, faults, truncated frames, valid.
+    """What came before a frame since power-on.
 
-    `row` are the consecutive faults right before it, `since` how many frames ago each instruction
-    or class of faults was last sent (1: the frame before).
+    `row` are the consecutive faults right before it, `times` how many frames of each class came
+    before it, and `last` the number of the last one, from 0 on.
     """
 
-    frames: int
-    faults: int
     row: int
-    truncated: int
+    times: Mapping[str, int]
     last: Mapping[str, int]
+
+    @property
+    def frames(self) -> int:
+        """How many frames came before it."""
+        return self.times.get(FRAMES, 0)
 
 
 @dataclass(slots=True, eq=False, repr=False)
@@ -105,7 +111,7 @@ class Exchange:
     def kind(self) -> str:
         """The instruction's name of a valid frame, else its outcome; `truncated` for a cut one."""
         if self.step.truncated:
-            return "truncated"
+            return TRUNCATED
         return self.judgement.name if self.judgement.valid else self.judgement.outcome.value
 
     def sets(self, facet: str) -> bool:
@@ -161,7 +167,7 @@ class Exchanges:
         self._burst: list[Exchange] = []
         self._answers: list[tuple[int, int]] = []
         self._looks: list[tuple[int, Look]] = []
-        self._counts = History(0, 0, 0, 0, {})
+        self._counts = History(0, {}, {})
         self._previous: Exchange | None = None
         self._over = 0
         self._lost = False
@@ -243,19 +249,19 @@ class Exchanges:
             self._expected,
             self._expected,
         )
-        counts = self._counts
+        row, times, last = self._counts
+        points = (p.id for p in open_after(protocol, step.frame_effect.effect).values())
+        general = FAULTS if step.faulty else VALID
+        classes = {FRAMES, general, exchange.kind, step.point, *points}
+        if protocol.stops(step.frame_effect.effect or protocol.on_fault):
+            classes.add(STOPPING)
         self._counts = History(
-            counts.frames + 1,
-            counts.faults + step.faulty,
-            counts.row + 1 if step.faulty else 0,
-            counts.truncated + step.truncated,
-            {**counts.last, exchange.kind: counts.frames, **self._classes(exchange)},
+            row + 1 if step.faulty else 0,
+            {**times, **{one: times.get(one, 0) + 1 for one in classes}},
+            {**last, **dict.fromkeys(classes, self._counts.frames)},
         )
         self._previous, self._over = exchange, self._held_end
         self._burst.append(exchange)
-
-    def _classes(self, exchange: Exchange) -> dict[str, int]:
-        return {("fault" if exchange.step.faulty else "valid"): self._counts.frames}
 
     def _close(self) -> None:
         """Judge the frames of a burst from their answers and the looks after them."""
@@ -418,10 +424,12 @@ class Exchanges:
 
     def _may_show_in(self, exchange: Exchange) -> None:
         """Keep a frame as one that the next look may show; what it sets hides earlier frames."""
-        effect = exchange.step.frame_effect.effect or self._model.protocol.on_fault
-        for name in self._model.protocol.variables:
+        protocol, choices = self._model.protocol, self._model.choices
+        effect = exchange.step.frame_effect.effect
+        by_choice = {v for v, p in open_after(protocol, effect).items() if choices.differs(p.id)}
+        for name in protocol.variables:
             facet = MOTION if name == self._car.by else name
-            if effect.sets(name):
+            if name in by_choice or (effect or protocol.on_fault).sets(name):
                 self._unseen[facet] = []
             self._unseen.setdefault(facet, []).append(exchange)
 

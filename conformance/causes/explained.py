@@ -227,6 +227,8 @@ def _literal(literal: Literal) -> str:
         return words.format(f"(bit {value} set)")
     if literal.operator == "no bit":
         return words.format(f"(bit {value} clear)")
+    if literal.operator == "in":
+        return words.format(" or ".join(value))  # type: ignore[arg-type]
     if isinstance(value, tuple):
         return f"at one in {value[0]} of the {literal.feature.name} since power-on"
     return words.format(value)

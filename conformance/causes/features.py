@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 from typing import Literal as OneOf
 
 from bilprov.captures.schemas import MS
-from bilprov.conformance.causes.exchanges import Exchange
+from bilprov.conformance.causes.exchanges import (
+    FAULTS,
+    FRAMES,
+    STOPPING,
+    TRUNCATED,
+    VALID,
+    Exchange,
+)
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import POINTS
 
 Value = str | int | None
 Of = Callable[[Exchange], Value]
@@ -159,16 +167,13 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
         "sent after {}, right or wrong",
         4,
     )
-    for counter, one in (
-        ("frames", "frame"),
-        ("faults", "fault"),
-        ("truncated", "truncated frame"),
-    ):
-        words = f"with {{}} {one}s before it since power-on"
-        yield Feature(counter, _count(counter), words, 6, counts=True)
+    kinds = [FAULTS, VALID, TRUNCATED, *(s.name for s in protocol.instructions)]
+    for kind in (FRAMES, *kinds, STOPPING, *POINTS):
+        name = kind if kind in (FRAMES, FAULTS) else f"{kind} frames"
+        words = f"with {{}} {name} before it since power-on"
+        yield Feature(name, _times(kind), words, 6 if kind == FRAMES else 5, counts=True)
     yield Feature("due", _due, "{}", 2)
     yield Feature("row", lambda e: e.history.row, "with {} faults in a row before it", 3)
-    kinds = ["fault", "valid", "truncated", *(s.name for s in protocol.instructions)]
     for kind in kinds:
         yield Feature(f"since {kind}", _since(kind), f"with {kind} {{}} frames before it", 6)
     for one in kinds:
@@ -190,12 +195,8 @@ def _previous_fault(exchange: Exchange) -> str | None:
     return "a faulty frame" if exchange.previous.step.faulty else "a valid frame"
 
 
-def _count(counter: str) -> Of:
-    def of(exchange: Exchange) -> Value:
-        value: int = getattr(exchange.history, counter)
-        return value
-
-    return of
+def _times(kind: str) -> Of:
+    return lambda exchange: exchange.history.times.get(kind, 0)
 
 
 def _since(kind: str) -> Of:
@@ -218,22 +219,34 @@ def _later(one: str, other: str) -> Of:
     return of
 
 
-Operator = OneOf["is", "from", "to", "bit", "no bit", "every"]
+Operator = OneOf["is", "in", "from", "to", "bit", "no bit", "every"]
 
 
 class Literal(NamedTuple):
     """A condition on one feature.
 
-    `is` a value, `from` or `to` a number on, a `bit` set or not, or `every` n-th, r of it.
+    `is` a value, one `in` several words, `from` or `to` a number on, a `bit` set or not, or
+    `every` n-th, r of it.
     """
 
     feature: Feature
     operator: Operator
-    value: str | int | tuple[int, int]
+    value: str | int | tuple[str, ...] | tuple[int, int]
+
+    @property
+    def cost(self) -> int:
+        """How much it takes to say it."""
+        words = len(self.value) if self.operator == "in" else 0  # type: ignore[arg-type]
+        return self.feature.cost + words
 
     def holds(self, exchange: Exchange) -> bool:
         """Return whether the condition holds for an exchange."""
         return bool(self.fits(self.feature.of(exchange)))
+
+    def missing(self, exchange: Exchange) -> int:
+        """How many frames more its feature must count until it is one of every n-th."""
+        every, rest = cast("tuple[int, int]", self.value)
+        return (rest - cast("int", self.feature.of(exchange))) % every
 
     def fits(self, found: Any) -> Any:
         """Return whether the condition holds for a value of the feature, or for each of an array.
@@ -245,6 +258,8 @@ class Literal(NamedTuple):
             return False
         if self.operator == "is":
             return found == value
+        if self.operator == "in":
+            return found in value
         if self.operator == "every":
             return found % value[0] == value[1]
         if self.operator == "from":

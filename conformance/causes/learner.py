@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ _SAMPLE = 3000
 _MORE = 300
 _THRESHOLDS = 24
 _VALUES = 48
+_WORDS = 3
 _SEEDS = 6
 
 
@@ -71,15 +72,22 @@ class _Column:
 
     def mask(self, literal: Literal, part: _Part) -> Mask:
         """Return for which exchanges of a part the literal holds."""
-        if isinstance(literal.value, str):
-            return np.asarray(part.codes == self._code_of[literal.value], bool)
+        if literal.operator == "in" or isinstance(literal.value, str):
+            words: Any = literal.value if literal.operator == "in" else (literal.value,)
+            return np.isin(part.codes, [self._code_of[word] for word in words])
         return np.asarray(part.known & literal.fits(part.numbers), bool)
+
+    def _words(self, codes: npt.NDArray[np.int16]) -> tuple[str, ...]:
+        return tuple(sorted(word for word, code in self._code_of.items() if code in codes))
 
     def literals(self, part: _Part, single: Mask) -> list[Literal]:
         """The literals that hold for some of a part; `single` are those alone in their bag."""
-        feature, found = self.feature, []
-        words = {word for word, code in self._code_of.items() if (part.codes == code).any()}
-        found += [Literal(feature, "is", word) for word in sorted(words)]
+        feature = self.feature
+        words = self._words(part.codes)
+        found = [Literal(feature, "is", word) for word in words]
+        several = self._words(part.codes[single])
+        if 1 < len(several) <= _WORDS:
+            found.append(Literal(feature, "in", several))
         if not part.known.any():
             return found
         values, counts = np.unique(part.numbers[part.known], return_counts=True)
@@ -137,7 +145,7 @@ class Learner:
         ]
         self._literals = [literal for own in self._own for literal in own]
         self._column_of = [c for c, own in zip(self._columns, self._own, strict=True) for _ in own]
-        self._costs = np.array([literal.feature.cost for literal in self._literals])
+        self._costs = np.array([literal.cost for literal in self._literals])
         self._held = self._masks(positive)
         places = table.places(right)
         drawn = random.Random(0)
@@ -189,10 +197,11 @@ class Learner:
 
     def _with_subject(self, chosen: list[int]) -> list[int]:
         """The literals, with one that names the frame where all deviations have one in common."""
-        subjects = [i for i, one in enumerate(self._literals) if one.feature.subject]
-        if any(i in chosen for i in subjects):
+        if any(self._literals[i].feature.subject for i in chosen):
             return chosen
-        for subject in subjects:
+        for subject, literal in enumerate(self._literals):
+            if not literal.feature.subject or literal.operator == "in":
+                continue
             held = self._held[[*chosen, subject]].all(axis=0)
             if self._bags_hit(held).all():
                 return [subject, *chosen]

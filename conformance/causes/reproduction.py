@@ -9,7 +9,7 @@ from bilprov.analyzer.client.operations import Procedure, drive, followed, liste
 from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS
 from bilprov.conformance.causes.exchanges import Exchange, Exchanges, Timing
-from bilprov.conformance.causes.features import matches
+from bilprov.conformance.causes.features import Feature, matches
 from bilprov.conformance.causes.relations import Effect
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.link import Device
@@ -18,7 +18,6 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.spec.by_effect import frames_to
-from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -119,8 +118,8 @@ class Finder:
         """
         clear = [e for e in cause.exchanges if not e.before.unknown and cause.foresees(e)]
         simplest = _simplest(clear or cause.exchanges)[0]
-        found = [self._shortest(cause), self._counted(cause, simplest), self._as_met(simplest)]
-        return list(dict.fromkeys(line for line in found if line))
+        counted = self._counted(cause, simplest)
+        return list(dict.fromkeys((self._shortest(cause), *counted, self._as_met(simplest))))
 
     def _as_met(self, last: Exchange) -> Line:
         """The frames of the case up to one at which it showed, by the times of the run."""
@@ -129,16 +128,24 @@ class Finder:
             chain.insert(0, chain[0].previous)
         return _line(chain, (), self._timing, together=any(one.ahead for one in chain))
 
-    def _counted(self, cause: Cause, last: Exchange) -> Line | None:
-        """As many frames as the cause depends on, None where it depends on no number."""
+    def _counted(self, cause: Cause, last: Exchange) -> Iterator[Line]:
+        """As many frames before it as the cause counts; then it is also sent again and again.
+
+        Where it shows from some number on, it is not certain what the device counts: it may be all
+        frames, or how often this one came so far.
+        """
         counted = [literal for literal in cause.rule if literal.feature.counts]
-        own = last.step.faulty and not last.step.truncated
-        filler = last.step.frame if own else _refused(self._protocol)
-        if not counted or filler is None:
-            return None
         way = () if last.before.unknown else frames_to(self._protocol, last.before.state)
-        several = [filler] * min(last.history.frames, _COUNTED)
-        return _line([last], (*several, *way), self._timing, together=False)
+        once = _line([last], way, self._timing, together=False).chunks
+        for times in (1, _LONGEST // len(once)) if counted else ():
+            chunks = once * times
+            for literal in counted:
+                missing, sent = last.history.frames, self._last(Line(chunks, len(chunks)))
+                if literal.operator == "every" and sent:
+                    missing = literal.missing(sent)
+                counting = Chunk(0, _counting(literal.feature, last))
+                chunks = (counting,) * min(missing, _COUNTED) + chunks
+            yield Line(chunks, len(chunks))
 
     def _shortest(self, cause: Cause) -> Line:
         """The shortest line at whose last frame the cause would show.
@@ -207,10 +214,11 @@ def _shown(cause: Cause, effects: Sequence[Effect], exchange: Exchange) -> bool:
     return differ and matches(cause.rule, exchange)
 
 
-def _refused(protocol: Protocol) -> bytes | None:
-    """A faulty frame of a header alone, None where there is none."""
-    alone = (bytes([header]) for header, length in enumerate(protocol.lengths) if not length)
-    return next((frame for frame in alone if not judge(protocol, frame).valid), None)
+def _counting(feature: Feature, exchange: Exchange) -> bytes:
+    """The last frame before an exchange that a feature counts."""
+    while exchange.previous and feature.of(exchange) == feature.of(exchange.previous):
+        exchange = exchange.previous
+    return (exchange.previous or exchange).step.frame
 
 
 def _simplest(exchanges: Sequence[Exchange]) -> list[Exchange]:

@@ -20,9 +20,12 @@ from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.effects import then
 from bilprov.conformance.mutation.score import workers, working
-from bilprov.conformance.mutation.variants import hooks_of
+from bilprov.conformance.mutation.variants import MIXTURE, hooks_of
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 DIFFERENT = 0.05
 """Share of the frames sent at which a cause may expect something else than the fault does."""
@@ -76,15 +79,19 @@ class CauseScore(msgspec.Struct, frozen=True):
             yield f"{both} of {of} pairs have both faults among the first {_FIRST} causes"
 
 
-def _marked(fault: Fault) -> tuple[Fault, dict[int, bool]]:
-    """A fault, and whether its reaction differs from that of a right device, by the time (ns)."""
-    inner, acted = fault.react, dict[int, bool]()
+Acted = dict[int, tuple[State, bool]]
+"""The state before a frame, and whether a fault changed the reaction to it, by the time (ns)."""
+
+
+def _marked(fault: Fault) -> tuple[Fault, Acted]:
+    """A fault, and when it acted."""
+    inner, acted = fault.react, Acted()
     if inner is None:
         return fault, acted
 
     def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         changed = inner(device, event, reaction)
-        acted[event.now] = changed != reaction
+        acted[event.now] = event.before, changed != reaction
         return changed
 
     return replace(fault, react=react), acted
@@ -103,15 +110,18 @@ def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -
     options = Options(seed=seed, level=level)
     target = device_target(protocol, Simulator(protocol, fault))
     report = run_suite(target, options, logged=False, explainer=explainer)
-    name, failed = " and ".join(names), report.counts["fail"]
+    label, failed = " and ".join(names), report.counts["fail"]
     found, exchanges = held[0].found, held[0].exchanges
     if not found or exchanges is None:
-        return Explained(name, failed, unexplained=report.unexplained)
+        return Explained(label, failed, unexplained=report.unexplained)
     first = found if len(names) == 1 else found[:_FIRST]
-    known = [acted for acted in acting if any(acted.values())]
-    named = [any(_names(cause, exchanges, acted) for cause in first) for acted in known]
+    named = [
+        any(_names(cause, exchanges, acted, _usual(protocol, name)) for cause in first)
+        for name, acted in zip(names, acting, strict=True)
+        if any(made for _, made in acted.values())
+    ]
     return Explained(
-        name,
+        label,
         failed,
         len(found),
         report.unexplained,
@@ -122,16 +132,39 @@ def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -
     )
 
 
-def _names(cause: Cause, exchanges: Exchanges, acted: dict[int, bool]) -> bool:
-    """Whether a cause expects deviations at the frames at which a fault makes them."""
-    compared = [
-        (cause.foresees(exchange), acted[at])
-        for exchange in exchanges.all
-        if (at := _over(exchange, exchanges)) in acted
-    ]
-    different = sum(expected != made for expected, made in compared)
-    shared = sum(expected and made for expected, made in compared)
+def _usual(protocol: Protocol, name: str) -> Model | None:
+    """The model by which a mixture of two readings was made, None for another fault."""
+    return Model(protocol, Choices()) if name.startswith(MIXTURE) else None
+
+
+def _names(cause: Cause, exchanges: Exchanges, acted: Acted, usual: Model | None) -> bool:
+    """Whether a cause expects deviations at the frames at which a fault makes them.
+
+    A mixture, which was made by the `usual` model, makes them where it does not do as the device
+    has chosen. Frames before which the device was in another state than expected are not compared.
+    """
+    compared = []
+    for exchange in exchanges.all:
+        state, made = acted.get(_over(exchange, exchanges), (None, False))
+        if state is not None and _alike(state, exchange.before):
+            deviates = made != (usual is not None and _chosen(usual, exchange))
+            compared.append((cause.foresees(exchange), deviates))
+    different = sum(expected != deviates for expected, deviates in compared)
+    shared = sum(expected and deviates for expected, deviates in compared)
     return bool(shared) and different <= DIFFERENT * len(compared)
+
+
+def _alike(state: State, expected: ExpectedState) -> bool:
+    """Whether a device is in the expected state, as far as that is known."""
+    known = set(state.variables) - expected.unknown
+    return all(getattr(state, name) == getattr(expected.state, name) for name in known)
+
+
+def _chosen(usual: Model, exchange: Exchange) -> bool:
+    """Whether the device's own choice of a reading makes another reaction the right one."""
+    code = next(iter(exchange.step.accepted[0].codes), None)
+    after = usual.after(exchange.before, exchange.step.frame_effect)
+    return code not in exchange.accepted or after.state != exchange.after.state
 
 
 def _over(exchange: Exchange, exchanges: Exchanges) -> int:

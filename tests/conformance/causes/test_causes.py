@@ -17,6 +17,8 @@ from bilprov.conformance.causes.reproduction import Finder, shown_by, shows
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
+from bilprov.conformance.mutation.catalogue import find_fault
+from bilprov.conformance.mutation.explanations import explained
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import Model
@@ -39,6 +41,19 @@ NAMED = [
     ("speed-is-signed", "state", "speed is 256 minus the value", "Speed, with speed 131 or more"),
     ("every-16th-fault-missed", "stop", "does not stop", "at one in 16 of the faults"),
     ("sent-ahead-fault-does-not-stop", "stop", "does not stop", "a faulty frame, sent ahead"),
+    ("no-stop-on-unknown-id", "stop", "does not stop", "unknown ID"),
+    (
+        "mixture:R-fault-state=speed-zeroed:by-motion",
+        "state",
+        "speed stays as it was",
+        "a faulty frame, while motion is backward or rotate left or stopped",
+    ),
+    (
+        "mixture:R-stop-steering=kept:by-frame",
+        "state",
+        "steering is 0",
+        "Stop, at one in 2 of the Stop frames",
+    ),
     (
         "no-stop-on-unknown-id-while-forward",
         "stop",
@@ -58,7 +73,7 @@ def report_of(protocol: Protocol, fault: Fault) -> Report:
 def test_one_cause_names_what_goes_wrong_and_when(
     protocol: Protocol, name: str, axis: str, what: str, when: str
 ) -> None:
-    report = report_of(protocol, fault_bank(protocol)[name])
+    report = report_of(protocol, find_fault(protocol, name))
     [cause] = report.causes
     assert cause.axis == axis
     assert what in cause.sentence
@@ -143,6 +158,13 @@ def test_a_cause_takes_in_nothing_that_contradicts_it(protocol: Protocol, name: 
         against = [e for effect in cause.effects for e in effect.against]
         assert against
         assert not [e for e in against if matches(cause.rule, e)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["every-16th-fault-missed", "no-stop-after-100-faults"])
+def test_what_a_cause_counts_is_in_its_line(protocol: Protocol, name: str) -> None:
+    found = explained(protocol, [name], "smoke", 1)
+    assert (found.causes, found.named, found.shown) == (1, 1, True)
 
 
 @pytest.mark.sample(1)
