@@ -251,7 +251,7 @@ def sniff(options: SniffOptions) -> int:
                 feed.stays, feed.said = lost.unplugged, lost.sentence
                 return lost
 
-            feed = Feed(Recording(protocol), watched, stop=stopper.stop, live=True)
+            feed = Feed(Recording(protocol), watched, stopper.stop, live=True)
             feed.keeps = isinstance(recorder, Spool)
             told = Told(
                 f"{title} {settings}",

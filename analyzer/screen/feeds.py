@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from itertools import islice
 from threading import Event
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -35,10 +36,11 @@ _SWITCH = 0.00005  # s after which a thread yields to the reader of a line (Pyth
 Result = TypeVar("Result")
 
 
+@dataclass(eq=False)
 class Feed(Generic[Result]):
     """Work in a thread of its own that adds to a recording, until it ends or is told to.
 
-    `work` is called with the feed; `stop` makes it end early. When it ends the screen closes,
+    `work` is called with the feed; `halt` makes it end early. When it ends the screen closes,
     unless it `stays`. `live` is true where rows come in their own time. What the screen shows of
     it: `progress` is the share that is read (0 to 1), `rates` those of a live line,
     `captured` what was recorded, `said` why it ended, and `notice` something else that the user
@@ -46,29 +48,20 @@ class Feed(Generic[Result]):
     `let_go` where its oldest rows had to go.
     """
 
-    def __init__(
-        self,
-        recording: Recording,
-        work: Callable[[Feed[Result]], Result],
-        *,
-        stop: Callable[[], object] = lambda: None,
-        live: bool = False,
-        stays: bool = False,
-    ) -> None:
-        self.recording = recording
-        self.live = live
-        self.stays = stays
-        self.keeps = False
-        self.progress: float | None = None
-        self.rates: Rates | None = None
-        self.captured = ""
-        self.said = ""
-        self.notice = ""
-        self.let_go = False
-        self.stopped = Event()
-        self._work = work
-        self._stop = stop
-        self._working: Future[Result] | None = None
+    recording: Recording
+    work: Callable[[Feed[Result]], Result]
+    halt: Callable[[], object] = lambda: None
+    live: bool = False
+    stays: bool = False
+    keeps: bool = False
+    progress: float | None = None
+    rates: Rates | None = None
+    captured: str = ""
+    said: str = ""
+    notice: str = ""
+    let_go: bool = False
+    stopped: Event = field(default_factory=Event)
+    _working: Future[Result] | None = None
 
     @property
     def ended(self) -> bool:
@@ -83,13 +76,13 @@ class Feed(Generic[Result]):
     def start(self) -> Future[Result]:
         """Begin, unless it has begun."""
         if self._working is None:
-            self._working = ThreadPoolExecutor(1, "feed").submit(self._work, self)
+            self._working = ThreadPoolExecutor(1, "feed").submit(self.work, self)
         return self._working
 
     def stop(self) -> None:
         """Make it end; returns at once."""
         self.stopped.set()
-        self._stop()
+        self.halt()
 
     def join(self) -> Result:
         """Wait for the end, and return what the work returned. Raises what the work raised."""
@@ -159,6 +152,7 @@ def _followed(opened: Opened, stopped: Event) -> Iterator[Batch]:
             yield from opened.decoder.decode(events)
 
 
+@dataclass
 class ScreenOutput(NoOutput):
     """Adds decoded batches to the recording of a feed, and takes the rates ten times a second.
 
@@ -166,38 +160,31 @@ class ScreenOutput(NoOutput):
     than `most` bytes of memory.
     """
 
-    def __init__(
-        self,
-        feed: Feed[Any],
-        statistics: Statistics | None = None,
-        recorder: Recorder | None = None,
-        most: int = MOST_MEMORY,
-    ) -> None:
-        self._feed = feed
-        self._statistics = statistics
-        self._recorder = recorder
-        self._most = most
-        self._next = 0.0
+    feed: Feed[Any]
+    statistics: Statistics | None = None
+    recorder: Recorder | None = None
+    most: int = MOST_MEMORY
+    _next: float = 0.0
 
     def show(self, batch: Batch) -> None:
         """Add a batch."""
-        self._feed.recording.add(batch)
+        self.feed.recording.add(batch)
 
     def tick(self, now: int) -> None:
         """Take the rates at `now` (ns since the start), if it is time."""
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + DRAW_EVERY
-        feed = self._feed
-        feed.rates = self._statistics.rates(now) if self._statistics else None
-        gone, recorder = feed.recording.first, self._recorder
+        feed = self.feed
+        feed.rates = self.statistics.rates(now) if self.statistics else None
+        gone, recorder = feed.recording.first, self.recorder
         if isinstance(recorder, Spool):
             feed.keeps = not recorder.failure
             feed.recording.let_go_older(recorder.oldest)
         elif recorder:
             written = f"{recorder.path.name} {recorder.bytes:,} B"
             feed.captured = "" if recorder.failure else written
-        while feed.recording.nbytes > self._most and feed.recording.let_go_oldest():
+        while feed.recording.nbytes > self.most and feed.recording.let_go_oldest():
             pass
         if feed.recording.first > gone:
             feed.let_go = True

@@ -22,7 +22,7 @@ from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port, wait_readable
-from bilprov.analyzer.transport.server import Stop
+from bilprov.analyzer.transport.signals import Stopper
 
 LONGEST = 60_000_000_000  # ns that a byte may be held back
 
@@ -181,7 +181,7 @@ def join(
     ends: tuple[End, End],
     directions: tuple[ImpairedDirection, ImpairedDirection],
     *,
-    stop: Stop,
+    stop: Stopper,
     note: Callable[[str], None],
 ) -> None:
     """Forward bytes from the first end through the first lane to the second, and back by the other.
@@ -199,7 +199,7 @@ def join(
                 note(complaint)
 
 
-def _stopped(ways: Sequence[_Way], stop: Stop, now: int) -> bool:
+def _stopped(ways: Sequence[_Way], stop: Stopper, now: int) -> bool:
     """Wait until a way needs a turn; return True once `stop` is readable."""
     starts = [way.start for way in ways if way.lost is None]
     turns = [due for way in ways if (due := way.direction.deadline) is not None]

@@ -15,10 +15,12 @@ import select
 import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Openings, open_pty
+from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 
 _READ_LIMIT = 1 << 14  # bytes taken in one turn: some 20 ms of a simulator's time
@@ -162,13 +164,6 @@ class ByteDevice(Protocol):
         """Return the observable state of the device at `now`: a line of JSON without newline."""
 
 
-class Stop(Protocol):
-    """An object that ends `serve` when it becomes readable, such as a Stopper."""
-
-    def fileno(self) -> int:
-        """Return the descriptor that a selector waits for."""
-
-
 def serve(
     device: ByteDevice,
     *,
@@ -176,7 +171,7 @@ def serve(
     listen: str | None,
     probe_listen: str | None,
     announce: Callable[[str], None],
-    stop: Stop,
+    stop: Stopper,
     note: Callable[[str], None] = lambda _: None,
     clock: Callable[[], int] = time.monotonic_ns,
     reset: Callable[[int], None] | None = None,
@@ -195,7 +190,7 @@ def serve(
     if not pty and listen is None:
         raise ValueError("nothing to serve: ask for a pty or an address to listen on")
     with contextlib.ExitStack() as stack:
-        server = stack.enter_context(Server(device, clock, stop, reset))
+        server = stack.enter_context(Server(device, stop, clock, reset))
         lines, warnings = [], []
         if pty:
             pair = stack.enter_context(open_pty())
@@ -220,27 +215,25 @@ def serve(
             pass
 
 
+@dataclass(eq=False)
 class Server(Closing):
-    """State of the server: the device, the connections of hosts, and those of probe clients."""
+    """State of the server: the device, the connections of hosts, and those of probe clients.
 
-    def __init__(
-        self,
-        device: ByteDevice,
-        clock: Callable[[], int],
-        stop: Stop,
-        reset: Callable[[int], None] | None = None,
-    ) -> None:
-        self.device = device
-        self.reset = reset
-        self.openings: Openings | None = None  # of the pty
-        self.clock = clock
-        self.stop = stop
-        self.pty: Stream | None = None
-        self.client: Stream | None = None
-        self.active_host: Stream | None = None
-        self.last = clock()  # time of the last byte in either direction
-        self.probes: dict[Stream, bytes] = {}  # with the bytes that are not yet a whole request
-        self.listeners: dict[Listener, Callable[[Stream], None]] = {}  # and who takes what comes
+    `last` is the time (ns) of the last byte in either direction. `probes` are the clients with the
+    bytes that are not yet a whole request, `listeners` those with who takes what comes.
+    """
+
+    device: ByteDevice
+    stop: Stopper
+    clock: Callable[[], int]
+    reset: Callable[[int], None] | None = None
+    openings: Openings | None = None  # of the pty
+    pty: Stream | None = None
+    client: Stream | None = None
+    active_host: Stream | None = None
+    last: int = 0
+    probes: dict[Stream, bytes] = field(default_factory=dict)
+    listeners: dict[Listener, Callable[[Stream], None]] = field(default_factory=dict)
 
     def turn(self) -> bool:
         """Run one turn of the loop: wait for events and handle them; False once `stop` is set."""

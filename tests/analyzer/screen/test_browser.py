@@ -658,7 +658,7 @@ def test_an_error_of_the_feed_closes_the_screen_and_is_raised(protocol: Protocol
     def fail(feed: Feed[None]) -> None:
         raise OSError("gone")
 
-    screen.feed._work = fail
+    screen.feed.work = fail
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         pass
