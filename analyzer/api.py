@@ -17,9 +17,8 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.grammar_file import Grammar, given_protocol, load_protocol
 from bilprov.analyzer.replay.capture_decoding import (
     TEXT_BATCH,
-    capture_decoder,
     capture_protocol,
-    decoded,
+    opened_whole,
     said_of_other,
 )
 from bilprov.analyzer.taps.sources import Ports, opened_tap
@@ -108,8 +107,8 @@ def read_capture(path: str | Path, protocol: Grammar | None = None) -> Iterator[
     carried = capture_protocol([capture], load_protocol()) if protocol is None else None
     if carried and (other := said_of_other(capture, carried)):
         warnings.warn(other, stacklevel=2)
-    decoder = capture_decoder(capture, carried or given_protocol(protocol))
-    for batch in decoded(decoder, capture.batches(), largest=TEXT_BATCH):
+    opened = opened_whole(capture, carried or given_protocol(protocol))
+    for batch in opened.decoded(largest=TEXT_BATCH):
         yield from batch.records()
 
 

@@ -305,9 +305,9 @@ def _copied(
     """Write a whole capture anew."""
     from bilprov.analyzer.edit.cut import write_window
     from bilprov.analyzer.output.outputs import Window
-    from bilprov.analyzer.replay.capture_decoding import Opened, capture_decoder
+    from bilprov.analyzer.replay.capture_decoding import opened_whole
 
-    opened = Opened(capture, capture_decoder(capture, protocol))
+    opened = opened_whole(capture, protocol)
     # To write each frame takes long, however few bytes there are.
     shown = {"least": 0} if decoded else {}
     with _copying(options, [capture], metadata, protocol, **shown) as copy:

@@ -124,10 +124,10 @@ def _decoded(path: Path | None, options: DecodeOptions) -> tuple[Iterator[Batch]
     if kind == "JSON lines":
         protocol = protocol_in_use()
         return _of_lines(path, options.sender, protocol), 0, protocol
-    from bilprov.analyzer.replay.capture_decoding import capture_decoder, decoded
+    from bilprov.analyzer.replay.capture_decoding import opened_whole
 
     (capture,), protocol = opened_captures([path])
-    batches = decoded(capture_decoder(capture, protocol), capture.batches())
+    batches = opened_whole(capture, protocol).decoded()
     return batches, capture.start, protocol
 
 

@@ -34,26 +34,24 @@ from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import Anomaly, FaultRecord, HostRecord, Record, Severity
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Shown, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import (
     TEXT_BATCH,
-    Opened,
     capture_decoder,
     capture_line,
     capture_timeout,
-    decoded,
     heard,
     interruptible,
     opened_at,
+    opened_whole,
     paced,
     require_begun,
     said_about,
 )
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.reader import Capture, open_capture, open_quickly
+from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Look
 from bilprov.captures.text import quantity
 from bilprov.captures.topics import HOST_RAW
@@ -155,16 +153,12 @@ class _Replay:
             first = self.window.first or 0
             self.opened = opened_at(capture, self.protocol, first, self.timeout)
         else:
-            self.opened = Opened(capture, self.decoder(capture))
+            self.opened = opened_whole(capture, self.protocol, self.timeout)
         self.capture = self.opened.capture
         self.rows = options.shown.rows.style(self.protocol, self.style)
         test = compiled(options.shown.expression, self.protocol)
         self.test = test and test.started(self.capture.start)
         require_begun(self.capture, self.window.first)
-
-    def decoder(self, capture: Capture) -> StreamDecoder:
-        """A decoder of a capture from its beginning on."""
-        return capture_decoder(capture, self.protocol, self.timeout)
 
     def done(self) -> int:
         """Do what the options ask, and return the exit code."""
@@ -211,7 +205,7 @@ class _Replay:
 
     def frames(self) -> Iterator[bytes]:
         """The frames that the host sent in the window, those that are cut short among them."""
-        decoder = self.decoder(self.capture)
+        decoder = capture_decoder(self.capture, self.protocol, self.timeout)
         inside = ([event] for event in self.capture.events() if self.window.has(event.t))
         parts = chain.from_iterable(map(decoder.feed, inside))
         for record in _records(chain(parts, decoder.finish())):
@@ -248,10 +242,7 @@ class _Replay:
 
     def show(self, shown: Shown, stopper: Stopper) -> None:
         """Show what is decoded of the window, as fast as it goes."""
-        opened = self.opened
-        for batch in decoded(
-            opened.decoder, opened.batches(), window=self.window, largest=TEXT_BATCH
-        ):
+        for batch in self.opened.decoded(window=self.window, largest=TEXT_BATCH):
             if stopper.stopped or shown.full:
                 return
             shown.show(batch)

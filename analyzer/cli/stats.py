@@ -98,7 +98,7 @@ def plot(options: PlotOptions) -> None:
     """
     from bilprov.analyzer.output.capture_stats import file_stats
     from bilprov.analyzer.plot.page import plot_page
-    from bilprov.analyzer.replay.capture_decoding import capture_line, decoded_batches
+    from bilprov.analyzer.replay.capture_decoding import capture_line, opened_whole
     from bilprov.analyzer.totals.timeline import Timeline
     from bilprov.analyzer.totals.totals import Totals
     from bilprov.analyzer.version import kit_version
@@ -107,7 +107,7 @@ def plot(options: PlotOptions) -> None:
     (capture,), protocol = opened_captures([options.file], half_duplex=options.half_duplex)
     totals, timeline = Totals(protocol), Timeline(protocol)
     with reading([capture]) as progress:
-        for batch in decoded_batches(capture, protocol, progress):
+        for batch in opened_whole(capture, protocol).decoded(progress):
             totals.add(batch)
             timeline.add(batch)
     stats = file_stats(capture, totals, capture_line(capture, protocol))

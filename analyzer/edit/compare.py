@@ -49,7 +49,7 @@ from bilprov.analyzer.decode.records import (
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.capture_stats import grammar_json, spread_json
 from bilprov.analyzer.output.console import facts, heading, table
-from bilprov.analyzer.replay.capture_decoding import Progress, decoded_batches, heard
+from bilprov.analyzer.replay.capture_decoding import Progress, heard, opened_whole
 from bilprov.analyzer.totals.totals import Spread, Totals
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS
@@ -91,7 +91,7 @@ def _exchanges(
 ) -> Iterator[Exchange]:
     """Yield the exchanges of a capture in order, and add all to its totals."""
     pairs = _Pairs(paired=heard(capture) >= BOTH)
-    for batch in decoded_batches(capture, protocol, progress):
+    for batch in opened_whole(capture, protocol).decoded(progress):
         totals.add(batch)
         for record in batch.records():
             pairs.record(record)

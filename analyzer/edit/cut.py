@@ -43,7 +43,6 @@ from bilprov.analyzer.replay.capture_decoding import (
     Progress,
     capture_settings,
     capture_timeout,
-    decoded,
     heard,
 )
 from bilprov.analyzer.replay.recorder import (
@@ -486,7 +485,7 @@ def _selected_times(opened: Opened, window: Window, test: Filter, copy: Copy) ->
     """When what is selected came, each instruction with its answer."""
     settings = capture_settings(opened.capture, copy.protocol)
     found = _Exchanges(paired=settings["heard"] >= BOTH, skew=settings["skew"])
-    batches = decoded(opened.decoder, opened.batches(), copy.progress, window, TEXT_BATCH)
+    batches = opened.decoded(copy.progress, window, TEXT_BATCH)
     for batch in batches:
         chosen = batch.in_order(test.selection(batch) & batch.inside(window.first, window.after))
         for record, selected in zip(batch.records(), chosen.tolist(), strict=True):

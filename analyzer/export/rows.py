@@ -25,7 +25,7 @@ from bilprov.analyzer.output.row_columns import (
     converted,
     usual_columns,
 )
-from bilprov.analyzer.replay.capture_decoding import TEXT_BATCH, Progress, decoded_batches
+from bilprov.analyzer.replay.capture_decoding import TEXT_BATCH, Progress, opened_whole
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
 from bilprov.captures.text import escape_controls, printable
@@ -50,9 +50,8 @@ class Chosen(NamedTuple):
     def batches(self) -> Iterator[Batch]:
         """Yield the rows. Raises CaptureError if the capture cannot be read."""
         shown = Shown(NoOutput(), self.test, window=self.window)
-        batches = decoded_batches(
-            self.capture, self.protocol, self.progress, self.window, TEXT_BATCH
-        )
+        opened = opened_whole(self.capture, self.protocol)
+        batches = opened.decoded(self.progress, self.window, TEXT_BATCH)
         return map(shown.show, batches)
 
 

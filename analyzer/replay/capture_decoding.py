@@ -241,6 +241,23 @@ def _nanoseconds(capture: Capture, key: str) -> int | None:
     return round(value * MS)
 
 
+TEXT_BATCH = 1 << 14
+"""Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
+
+BATCH_BYTES = 1 << 18
+_BYTES_A_READ = 4  # as many reads as there would be of so many bytes come at once at most
+_FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
+
+WHOLE = Window()
+
+Progress = Callable[[int], object]
+"""Gets how many bytes of the line were read more; what it raises ends the work."""
+
+
+def unheard(size: int) -> None:
+    """Hear of a progress that nobody is to be shown."""
+
+
 class Opened(NamedTuple):
     """A capture, and a decoder that stands at its beginning or at a checkpoint.
 
@@ -265,6 +282,19 @@ class Opened(NamedTuple):
         """All that was recorded from there on and not decoded from the bytes."""
         return self.capture.recorded(self.after, look_class(protocol.state_type))
 
+    def decoded(
+        self, progress: Progress = unheard, window: Window = WHOLE, largest: int = BATCH_BYTES
+    ) -> Iterator[Batch]:
+        """Yield all that is decoded from there on, also outside the window; see `event_batches`."""
+        for batch in event_batches(self.batches(), progress, window, largest):
+            yield from self.decoder.decode(batch)
+        yield from self.decoder.finish()
+
+
+def opened_whole(capture: Capture, protocol: Protocol, timeout: int | None = None) -> Opened:
+    """Prepare to decode all of a capture; `timeout` is as in `capture_timeout`."""
+    return Opened(capture, capture_decoder(capture, protocol, timeout))
+
 
 def opened_at(
     capture: Capture, protocol: Protocol, start: int, timeout: int | None = None
@@ -286,7 +316,7 @@ def opened_at(
             f"{printable(capture.path)} has no checkpoints, so all of it is decoded up to --start, "
             "which is slow in a long capture"
         )
-    return Opened(capture, capture_decoder(capture, protocol, timeout), note)
+    return opened_whole(capture, protocol, timeout)._replace(note=note)
 
 
 def _from_checkpoint(
@@ -304,19 +334,6 @@ def _from_checkpoint(
     except ValueError:  # it was saved with other settings
         return None
     return Opened(capture, decoder, after=stored)
-
-
-TEXT_BATCH = 1 << 14
-"""Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
-
-BATCH_BYTES = 1 << 18
-_BYTES_A_READ = 4  # as many reads as there would be of so many bytes come at once at most
-_FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
-
-WHOLE = Window()
-
-Progress = Callable[[int], object]
-"""Gets how many bytes of the line were read more; what it raises ends the work."""
 
 
 def event_batches(
@@ -346,35 +363,10 @@ def event_batches(
             progress(len(batch.data))
 
 
-def decoded(
-    decoder: StreamDecoder,
-    events: Iterable[Events],
-    progress: Progress = lambda size: None,
-    window: Window = WHOLE,
-    largest: int = BATCH_BYTES,
-) -> Iterator[Batch]:
-    """Yield all that is decoded from these events, also outside the window."""
-    for batch in event_batches(events, progress, window, largest):
-        yield from decoder.decode(batch)
-    yield from decoder.finish()
-
-
-def decoded_batches(
-    capture: Capture,
-    protocol: Protocol,
-    progress: Progress,
-    window: Window = WHOLE,
-    largest: int = BATCH_BYTES,
-) -> Iterator[Batch]:
-    """Yield all that is decoded from a capture, as `decoded` does."""
-    decoder = capture_decoder(capture, protocol)
-    return decoded(decoder, capture.batches(), progress, window, largest)
-
-
 def capture_totals(
     capture: Capture,
     protocol: Protocol,
-    progress: Progress = lambda size: None,
+    progress: Progress = unheard,
     test: Filter | None = None,
 ) -> Totals:
     """Decode a capture as `replay` does, and count what passes the filter.
@@ -384,6 +376,6 @@ def capture_totals(
     from bilprov.analyzer.totals.totals import Totals
 
     totals = Totals(protocol)
-    for batch in decoded_batches(capture, protocol, progress):
+    for batch in opened_whole(capture, protocol).decoded(progress):
         totals.add(batch, None if test is None else test.selection(batch))
     return totals

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
-from bilprov.analyzer.replay.capture_decoding import WHOLE, Opened, event_batches
+from bilprov.analyzer.replay.capture_decoding import WHOLE, Opened, event_batches, unheard
 from bilprov.analyzer.replay.recorder import Recorder, Spool
 from bilprov.analyzer.screen.recording import Recording
 from bilprov.captures.reader import Capture, appended
@@ -127,7 +127,7 @@ def capture_feed(
     feed = Feed(Recording(protocol), read, stays=True, live=live)
     rows = (AllShown if count is None else Shown)(ScreenOutput(feed), test, count, window)
     length = max(1, opened.capture.contents.last - opened.capture.start)
-    parts = event_batches(opened.batches(), lambda size: None, window)
+    parts = event_batches(opened.batches(), unheard, window)
     for events in islice(parts, 1):
         take(events)  # here and now, so that the first page is there when the screen is
     return feed

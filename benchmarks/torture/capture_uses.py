@@ -44,8 +44,8 @@ from bilprov.analyzer.replay.capture_decoding import (
     capture_decoder,
     capture_line,
     capture_settings,
-    decoded_batches,
     opened_at,
+    opened_whole,
 )
 from bilprov.analyzer.totals.timeline import Timeline
 from bilprov.analyzer.totals.totals import Totals
@@ -163,7 +163,7 @@ def exported(path: Path) -> None:
         for chosen in (None, faulty):
             _export(capture, chosen)
         totals, timeline = Totals(protocol), Timeline(protocol)
-        for batch in decoded_batches(capture, protocol, _told):
+        for batch in opened_whole(capture, protocol).decoded(_told):
             totals.add(batch)
             timeline.add(batch)
     finally:

@@ -29,7 +29,7 @@ from bilprov.analyzer.replay.capture_decoding import (
     capture_decoder,
     capture_settings,
     capture_totals,
-    decoded_batches,
+    opened_whole,
 )
 from bilprov.analyzer.screen.feeds import capture_feed
 from bilprov.captures.reader import Capture, open_capture
@@ -68,7 +68,7 @@ def replayed(capture: Capture, protocol: Protocol) -> list[tuple[str, str, str]]
     """Time, arrow, and what begins with the bytes, of the text lines of `replay` for frames."""
     text: list[str] = []
     output = stream_output("lines", protocol, text.append)
-    for part in decoded_batches(capture, protocol, lambda size: None):
+    for part in opened_whole(capture, protocol).decoded():
         output.show(part)
     lines = re.findall(r"^ *(-?[\d.]+) ([→←]|->|<-) (.*)$", "".join(text), re.M)
     return [(t, "host" if arrow in ("→", "->") else "device", rest) for t, arrow, rest in lines]
