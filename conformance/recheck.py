@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from bilprov.analyzer.foreign import from_json
+from bilprov.analyzer.files import from_json
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.capture_decoding import capture_protocol
 from bilprov.analyzer.version import kit_version

@@ -84,7 +84,7 @@ def check(options: CheckOptions) -> int:
     What is lost is given in bytes and seconds. Exit code: 0 nothing is lost, 2 something is.
     """
     from bilprov.analyzer.cli.ports import Findings
-    from bilprov.analyzer.doctor.capture_file import of_capture
+    from bilprov.analyzer.doctor.finding import of_capture
 
     findings = Findings(as_json=options.style == "json")
     findings.begin(str(options.path))

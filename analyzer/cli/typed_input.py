@@ -14,8 +14,7 @@ from typing import Any
 import click
 import msgspec
 
-from bilprov.analyzer.files import read_bounded
-from bilprov.analyzer.foreign import from_json
+from bilprov.analyzer.files import from_json, read_bounded
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.captures.text import near, printable

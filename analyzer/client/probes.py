@@ -19,7 +19,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from bilprov.analyzer.foreign import from_json
+from bilprov.analyzer.files import from_json
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.server import parse_address
 from bilprov.captures.schemas import Look, look_class

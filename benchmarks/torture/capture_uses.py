@@ -21,7 +21,7 @@ from benchmarks.torture.capture_seeds import own_captures
 from benchmarks.torture.guard import folder, require
 from bilprov.analyzer.decode import stream
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.doctor.capture_file import of_capture
+from bilprov.analyzer.doctor.finding import of_capture
 from bilprov.analyzer.edit.compare import compared
 from bilprov.analyzer.edit.cut import (
     Copy,

@@ -19,8 +19,7 @@ from benchmarks.torture.capture_seeds import foreign_captures, loose_capture, ow
 from benchmarks.torture.capture_uses import examined, mended
 from benchmarks.torture.guard import folder, guarded, watched
 from benchmarks.torture.harm import Harm, Progress, Row
-from bilprov.analyzer.doctor.capture_file import of_capture
-from bilprov.analyzer.doctor.finding import Grade
+from bilprov.analyzer.doctor.finding import Grade, of_capture
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import msgspec
 
 from bilprov.analyzer.cli.settings import state_folder
-from bilprov.analyzer.files import read_bounded, write_whole
-from bilprov.analyzer.foreign import from_json
+from bilprov.analyzer.files import from_json, read_bounded, write_whole
 from bilprov.captures.text import escape_controls, quantity
 from bilprov.conformance.api import Options
 from bilprov.conformance.oracle.verdicts import Verdict

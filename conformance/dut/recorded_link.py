@@ -24,7 +24,7 @@ from bilprov.analyzer.client.operations import (
     Reply,
     Send,
 )
-from bilprov.analyzer.foreign import from_json
+from bilprov.analyzer.files import from_json
 from bilprov.captures import topics
 from bilprov.captures.reader import Message
 from bilprov.captures.schemas import Asked, Look

@@ -14,7 +14,7 @@ from typing import Annotated
 import msgspec
 
 from bilprov.analyzer.client.operations import Received
-from bilprov.analyzer.foreign import from_toml
+from bilprov.analyzer.files import from_toml
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.oracle.choices import Choices

@@ -9,8 +9,7 @@ from typing import Any
 
 import msgspec
 
-from bilprov.analyzer.files import read_bounded
-from bilprov.analyzer.foreign import from_json
+from bilprov.analyzer.files import from_json, read_bounded
 from bilprov.captures.text import escape_json
 from bilprov.conformance.oracle.verdicts import AXES, LABELS, NO_AXIS, CaseResult
 from bilprov.conformance.report.run_report import Report

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 
 from bilprov.analyzer.client.operations import Ended
-from bilprov.analyzer.foreign import safe
+from bilprov.analyzer.files import safe
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.coverage import covered

@@ -45,7 +45,7 @@ COMMANDS = {
     "replay": Row("analyzer.replay", "Look through a capture on a screen, or play it again."),
     "stats": Row("analyzer.stats", "Count frames, answers and faults in captures."),
     "plot": Row("analyzer.stats", "Draw a capture over time, as a page."),
-    "export": Row("analyzer.export", "Write the contents of a capture for other programs."),
+    "export": Row("analyzer.stats", "Write the contents of a capture for other programs."),
     "capture": Row(
         "",
         """Show, check, cut, join, repair and compare captures.

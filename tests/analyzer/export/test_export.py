@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 
-from bilprov.analyzer.cli.export import CHOICES, FORMATS
+from bilprov.analyzer.cli.stats import CHOICES, FORMATS
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.export.rows import Chosen, write_text
