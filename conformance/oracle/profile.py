@@ -27,6 +27,7 @@ _TIMES = {
     "watchdog_ms": "watchdog",
     "flushes_for_ms": "flushes_for",
 }
+_MEASURED = (*_TIMES.values(), "round_trip", "jitter", "boot")
 _FLAGS = {
     "truncated_frames_answered": "truncation_answered",
     "flushes": "flushes",
@@ -124,19 +125,13 @@ class Profile:
         """The profile as a report has it."""
         times = [latency / MS for latency in self.latencies]
         return Figures(
-            truncation_timeout_ms=_ms(self.truncation_timeout),
+            **{f"{name}_ms": _ms(getattr(self, name)) for name in _MEASURED},
             truncated_frames_answered=self.truncation_answered,
             latency_median_ms=round(statistics.median(times), 3) if times else None,
             latency_max_ms=round(max(times), 3) if times else None,
-            round_trip_ms=_ms(self.round_trip),
-            jitter_ms=_ms(self.jitter),
-            boot_ms=_ms(self.boot),
             flushes=self.flushes,
-            flushes_for_ms=_ms(self.flushes_for),
             whole_frame=self.whole_frame,
             led_id=self.choices.led_id,
-            stop_latency_ms=_ms(self.stop_latency),
-            watchdog_ms=_ms(self.watchdog),
             facets=tuple(sorted(self.facets)),
             preamble_speed=self.preamble_speed,
             all_but_two_answers_ms=_ms(self.all_but_two),

@@ -223,16 +223,11 @@ def _read(path: Path, name: str, *, missing_ok: bool) -> str:
     if missing_ok and not path.exists():
         return ""
     try:
-        text = read_bounded(path, _BYTES).decode("utf-8")
-    except UnicodeDecodeError as error:
+        return read_bounded(path, _BYTES).decode("utf-8-sig")
+    except FileNotFoundError as error:
         raise ExpectedError(
-            f"{name} is not UTF-8 text (byte {error.start}); it takes lines of {_FORM}"
+            f"{name} cannot be read ({error.strerror}); --update-expected makes a new one"
         ) from error
-    except OSError as error:
-        hint = f"it takes lines of {_FORM}"
-        if isinstance(error, FileNotFoundError):
-            hint = "--update-expected makes a new one"
-        raise ExpectedError(f"{name} cannot be read ({error.strerror}); {hint}") from error
-    if "\0" in text:
-        raise ExpectedError(f"{name} has zero bytes in it; it takes lines of {_FORM}")
-    return text.removeprefix("\ufeff")
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else f"byte {error.start} is not UTF-8"
+        raise ExpectedError(f"{name} cannot be read ({why}); it takes lines of {_FORM}") from error
