@@ -20,7 +20,7 @@ from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
-from tests.support.faults import is_outcome, then, when
+from tests.support.faults import is_outcome, made, then, when
 from tests.support.robots import BYTE_TIME, Timers
 
 WRONG = 0x55
@@ -94,3 +94,9 @@ def test_a_deviation_is_told_with_the_facets_that_are_seen(protocol: Protocol) -
 
     due = Output((1,), moving=False)
     assert asked.deviations == (Difference(word, due, due._replace(codes=(WRONG,))),)
+
+
+def test_a_setting_that_is_never_answered_is_the_devices_way(protocol: Protocol) -> None:
+    asked = system(protocol, Simulator(protocol, made(protocol, "silent", "instruction LED")))
+
+    assert asked.outputs(letters(protocol, "00")) == (Output((0,)),)

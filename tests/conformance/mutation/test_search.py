@@ -36,6 +36,12 @@ def test_what_shows_a_fault_is_short(protocol: Protocol) -> None:
     assert str(found).startswith("shows after ")
 
 
+def test_what_the_fault_hints_at_is_sent_often(protocol: Protocol) -> None:
+    needle = made(protocol, "twice", "id 9, length 2, first-byte 77, speed 200")
+
+    assert search(protocol, needle, 2000).shown
+
+
 def test_what_a_device_does_by_itself_shows(protocol: Protocol) -> None:
     late = search(protocol, made(protocol, "resumes-after 390", "faulty"))
 
