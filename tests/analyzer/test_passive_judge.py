@@ -143,34 +143,6 @@ def test_nothing_is_covered_by_nothing(protocol: Protocol) -> None:
     assert (findings.exit, findings.judged, findings.not_judged) == (0, 0, {})
 
 
-def test_each_thing_is_counted_once_and_by_its_class(protocol: Protocol) -> None:
-    drive = [
-        *(host(0, "11 50"), device(1, "00"), host(200, "20"), device(201, "00")),
-        *(host(400, "90"), device(401, "01")),  # unused ID while driving
-        *(host(600, "11 50"), device(601, "00"), host(800, "20"), device(801, "00")),
-        *(host(1000, "81 08"), device(1001, "02"), host(1200, "81 08"), device(1201, "02")),
-        *(host(1400, "12 00 00"), device(1401, "03"), host(1600, "10"), device(1601, "04")),
-        *(host(1800, "4f 01"), device(1880, "04")),  # cut short
-    ]
-    findings = judged(protocol, drive, end=2500)
-    met = {what: done for what, (done, _) in counts(findings).items() if done}
-
-    assert findings.violations == findings.not_judged == {}
-    assert (findings.instructions, findings.judged) == (10, 10)
-    assert met == {
-        "headers": 7,
-        "instructions": 2,
-        "valid frames": 2,
-        "data of Speed": 1,
-        "headers with an unused ID": 1,
-        "data out of range": 1,
-        "headers with a wrong length": 2,
-        "frames cut short": 1,
-        "response codes": 5,
-        "classes of fault x kinds of motion": 2,
-    }
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["", "no-stop-on-bad-data"])
 def test_a_run_and_its_recording_are_judged_alike(
@@ -390,27 +362,6 @@ def test_around_a_loss_nobody_is_accused(protocol: Protocol, event: str) -> None
     assert (findings.exit, findings.judged) == (0, 1)
     assert findings.not_judged["bytes were lost before the answer"] == 1
     assert sum(findings.not_judged.values()) >= 3
-
-
-@pytest.mark.parametrize("alike", [True, False])
-def test_answers_that_are_all_alike_do_not_show_which_instruction_they_answer(
-    protocol: Protocol, alike: bool
-) -> None:
-    frames = ["20"] * 200 + ["90", "20", "20"]
-    if not alike:
-        frames = ["20", "90"] * 100 + frames
-    answers = ["01" if frame == "90" else "00" for frame in frames]
-    events: list[Event] = []
-    for number, frame in enumerate(frames):
-        events.append(host(10 * number, frame))
-        if number == 0:
-            events.append(Line(1 * MS, "gap", "host"))
-        else:  # each answer comes after the next instruction
-            events.append(device(10 * number + 5, answers[number - 1]))
-    findings = judged(protocol, events)
-
-    assert findings.exit == 0
-    assert findings.not_judged["it is not clear which instruction was answered"] >= 2
 
 
 def test_a_banner_before_the_first_instruction_is_none(protocol: Protocol) -> None:

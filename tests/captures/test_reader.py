@@ -94,24 +94,6 @@ def chunk_offsets(data: bytes) -> list[int]:
     return offsets
 
 
-@pytest.mark.parametrize("lost", range(6))
-def test_a_lost_chunk_is_said_and_stands_as_a_gap(small: Path, tmp_path: Path, lost: int) -> None:
-    whole = bytearray(small.read_bytes())
-    whole[chunk_offsets(bytes(whole))[lost] + 60] ^= 0xFF
-    capture = open_capture(with_bytes(tmp_path / "lost.mcap", bytes(whole)))
-    assert [m.sequence for m in messages(capture)] == [
-        n for n in range(24) if n // FLUSH_EVERY != lost
-    ]
-    assert len(capture.damage) == 1
-    assert "damaged and left out" in capture.damage[0]
-    assert capture.start == START
-    assert not capture.unfinished
-    gaps = [event for event in capture if isinstance(event, Line) and event.event == "gap"]
-    if lost < 5:
-        after = (lost + 1) * FLUSH_EVERY
-        assert gaps == [Line(after, "gap", "", "4 messages are lost here, the file is damaged")]
-
-
 def without_record(data: bytes, opcode: int, number: int) -> bytes:
     """A capture without the record of this opcode that stands there at this place of all."""
     found, at = [], 8

@@ -254,24 +254,6 @@ def test_info_and_doctor_tell_of_the_parts(both: tuple[Path, Path], tmp_path: Pa
     assert b"part 3 (drive.00003.mcap) is missing" in replayed.stderr
 
 
-def test_parts_that_follow_each_other_are_joined_without_a_gap(
-    both: tuple[Path, Path], tmp_path: Path
-) -> None:
-    _, several = both
-    parts = list(part_paths(several / NAME).values())
-    whole = tmp_path / "whole.mcap"
-    done = commands.command("capture", "join", *map(str, reversed(parts)), "-o", str(whole))
-    assert done.returncode == 0, done.stderr
-    assert commands.command("capture", "diff", str(whole), str(several / NAME)).returncode == 0
-    chunks = [event for event in open_capture(several / NAME) if isinstance(event, Chunk)]
-    assert [event for event in open_capture(whole) if isinstance(event, Chunk)] == chunks
-    fewer = tmp_path / "fewer.mcap"
-    apart = [str(parts[0]), str(parts[2])]
-    assert commands.command("capture", "join", *apart, "-o", str(fewer)).returncode == 0
-    (gap,) = (event for event in open_capture(fewer) if not isinstance(event, Chunk))
-    assert (gap.event, gap.detail) == ("gap", "drive.00003.mcap begins here")
-
-
 @pytest.mark.parametrize(
     ("line", "words"),
     [

@@ -142,27 +142,6 @@ def test_each_format_has_the_records_of_a_session_one_by_one(
             assert bytes.fromhex(" ".join(mine)) == raw
 
 
-@pytest.mark.parametrize(
-    "more",
-    [
-        [],
-        ["--start", "0.5", "--end", "2"],
-        ["--filter", "direction == 'device'"],
-        ["--start", "1", "--filter", "faulty or agrees"],
-    ],
-    ids=" ".join,
-)
-def test_it_is_what_replay_prints(more: list[str]) -> None:
-    columns = ["--columns", "time,t,direction,rgb,latency,reason", "--time", "delta"]
-    for style, asked in (("jsonl", more), ("csv", [*more, *columns])):
-        shown = command("replay", str(SAMPLE), "--rate", "0", "--format", style, *asked).stdout
-        assert exported(SAMPLE, style, *asked) == shown
-        assert shown.count(b"\n") > 2
-    rows = len(csv_rows(exported(SAMPLE, "csv", *more)))
-    assert rows == len(parquet_rows(exported(SAMPLE, "parquet", *more)))
-    assert rows == exported(SAMPLE, "jsonl", *more).count(b"\n")
-
-
 def test_parquet_has_types_and_the_columns_that_are_asked_for(tmp_path: Path) -> None:
     path = written(tmp_path / "a.mcap", conversation(TALK))
     asked = "t,T_ns,time,name,bytes,latency,latency_ns,speed,state.moving,faults"

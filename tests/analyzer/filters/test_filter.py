@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.decode.records import HostRecord, Record
+from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
 from bilprov.analyzer.filters.filter import Filter, compile_filter
@@ -123,31 +123,6 @@ def test_an_answer_of_no_code_is_a_response_and_none_of_the_names(protocol: Prot
 
     assert passing(compile_filter("response != OK and response == 0x55", protocol), records)
     assert not passing(compile_filter("name == OK or name != OK", protocol), records)
-
-
-@pytest.mark.parametrize(
-    ("text", "rows"),
-    [
-        ("id == 9 and len == 15 and data == 01 and sequence == 0", [0]),
-        ("faulty and kind == truncated and faults contains truncated", [0]),
-        ("reason contains 'ID 9'", [0]),
-        ("judgement == BAD_HEADER", [0]),
-        ("id >= 0 or len >= 0 or data not contains 05 or sequence >= 0 or speed >= 0", [0]),
-        ("judgement >= 0 or name != Speed", [0]),
-        ("kind == garbage and faulty and faults == garbage and hex == 1e ff", [1]),
-        ("reason contains attached", [1]),
-        ("hex contains ff", [1]),
-    ],
-)
-def test_truncated_bytes_have_the_header_that_came_and_garbage_has_none(
-    protocol: Protocol, text: str, rows: list[int]
-) -> None:
-    (cut,) = hosts(decoded(Session(protocol), [Chunk(0, "host", b"\x9f\x01")]))
-    garbage = HostRecord(5, 6, 6, "garbage", b"\x1e\xff", None, None, cut.state, "attached late")
-
-    found = passing(compile_filter(text, protocol), [cut, garbage])
-
-    assert found == [[cut, garbage][row] for row in rows]
 
 
 def test_a_frame_that_is_cut_short_has_no_fields(protocol: Protocol) -> None:

@@ -21,10 +21,9 @@ from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import opened_at, said_about
 from bilprov.analyzer.replay.recorder import Recorder, Rotation, rotation_at, session_metadata
 from bilprov.captures import topics
-from bilprov.captures.parts import part_path, part_paths
+from bilprov.captures.parts import part_paths
 from bilprov.captures.reader import (
     Capture,
-    StoredCheckpoint,
     open_capture,
     open_indexed,
     open_quickly,
@@ -209,27 +208,6 @@ def test_what_the_oldest_parts_held_may_be_gone_and_is_said(
     )
     assert list(said_about(open_capture(parts[min(parts)]), protocol)) == []
     assert open_indexed(path)
-
-
-def test_a_part_that_is_missing_is_no_loss_behind_it(protocol: Protocol, tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    settings = {"timeout": None, "skew": 0, "heard": frozenset({"host"}), "attached": False}
-    events: list[Event] = [Chunk(n * 250 * MS, "host", b"\x11" + bytes([n])) for n in range(40)]
-    recorded(protocol, path, events, settings, Rotation(age=2 * SECOND))
-    part_path(path, 2).unlink()
-    capture = open_indexed(path)
-    assert capture
-
-    def gaps(after: StoredCheckpoint | None) -> int:
-        return sum(isinstance(e, Line) and "missing" in e.detail for e in capture.events(after))
-
-    first = open_capture(part_path(path, 3)).contents.first - START
-    behind = capture.checkpoint_before(first + 1500 * MS)
-    before = capture.checkpoint_before(first - MS)
-    assert behind
-    assert before
-    assert (before.volume, behind.volume) == (0, 1)
-    assert (gaps(None), gaps(before), gaps(behind)) == (1, 1, 0)
 
 
 @pytest.mark.waits

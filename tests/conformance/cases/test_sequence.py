@@ -27,10 +27,9 @@ from bilprov.conformance.cases.sweeps import soak
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge
 from bilprov.spec.motion import Motion, visible_motion
-from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
-from tests.support.grammars import undeclared
-from tests.vectors import BAD_DATA_FRAMES, HEADERS, READING_IDS, UNUSED_IDS
+from tests.vectors import BAD_DATA_FRAMES, READING_IDS
 
 SEEDS = (1, 2)
 MOVERS = {
@@ -496,23 +495,3 @@ def test_a_horn_is_swept_and_toured(horn: Protocol) -> None:
     wanted = {(a, b, m) for a, b, m in pairs_in_motion(kinds) if a != "Horn"}
     wanted |= {("Horn", kind, motion) for kind in kinds for motion in MOVING}
     assert wanted - met == set()
-
-
-def test_a_grammar_without_ranges_or_unused_ids_has_walks_all_the_same(grammar_text: str) -> None:
-    entries = "".join(
-        f'    {i}: "Spare{i}" / Instruction(document="Spare{i}") * "Does nothing.",\n'
-        for i in UNUSED_IDS
-    )
-    text = undeclared(grammar_text).replace("Ranged(Byte, 0, 7,", "Ranged(Byte, 0, 255,")
-    full = load(text.replace("}\n\nFRAME =", entries + "}\n\nFRAME ="))
-    assert full.unused_ids == ()
-
-    kinds = set()
-    for sequence in sequences_of(full, "smoke"):
-        for step in sequence.steps:
-            require_agreement(full, step)
-            kinds.add(kind_of(full, step))
-
-    assert kinds >= {"TOO_MANY_DATA", "TOO_FEW_DATA", *MOVERS}
-    assert not kinds & {"BAD_HEADER", "BAD_DATA"}
-    assert {row.name for row in HEADERS} <= kinds

@@ -370,27 +370,6 @@ def test_a_state_gets_the_verdict_of_the_choice_that_the_device_has_shown(
     assert bool(axis.reason) is (verdict is not PASS)
 
 
-@pytest.mark.parametrize(
-    ("motion", "left", "right", "verdict"),
-    [
-        ("rotate_left", -9, 9, FAIL),
-        ("rotate_left", 9, 9, PASS),  # the wheels tell more than the word
-        ("rotate_left", 0, 9, PASS),
-        ("forward", -9, 9, FAIL),
-        ("rotate_left", None, None, FAIL),
-        ("forward", None, None, PASS),
-    ],
-)
-def test_a_curve_is_told_from_a_rotation_by_the_wheels_where_they_are_seen(
-    protocol: Protocol, motion: str, left: int | None, right: int | None, verdict: Verdict
-) -> None:
-    turning = car_state(Motion.ROTATE_LEFT, speed=100)
-    curving = ExpectedState(turning, unknown=frozenset({"motion", "steering"}))
-    look = CarLook(0, True, motion, 100, None, 0, left, right)
-
-    assert judge_state(choosing(protocol, CURVE), curving, look).verdict is verdict
-
-
 def test_what_no_choice_would_show_contradicts_none(protocol: Protocol) -> None:
     model = choosing(protocol, {})
 

@@ -107,37 +107,6 @@ def test_every_point_about_the_state_is_held_here() -> None:
     assert set(STATE_POINTS) == {*CHANGES, "R-speed-moving", "R-steer-rotating"}
 
 
-@pytest.mark.parametrize("before", BEFORE, ids=str)
-def test_a_speed_that_waits_counts_from_the_next_motion_on(
-    protocol: Protocol, before: State
-) -> None:
-    model = model_of(protocol, ("R-speed-moving", "next-motion"))
-    set_ = model.after(ExpectedState(before), done(protocol, "Speed", 90))
-
-    if before.motion == Motion.STOPPED:
-        # Nothing moves: it takes effect at once, and no choice is shown.
-        assert set_ == ExpectedState(before.but(speed=90))
-        return
-    assert set_.pending_speed == 90
-    assert set_.rests_on == {"R-speed-moving"}
-    assert set_.state == before
-    # Whether a direction without speed counts as moving is left open too.
-    assert set_.unknown == ({"speed"} if not before.speed else set())
-    for name in ("LED", "Right"):
-        expected_state = model.after(set_, done(protocol, name, 3))
-        assert (expected_state.state.speed, expected_state.pending_speed) == (before.speed, 90)
-    for name in ("Stop", "fault"):
-        expected_state = model.after(set_, done(protocol, name))
-        assert (expected_state.state.speed, expected_state.pending_speed) == (before.speed, 90)
-    for name in MOTIONS:
-        expected_state = model.after(set_, done(protocol, name))
-        assert (
-            expected_state.state.speed,
-            expected_state.pending_speed,
-            expected_state.unknown,
-        ) == (90, None, frozenset())
-
-
 def test_a_later_speed_replaces_the_one_that_waits(protocol: Protocol) -> None:
     model = model_of(protocol, ("R-speed-moving", "next-motion"))
     waits = model.after(ExpectedState(DRIVING), done(protocol, "Speed", 90))

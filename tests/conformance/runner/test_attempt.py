@@ -18,7 +18,6 @@ from bilprov.conformance.runner.truncation_timeout import measure_timeout
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, MS, CountingLink, case_of
-from tests.support.walking import hand_made
 
 STEPS = 120  # operations of one attempt at a short case, at most
 
@@ -57,28 +56,6 @@ def test_an_attempt_returns_its_result_and_publishes_nothing(run: Run, protocol:
 
     assert (found.result.verdict, found.stopped) == (Verdict.PASS, None)
     assert run.results == []
-
-
-@pytest.mark.parametrize("sequence", [False, True])
-def test_an_attempt_that_is_interrupted_at_any_moment_is_no_pass(
-    protocol: Protocol, sequence: bool
-) -> None:
-    case = hand_made(protocol, "20", "10") if sequence else case_of(protocol, "unused-id/9/0")
-    whole = 0
-    for stop_at in range(STEPS):
-        run = Run(RunConfig(protocol, Timers(), ALL_SEEING), Profile(truncation_timeout=50 * MS))
-
-        found = tried(run, Simulator(protocol), case, stop_at)
-
-        if found.stopped is None:
-            whole += 1
-            assert found.result.verdict is Verdict.PASS
-            continue
-        assert isinstance(found.stopped, Ended)
-        assert found.result.id == case.id
-        assert found.result.verdict is Verdict.INCONCLUSIVE
-        assert found.result.reason == "interrupted"
-    assert 0 < whole < STEPS
 
 
 def test_what_comes_while_the_line_is_homed_counts_against_the_case(

@@ -82,27 +82,6 @@ def test_a_time_out_that_never_comes_is_no_pass_where_a_watchdog_stops_the_robot
     assert "hides the time-out" in result.axes["stop"].reason
 
 
-@pytest.mark.parametrize(
-    ("other", "word"),
-    [
-        ("R-answer-deadline=one-at-a-time", "whole-frame"),
-        ("R-truncated-known=silent", "whole-frame"),
-        ("R-truncated-long=too-many", "whole-frame"),
-        ("", "between-bytes"),
-    ],
-)
-def test_what_the_time_out_counts_over_is_told_however_the_device_answers(
-    protocol: Protocol, other: str, word: str
-) -> None:
-    whole = "R-truncation-timeout=whole-frame"
-    names = {f"{whole} and {other}", f"{other} and {whole}"}
-    both = {**pairs(protocol), "between": variants(protocol)["R-answer-deadline=60-ms"].fault}
-    (name,) = names & both.keys() or {"between"}
-    run, _ = measured(protocol, both[name])
-
-    assert run.profile.choices.word("R-truncation-timeout") == word
-
-
 SMOKE = Options(level="smoke")
 SENTENCE = (
     "the device never gives up a frame that was cut short: the document is silent on a time-out; "

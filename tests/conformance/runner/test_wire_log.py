@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
+from bilprov.analyzer.client.operations import Listen, Received, Send
 from bilprov.captures.schemas import Look
-from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform, run_suite
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
@@ -131,27 +130,6 @@ def test_a_read_that_is_too_long_is_cut_and_says_so() -> None:
 
     assert first == WireEvent(0, "received", " ".join(["00"] * WIDEST))
     assert second == WireEvent(0, "clipped", look=f"{5000 - WIDEST} bytes more are left out here")
-
-
-def test_answers_in_a_row_are_one_entry_in_a_case_that_passed_and_only_there() -> None:
-    log = WireLog()
-    log.begin("one")
-    went(log, b"\0\0", 5)
-    came(log, b"\0", 6)
-    came(log, b"\1", 7)
-    log.done(Observe(), Observation(8, 8, CarLook(8, moving=False)))
-    came(log, b"\2", 9)
-
-    passed = log.attached(a_case("one", Verdict.PASS)).log
-    failed = log.attached(a_case("one", Verdict.FAIL)).log
-
-    assert [(e.ns, e.kind, e.hex) for e in passed] == [
-        (0, "sent", "00 00"),
-        (1, "received", "00 01"),
-        (3, "look", ""),
-        (4, "received", "02"),
-    ]
-    assert len(failed) == 5
 
 
 def test_cases_that_begin_before_the_one_before_is_final_keep_their_own_logs() -> None:
