@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,13 @@ from bilprov.analyzer.cli.command import (
     option,
     protocol_in_use,
 )
-from bilprov.analyzer.cli.options import note_each, sender_option, text_format_option
+from bilprov.analyzer.cli.options import (
+    half_duplex_option,
+    note,
+    note_each,
+    sender_option,
+    text_format_option,
+)
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
 from bilprov.analyzer.cli.typed_input import file_or_bytes, recorded_chunks
 from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share
@@ -24,7 +30,7 @@ from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_proto
 from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.console import facts, heading, show_as
 from bilprov.captures.parts import kept_parts
-from bilprov.captures.schemas import Chunk, Direction
+from bilprov.captures.schemas import MS, Chunk, Direction
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -209,6 +215,7 @@ class CheckOptions:
     grammar: str = argument(metavar="NAME|FILE.py", type=GrammarName(readable=False))
     words: tuple[str, ...] = argument(metavar="FILE|HEX...", nargs=-1, required=True)
     sender: Direction = sender_option()
+    half_duplex: bool = half_duplex_option()
     style: str = text_format_option()
 
 
@@ -223,26 +230,45 @@ def check(options: CheckOptions) -> int:
     instruction that they nearly are. Exit code 0 if all bytes decode, else 1.
     """
     protocol = load_protocol(options.grammar)
-    share = decoded_share(protocol, _records(protocol, options.words, options.sender))
+    share = _share(protocol, options, half_duplex=options.half_duplex)
     if not share.sides:
         raise click.ClickException("there is no byte to decode: name a capture or bytes in hex")
     note_each([not_carried(protocol)])
+    if not share.whole and list(share.sides) == ["host"]:
+        split = _share(protocol, options, half_duplex=True)
+        if split.percent > share.percent:
+            most = _percent(split)
+            note(f"both directions are in these bytes: --half-duplex decodes {most} of them")
     show_as(options.style, lambda: _share_json(share), lambda: _drawn(protocol, share))
     return 0 if share.whole else 1
 
 
-def _records(protocol: Protocol, words: Sequence[str], sender: Direction) -> Iterator[Record]:
-    """The records of a file, or of bytes in hex. Raises UserError, or ClickException."""
-    source = file_or_bytes(words)
+def _share(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) -> DecodedShare:
+    """What decodes of a file, or of bytes in hex; with `half_duplex` they are of one wire."""
+    return decoded_share(protocol, _records(protocol, options, half_duplex=half_duplex))
+
+
+def _records(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) -> Iterator[Record]:
+    """The records of that. Raises UserError, or ClickException."""
+    source, sender = file_or_bytes(options.words), options.sender
     if isinstance(source, bytes):
         chunks = [Chunk(0, sender, source)]
     elif source.suffix == ".mcap" or kept_parts(source):
         from bilprov.analyzer.api import read_capture
+        from bilprov.captures.reader import open_capture
 
-        yield from read_capture(source, protocol)
-        return
+        if not half_duplex:
+            yield from read_capture(source, protocol)
+            return
+        chunks = [event for event in open_capture(source) if isinstance(event, Chunk)]
     else:
         chunks = recorded_chunks(source, sender)
+    if half_duplex:
+        from bilprov.analyzer.taps.half_duplex import HalfDuplex
+
+        wire = HalfDuplex(protocol, round(protocol.timing.truncation_timeout * MS))
+        known = [part for chunk in chunks for part in wire.feed(chunk.data, chunk.t)]
+        chunks = known + wire.rest()
     session = Session(protocol, heard=frozenset(chunk.direction for chunk in chunks))
     for chunk in chunks:
         yield from session.feed(chunk)

@@ -128,6 +128,18 @@ def test_it_is_counted_plotted_and_copied_with_the_directions_apart(tmp_path: Pa
     )
 
 
+def test_a_grammar_is_checked_against_what_one_tap_recorded(tmp_path: Path) -> None:
+    wire, _ = captures(tmp_path)
+    alone = command("spec", "check", "modbus-rtu", str(wire))
+    split = command("spec", "check", "modbus-rtu", str(wire), "--half-duplex")
+
+    assert (alone.returncode, split.returncode) == (1, 0)
+    assert alone.stderr.decode().strip().endswith(": --half-duplex decodes all of them")
+    assert b"device  1096 of 1096 bytes decode: 66 answers" in split.stdout
+    one = command("spec", "check", "modbus-rtu", "11 03 00 6b 00 03 76 88")
+    assert (one.returncode, one.stderr) == (1, b"")
+
+
 @pytest.mark.waits
 def test_the_library_listens_to_one_wire() -> None:
     chunks = list(events("sr_flowmeter_target_15liter_per_min"))[:2]
