@@ -108,23 +108,20 @@ def _of_itself(protocol: Protocol, held: Held, asked: Judgement) -> tuple[bool, 
         return True, []
     rests_on, severity, said = "", Severity.ERROR, ""
     if reply:
-        said = f"answers {reply.describe()}"
+        said = f"the device answers {reply.describe()}"
     elif held.byte not in protocol.codes:
         return False, [_unused_code(protocol, held.byte)]
     else:
         # Traffic without such an answer does not load the readings: they take milliseconds.
         from bilprov.spec.open_points import other_choices
 
-        said = f"says {protocol.codes[held.byte].name}"
+        said = f"the device says {protocol.codes[held.byte].name}"
         choices = {choice.code: choice.reading for choice in other_choices(protocol, asked)}
         reading = choices.get(held.byte) or asked.reading
         rests_on = f" ({reading})" if reading else ""
         severity = Severity.WARNING if held.byte in choices else severity
     because = f": {asked.reason}" if asked.reason else ", it is valid"
-    reason = (
-        f"the device {said} to {asked.describe()}, expected is "
-        f"{asked.response.name}{because}{rests_on}"
-    )
+    reason = f"{said} to {asked.describe()}, expected is {asked.response.name}{because}{rests_on}"
     return False, [Cause("disagreeing", severity, reason)]
 
 
