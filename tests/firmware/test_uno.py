@@ -161,26 +161,6 @@ def test_a_header_without_its_data_stops_it_when_its_time_is_over(bench: Bench) 
     assert bench.look().moving is False
 
 
-def test_a_damaged_byte_stops_it_and_what_comes_is_no_frame_until_a_pause(bench: Bench) -> None:
-    bench.home()
-    bench.send(b"\x11\x20")
-    bench.send(b"\x20")
-    assert bench.send(b"\x41", wait=MS) == b""
-    assert bench.look().moving
-
-    bench.board.spoil(0x99, bench.board.deadline())
-    bench.send(b"", wait=MS)
-
-    assert bench.look().moving is False
-    # It may be data, or Forward: nobody can tell.
-    assert bench.send(b"\x20\x20", wait=45 * MS, answers=None) == b""
-    assert bench.send(b"\x20", wait=48 * MS) == b""
-    assert bench.send(b"", wait=5 * MS, answers=None) == b"\x04"
-    assert bench.look().moving is False
-    assert bench.send(b"\x20") == b"\x00"
-    assert (bench.look().moving, bench.look().left) == (True, 0x20)
-
-
 def test_a_damaged_byte_between_two_frames_stops_it_and_is_not_answered(bench: Bench) -> None:
     bench.home()
     bench.send(b"\x11\x20")

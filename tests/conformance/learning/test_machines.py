@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable
 
 import pytest
 
@@ -18,15 +17,11 @@ from bilprov.conformance.learning.reference import (
     name_of,
     output_of,
     reference_machine,
-    reset,
 )
 from bilprov.conformance.machines.wp_method import Mealy, minimal, state_cover
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.spec.protocol import Protocol
-from tests.vectors import RobotState
-
-Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 
 OK, NO = Output((0,)), Output((1,))
 
@@ -105,23 +100,6 @@ def test_every_kind_of_fault_and_every_instruction_is_an_input(each_protocol: Pr
     assert {step.kind for step in steps} >= {"valid", "unused-id", "wrong-length", "truncated"}
     names = [name_of(each_protocol, step) for step in steps]
     assert len(set(names)) == len(names) == len({step.frame for step in steps})
-
-
-def test_the_machine_of_the_protocol_does_what_a_robot_of_two_rules_does(
-    each_protocol: Protocol, drive: Drive
-) -> None:
-    steps, due = alphabet(each_protocol), reference(each_protocol)
-    setup = reset(each_protocol)
-    draw = random.Random("two rules")
-
-    for _ in range(60):
-        word = bytes(draw.choices(due.inputs, k=10))
-        driven = drive(each_protocol, [*setup, *(steps[letter].frame for letter in word)])
-        for output, (code, state) in zip(due.run(word), driven[len(setup) :], strict=True):
-            assert output.codes == (code,)
-            assert output.moving is state.moving
-            assert output.lights in (None, (("led", state.led),))
-            assert output.motion == (state.motion if state.moving else "stopped")
 
 
 class Knowing:

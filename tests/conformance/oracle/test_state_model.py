@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
 from bilprov.conformance.cases.steps import step_of
@@ -16,15 +14,12 @@ from bilprov.conformance.oracle.state_model import (
 )
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.readings import POINTS, READINGS, STATE_POINTS
-from bilprov.spec.state import State
+from bilprov.spec.readings import POINTS, STATE_POINTS
 from tests.support.car import car_state
 from tests.vectors import SEQUENCES, RobotState, Sequence
 
 DRIVING = car_state(Motion.FORWARD, speed=200, steering=40, led=5)
 TURNING = DRIVING.but(motion=Motion.ROTATE_LEFT)
-RESTED = car_state(Motion.STOPPED, speed=200, steering=40, led=5)
-STANDING = car_state(Motion.BACKWARD, speed=0, steering=40, led=5)
 
 
 def done(protocol: Protocol, name: str, *values: int) -> FrameEffect:
@@ -83,10 +78,6 @@ def test_a_choice_that_is_the_default_changes_nothing(protocol: Protocol) -> Non
 
 # -- each other choice ----------------------------------------------------------------------------
 
-ACTS = (
-    *(("fault",), ("Stop",), ("Forward",), ("Backward",), ("RotateRight",), ("RotateLeft",)),
-    *(("Speed", 90), ("Right", 30), ("Left", 30), ("LED", 2)),
-)
 MOTIONS = {"Forward", "Backward", "RotateRight", "RotateLeft"}
 
 # For each point: what is done, from where, for the choice to show; what the state then differs in.
@@ -100,7 +91,6 @@ CHANGES: dict[str, tuple[set[str], dict[str, int]]] = {
     "R-drive-steering": ({"Forward", "Backward"}, {"steering": 0}),
     "R-rotate-steering": ({"RotateRight", "RotateLeft"}, {"steering": 0}),
 }
-BEFORE = (DRIVING, TURNING, RESTED, STANDING)
 
 
 def test_every_point_about_the_state_is_held_here() -> None:
@@ -130,23 +120,6 @@ def test_a_stop_that_zeroes_the_speed_zeroes_the_one_that_waits(
 
     assert (stopped.state.speed, stopped.pending_speed) == (0, None)
     assert model.after(stopped, done(protocol, "Forward")).state.speed == 0
-
-
-@pytest.mark.parametrize("before", BEFORE, ids=str)
-def test_steering_that_makes_a_curve_of_a_rotation_leaves_the_motion_open(
-    protocol: Protocol, before: State
-) -> None:
-    model = model_of(protocol, ("R-steer-rotating", "curve"))
-
-    for name, *values in ACTS:
-        frame_effect = done(protocol, str(name), *map(int, values))
-        expected_state, default = (
-            m.after(ExpectedState(before), frame_effect) for m in (model, model_of(protocol))
-        )
-        curves = name in ("Right", "Left") and before is TURNING
-        assert expected_state.state == default.state
-        assert expected_state.unknown == ({"motion"} if curves else set())
-        assert expected_state.rests_on == ({"R-steer-rotating"} if curves else set())
 
 
 def test_the_motion_is_known_again_after_the_next_one(protocol: Protocol) -> None:
@@ -188,31 +161,6 @@ def test_after_homing_a_direction_is_known_and_the_settings_are_not(protocol: Pr
 
 
 # -- choices --------------------------------------------------------------------------------------
-
-
-def points() -> Iterator[tuple[str, str]]:
-    for point in POINTS.values():
-        for choice in point.choices:
-            yield point.id, choice.word
-
-
-@pytest.mark.parametrize(("point", "word"), list(points()))
-def test_a_device_keeps_to_the_choice_that_it_has_shown(point: str, word: str) -> None:
-    choices = Choices()
-    other = next(c.word for c in POINTS[point].choices if c.word != word)
-
-    assert choices.record(point, word, "reading/first") == ""
-    assert choices.record(point, word, "reading/second") == ""
-    why = choices.record(point, other, "reading/third")
-
-    assert choices.word(point) == word
-    assert choices.differs(point) is (word != POINTS[point].default)
-    reading = next(r for r in READINGS if r.id == POINTS[point].reading)
-    others = " ".join(verdict for _, verdict in reading.others).replace(";", "").split()
-    default = word == POINTS[point].default
-    assert choices.verdict(point).label in (["pass"] if default else set(others) - {"fail"})
-    assert "reading/first" in why
-    assert POINTS[point].reading in why
 
 
 def test_trying_another_choice_leaves_the_devices_own_as_they_are() -> None:
