@@ -65,8 +65,8 @@ sender_option = partial(
 )
 request_option = partial(
     option,
-    metavar="HEX",
-    help="What --from device answers: one request or several, in hex.",
+    metavar="REQUEST",
+    help="What --from device answers: an instruction with its fields, or requests in hex.",
 )
 text_format_option = partial(
     option,

@@ -75,7 +75,10 @@ def requests_typed(protocol: Protocol, text: str | None, sender: str) -> tuple[J
         raise ValueError("--request is what an answer is to: give --from device too")
     from bilprov.spec.explain import requests_of
 
-    return requests_of(protocol, bytes_from_hex(text))
+    name, *words = text.split() or [""]
+    named = name.lower() in (spec.name.lower() for spec in protocol.instructions)
+    asked = encoded(protocol, name, words) if named else bytes_from_hex(text)
+    return requests_of(protocol, asked)
 
 
 def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:

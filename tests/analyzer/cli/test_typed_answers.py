@@ -96,6 +96,8 @@ def test_an_answer_is_explained_by_its_request() -> None:
     known = json.loads(command(*words, *asked, "--format", "json").stdout)["responses"][0]
     assert (alone["name"], alone["fields"]) == ("OVERLOAD", {})
     assert known["fields"] == {"values": "1805", "present_position": 1304}
+    named = command(*words, "--request", "read present_position address=1", "--format", "json")
+    assert json.loads(named.stdout)["responses"][0] == known
     meanings = {row["name"]: row["meaning"] for row in alone["bits"]}
     assert meanings["data"] == "its request is needed to read it"
     drawn = command(*words, *asked).stdout.decode()
