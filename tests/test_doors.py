@@ -350,7 +350,6 @@ def test_what_the_machine_says_of_its_ports_is_safe(text: str) -> None:
         require_safe([usb.identity, usb.serial, usb.title] if usb else [])
         require_safe([machine.latency_timer(port), machine.lock_file(port)])
         machine.held(port)
-        machine.is_console(port)
         machine.properties(port)
         os.fspath(machine.by_id(port))
 
