@@ -77,9 +77,9 @@ def show_as(
         show(*parts())
 
 
-def heading(text: str) -> Text:
-    """A bold title for a table or a block."""
-    return _safe(text, "bold")
+def heading(text: str, words: str = "", style: str = "not bold") -> Text:
+    """A bold title for a table or a block, and the words behind it in their style."""
+    return _safe(text, "bold").append(f"  {words}" if words else "", style)
 
 
 def _safe(text: str, style: str = "") -> Text:

@@ -32,9 +32,8 @@ def drawn(explanation: Explanation) -> Iterator[RenderableType]:
 
 def _frame(frame: FrameExplanation) -> Iterator[RenderableType]:
     judgement = frame.judgement
-    title = heading(spaced(judgement.frame))
-    title.append(f"  {judgement.describe()}", style="" if judgement.valid else "red")
-    yield title
+    style = "" if judgement.valid else "red"
+    yield heading(spaced(judgement.frame), judgement.describe(), style)
     yield _bits(frame.groups, judgement.frame)
     yield Text()
     yield facts(_frame_facts(frame))
@@ -69,9 +68,7 @@ def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
 
 def _response(response: ResponseExplanation) -> Iterator[RenderableType]:
     known = response.response
-    title = heading(spaced(response.frame))
-    title.append(f"  {response.words}", style="" if known else "red")
-    yield title
+    yield heading(spaced(response.frame), response.words, "" if known else "red")
     yield _bits(response.groups, response.frame)
     yield Text()
     document = f' ("{known.document}")' if known and known.document else ""

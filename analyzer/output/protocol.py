@@ -310,9 +310,7 @@ def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[Renderabl
     for index, reading in enumerate(readings):
         if index:
             yield Text()
-        title = heading(reading.id)
-        title.append(f"  {reading.point}", style="not bold")
-        yield title
+        yield heading(reading.id, reading.point)
         yield facts(
             [
                 ("clause", reading.clause),
@@ -365,9 +363,7 @@ def drawn_errata(protocol: Protocol, findings: Sequence[Finding]) -> Iterator[Re
     rest = [erratum for erratum in ERRATA if erratum not in found]
     yield from _titled("Not found by running the examples")
     for erratum in rest:
-        title = heading(erratum.id)
-        title.append(f"  {erratum.clause}; it takes {erratum.shows} to see it", style="not bold")
-        yield title
+        yield heading(erratum.id, f"{erratum.clause}; it takes {erratum.shows} to see it")
         yield facts([("document", f'"{erratum.quote}"'), ("correction", erratum.correction)])
 
 
