@@ -59,10 +59,10 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
             found = tables.cut(part, 0)
             known = Known(state, None)
             states = {
-                name: tables.states.column(name, part, found.requests, known)
+                name: tables.states.column(name, part, found.whole, known)
                 for name in CAR_STATE.variables
             }
-            columns.append(Columns(found.requests.verdict, states))
+            columns.append(Columns(found.whole.verdict, states))
             state = state.of_codes([int(column[-1]) for column in states.values()])
             at += found.end or len(data)
         return columns

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.state import Effect, FromField, FromOld, State, Step, ways_on
+from bilprov.spec.state import Changed, Effect, From, State, Step, ways_on
 
 
 @lru_cache(maxsize=1 << 12)
@@ -30,9 +30,9 @@ def _fitted_values(spec: InstructionSpec, state: State) -> dict[str, int]:
     values = {part.name: part.low for part in spec.fields}
     limits = {part.name: (part.low, part.high) for part in spec.fields}
     for variable, source in spec.effect.assignments:
-        if isinstance(source, FromField):
-            field, factor, _ = source
-            values[field] = _nearest(getattr(state, variable), factor, *limits[field])
+        if isinstance(source, From):
+            wanted = getattr(state, variable)
+            values[source.field] = _nearest(wanted, source.factor, *limits[source.field])
     return values
 
 
@@ -273,17 +273,14 @@ def effect_words(protocol: Protocol, frames: Iterable[bytes] | None = None) -> s
             return ""
         every = all_movement(protocol) if frames is None else movement_of(protocol, frames)
         return movement_words(protocol, every)
+    judged = [judge(protocol, frame) for frame in dict.fromkeys(frames or ())]
+    sent: list[tuple[InstructionSpec, dict[str, Any] | None]]
+    sent = [(one.instruction, dict(one.fields)) for one in judged if one.valid and one.instruction]
+    unknown = len(sent) < len(judged)
     if frames is None:
-        specs = list(protocol.instructions)
-        unknown = False
-        effects: list[tuple[Effect, dict[str, Any] | None]] = [(s.effect, None) for s in specs]
-    else:
-        judged = [judge(protocol, frame) for frame in dict.fromkeys(frames)]
-        valid = [one for one in judged if one.valid and one.instruction]
-        specs = [one.instruction for one in valid if one.instruction]
-        effects = [(s.effect, dict(o.fields)) for s, o in zip(specs, valid, strict=True)]
-        unknown = len(valid) < len(judged)
-    words = [*_set_words(protocol, effects), *_other_words(specs)]
+        sent = [(spec, None) for spec in protocol.instructions]
+    effects = ((spec.effect, fields) for spec, fields in sent)
+    words = [*_set_words(protocol, effects), *_other_words(spec for spec, _ in sent)]
     told = [f"it may {', '.join(words)}"] if words else []
     if unknown:
         told.append("what the faulty instructions change is not known")
@@ -298,11 +295,11 @@ def _set_words(
     for effect, fields in effects:
         for name, value in effect.assignments:
             ends = found.setdefault(name, [])
-            if isinstance(value, FromField) and fields is None:
+            if isinstance(value, From) and fields is None:
                 ends += [word for word, _ in value.words] or protocol.limits[name]
-            elif isinstance(value, FromField):
+            elif isinstance(value, From):
                 ends.append(value.value(fields[value.field]) if fields else 0)
-            elif isinstance(value, FromOld) or value is None:
+            elif isinstance(value, Changed) or value is None:
                 spec = protocol.variables[name]
                 ends += spec.words or (spec.low, spec.high)
             else:

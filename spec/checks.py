@@ -6,9 +6,10 @@ Each is a callable from the covered bytes to the value, as construct's `Checksum
 from __future__ import annotations
 
 import operator
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import accumulate
 from typing import Any, ClassVar, TypeAlias
 
@@ -64,10 +65,7 @@ class Xor:
 
     def __call__(self, data: bytes) -> int:
         """The exclusive or of the bytes."""
-        value = self.start
-        for byte in data:
-            value ^= byte
-        return value
+        return reduce(operator.xor, data, self.start)
 
 
 @dataclass(frozen=True)
@@ -125,15 +123,7 @@ class Crc:
 
     def __call__(self, data: bytes) -> int:
         """The check of the bytes."""
-        table, value = self.table, self.first
-        if self.reflected:
-            for byte in data:
-                value = value >> 8 ^ table[(value ^ byte) & 0xFF]
-        else:
-            most, top = (1 << self.width) - 1, self.width - 8
-            for byte in data:
-                value = value << 8 & most ^ table[value >> top ^ byte]
-        return value ^ self.xorout
+        return deque(self.running(data), 1).pop()
 
     def _step(self, byte: int) -> int:
         if self.reflected:

@@ -336,8 +336,15 @@ def _bytes(count: int) -> str:
     return "no data byte" if not count else "1 data byte" if count == 1 else f"{count} data bytes"
 
 
+def _group(
+    raw: bytes, at: int, name: str, value: int, meaning: str, fault: bool = False
+) -> BitGroup:
+    """The group of whole bytes, of which byte `at` of the frame is the first."""
+    return BitGroup(at, len(raw), 8 * len(raw) - 1, 0, _bits(raw), name, value, meaning, fault)
+
+
 def _byte_group(frame: bytes, at: int, name: str, meaning: str, fault: bool = False) -> BitGroup:
-    return BitGroup(at, 1, 7, 0, f"{frame[at]:08b}", name, frame[at], meaning, fault)
+    return _group(frame[at : at + 1], at, name, frame[at], meaning, fault)
 
 
 def _bits(raw: bytes) -> str:
@@ -448,14 +455,12 @@ def _elements(
 ) -> Iterator[BitGroup]:
     if many.prefix:
         raw = frame[at : at + many.prefix.size]
-        value, name = many.prefix.parse(raw), f"{spec.name} count"
-        yield BitGroup(at, len(raw), 8 * len(raw) - 1, 0, _bits(raw), name, value, many.how)
+        yield _group(raw, at, f"{spec.name} count", many.prefix.parse(raw), many.how)
         at += len(raw)
-    width, meaning = many.width, spec.prose
     for number, value in enumerate(values):
-        bits, name = _bits(frame[at : at + width]), f"{spec.name}[{number}]"
-        yield BitGroup(at, width, 8 * width - 1, 0, bits, name, value, meaning)
-        at += width
+        raw = frame[at : at + many.width]
+        yield _group(raw, at, f"{spec.name}[{number}]", value, spec.prose)
+        at += many.width
 
 
 def _named_bits(spec: FieldSpec, at: int, frame: bytes, value: int) -> Iterator[BitGroup]:
@@ -484,9 +489,7 @@ def _whole_group(judgement: Judgement | Reply, at: int, spec: FieldSpec, value: 
         meaning = "; ".join(filter(None, (meaning, f"allowed are {spec.allowed}")))
     elif not judgement.framed:
         meaning = ", ".join(filter(None, (meaning, spec.allowed)))
-    return BitGroup(
-        at, spec.size, 8 * spec.size - 1, 0, _bits(raw), spec.name, value, meaning, fault
-    )
+    return _group(raw, at, spec.name, value, meaning, fault)
 
 
 @dataclass(frozen=True, slots=True)

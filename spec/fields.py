@@ -40,6 +40,7 @@ from bilprov.spec.state import (
     AnyOf,
     Bits,
     Changed,
+    From,
     Unknown,
     Variables,
     Whole,
@@ -145,21 +146,6 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
 
     def _validate(self, obj: Any, context: Any, path: str) -> bool:
         return bool(self.low <= obj <= self.high)
-
-
-@dataclass(frozen=True, slots=True)
-class From:
-    """The value of a data field, times `factor`, as the new value of a state variable.
-
-    A Word is set to the name of the value, from an Enum whose names are words of it.
-    """
-
-    field: str
-    factor: int = 1
-
-    def __post_init__(self) -> None:
-        require_name("the field of a From", self.field)
-        require_whole("the factor of a From", self.factor)
 
 
 class Reports(Subconstruct):  # type: ignore[misc]  # construct ships no types

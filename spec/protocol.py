@@ -42,7 +42,6 @@ from bilprov.spec.fields import (
     OF_HEADERS,
     Answers,
     Clauses,
-    From,
     Instruction,
     LineDefaults,
     Memory,
@@ -56,8 +55,7 @@ from bilprov.spec.state import (
     Changed,
     Condition,
     Effect,
-    FromField,
-    FromOld,
+    From,
     Request,
     Source,
     State,
@@ -352,10 +350,10 @@ class Protocol:
         for spec in self.instructions:
             ranges = {f.name: (f.low, f.high) for f in spec.fields}
             for variable, value in spec.effect.assignments:
-                if isinstance(value, FromField) and not value.words:
+                if isinstance(value, From) and not value.words:
                     ends = [end * value.factor for end in ranges[value.field]]
                     found.setdefault(variable, []).extend(ends)
-                elif isinstance(value, FromOld):
+                elif isinstance(value, Changed):
                     found.setdefault(variable, []).extend((value.low, value.high))
                 elif value and isinstance(value, int):
                     found.setdefault(variable, []).append(value)
@@ -481,7 +479,7 @@ def _towards(setter: InstructionSpec, wanted: Mapping[str, int | str]) -> Step[R
     parts = {part.name: part for part in setter.fields if part.constant is None}
     fields: dict[str, Any] = {name: b"" if p.many else p.low for name, p in parts.items()}
     for variable, source in setter.effect.assignments:
-        if variable in wanted and isinstance(source, FromField):
+        if variable in wanted and isinstance(source, From):
             number = source.number(wanted[variable])
             if number is not None and parts[source.field].in_range(number):
                 fields[source.field] = number
@@ -770,7 +768,7 @@ def _variables(
     A grammar that does not declare its state sets the car's, to any numbers.
     """
     declared = space["STATE"]
-    found = (grammar.STATE if declared is None else _take(space, "STATE", Variables)).specs
+    found = dict((grammar.STATE if declared is None else _take(space, "STATE", Variables)).specs)
     every = {**{f"{spec.name}.effect": effects[spec.id] for spec in specs}, **others}
     for where, sets in every.items():
         for name, value in sets.values.items():
@@ -1158,7 +1156,7 @@ def _effect(
         elif isinstance(value, Changed):
             if spec.words:
                 raise GrammarError(f"{where} sets {name} to a number, allowed is {spec.allowed}")
-            source = FromOld(value.factor, value.plus, spec.low, spec.high)
+            source = replace(value, low=spec.low, high=spec.high)
         elif isinstance(value, Unknown):
             source = None
         else:
@@ -1168,7 +1166,7 @@ def _effect(
     return Effect(tuple(assignments))
 
 
-def _from(value: From, spec: VariableSpec, where: str, of: InstructionSpec | None) -> FromField:
+def _from(value: From, spec: VariableSpec, where: str, of: InstructionSpec | None) -> From:
     """The field of an instruction that a variable is set from."""
     part = next((part for part in (of.fields if of else ()) if part.name == value.field), None)
     if of is None or part is None:
@@ -1180,7 +1178,7 @@ def _from(value: From, spec: VariableSpec, where: str, of: InstructionSpec | Non
                 f"{', '.join(word for word, _ in part.names) or 'a number'}, allowed are the names "
                 f"of an Enum that are words of {spec.name}: {spec.allowed}"
             )
-        return FromField(value.field, value.factor, part.names)
+        return replace(value, words=part.names)
     if part.many or part.constant is not None:
         raise GrammarError(
             f"{where} sets {spec.name} from the field {value.field}, allowed is a field of one "
@@ -1191,4 +1189,4 @@ def _from(value: From, spec: VariableSpec, where: str, of: InstructionSpec | Non
         raise GrammarError(
             f"{where} sets {spec.name} to {low} to {high}, allowed is {spec.allowed}"
         )
-    return FromField(value.field, value.factor)
+    return replace(value, words=())

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeAlias, TypeVar
 
 import msgspec
 
@@ -78,73 +78,50 @@ class VariableSpec:
             )
 
 
-class Word:
+def Word(*words: str) -> VariableSpec:
     """A variable that is one of some words; at first it is the first one."""
-
-    def __init__(self, *words: str) -> None:
-        for word in words:
-            require_name("a word of a variable", word)
-        if not 1 <= len(set(words)) == len(words) <= _MOST:
-            raise WrongValue(
-                f"the words of a variable are {shown(words)}, allowed are 1 to {_MOST} words, each "
-                "once"
-            )
-        self.words = tuple(map(str, words))
-
-    def spec(self, name: str) -> VariableSpec:
-        """The variable of this name."""
-        return VariableSpec(name, "word", 0, len(self.words) - 1, words=self.words)
+    for word in words:
+        require_name("a word of a variable", word)
+    if not 1 <= len(set(words)) == len(words) <= _MOST:
+        raise WrongValue(
+            f"the words of a variable are {shown(words)}, allowed are 1 to {_MOST} words, each once"
+        )
+    return VariableSpec("", "word", 0, len(words) - 1, words=tuple(map(str, words)))
 
 
-class Whole:
+def Whole(low: int, high: int) -> VariableSpec:
     """A variable that is a whole number in `low`..`high`."""
-
-    def __init__(self, low: int, high: int) -> None:
-        require_whole("the lowest value of a variable", low)
-        require_whole("the highest value of a variable", high, low)
-        self.low, self.high = low, high
-
-    def spec(self, name: str) -> VariableSpec:
-        """The variable of this name."""
-        return VariableSpec(name, "whole", self.low, self.high)
+    require_whole("the lowest value of a variable", low)
+    require_whole("the highest value of a variable", high, low)
+    return VariableSpec("", "whole", low, high)
 
 
-class Bits:
+def Bits(names: str) -> VariableSpec:
     """A variable that is some bits, named by a letter each, most significant first."""
-
-    def __init__(self, names: str) -> None:
-        require_name("the bits of a variable", names)
-        if not len(set(names)) == len(names) <= _MOST:
-            raise WrongValue(
-                f"the bits of a variable are {shown(names)}, allowed are at most {_MOST} letters, "
-                "each once"
-            )
-        self.names = names
-
-    def spec(self, name: str) -> VariableSpec:
-        """The variable of this name."""
-        return VariableSpec(name, "bits", 0, (1 << len(self.names)) - 1, bits=self.names)
+    require_name("the bits of a variable", names)
+    if not len(set(names)) == len(names) <= _MOST:
+        raise WrongValue(
+            f"the bits of a variable are {shown(names)}, allowed are at most {_MOST} letters, "
+            "each once"
+        )
+    return VariableSpec("", "bits", 0, (1 << len(names)) - 1, bits=names)
 
 
 class Variables:
     """The state: a Word, Whole or Bits for each variable."""
 
-    def __init__(self, **kinds: Word | Whole | Bits) -> None:
+    def __init__(self, **kinds: VariableSpec) -> None:
         if len(kinds) > _MOST:
             raise WrongValue(f"STATE has {len(kinds)} variables, allowed are {_MOST}")
         for name, kind in kinds.items():
             if name == "moving" or name.startswith("_") or name in State.__dict__:
                 raise WrongValue(f"a variable is named {name}, allowed is another name")
-            if not isinstance(kind, Word | Whole | Bits):
+            if not isinstance(kind, VariableSpec):
                 raise WrongValue(
                     f"the variable {name} is {shown(kind)}, allowed is a Word, a Whole or Bits"
                 )
-        self.kinds = kinds
-
-    @property
-    def specs(self) -> dict[str, VariableSpec]:
+        self.specs = {name: replace(kind, name=name) for name, kind in kinds.items()}
         """The variables by name."""
-        return {name: kind.spec(name) for name, kind in self.kinds.items()}
 
 
 class Condition:
@@ -194,27 +171,44 @@ class AllOf(Condition):
 class Changed:
     """The new value of a variable: its old one times `factor`, and `plus` added.
 
-    It is held within the bounds of the variable.
+    It is held in `low`..`high`, the bounds of the variable, which the loader fills in.
     """
 
     factor: int = 1
     plus: int = 0
+    low: int = 0
+    high: int = 0
 
     def __post_init__(self) -> None:
         require_whole("the factor of a Changed", self.factor)
         require_whole("what a Changed adds", self.plus)
+
+    def value(self, old: int | None) -> int | None:
+        """The new value; None: not known."""
+        if old is None:
+            return None
+        return min(max(old * self.factor + self.plus, self.low), self.high)
 
 
 class Unknown:
     """The new value of a variable that is not told by the instruction."""
 
 
-class FromField(NamedTuple):
-    """A variable is set from a field: to its number times a factor, or to the word for it."""
+@dataclass(frozen=True, slots=True)
+class From:
+    """The value of a data field, times `factor`, as the new value of a state variable.
+
+    A Word is set to the name of the value, from an Enum whose names are words of it; the loader
+    fills in these `words`, each with its value.
+    """
 
     field: str
     factor: int = 1
     words: tuple[tuple[str, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        require_name("the field of a From", self.field)
+        require_whole("the factor of a From", self.factor)
 
     def value(self, number: int) -> int | str:
         """The value of the variable where the field has this number."""
@@ -230,22 +224,7 @@ class FromField(NamedTuple):
         return number if number * self.factor == value else None
 
 
-class FromOld(NamedTuple):
-    """A number is set to its old value times `factor`, and `plus`, held in `low`..`high`."""
-
-    factor: int
-    plus: int
-    low: int
-    high: int
-
-    def value(self, old: int | None) -> int | None:
-        """The new value; None: not known."""
-        if old is None:
-            return None
-        return min(max(old * self.factor + self.plus, self.low), self.high)
-
-
-Source: TypeAlias = int | str | FromField | FromOld | None
+Source: TypeAlias = int | str | From | Changed | None
 """What a variable is set to: a value, what it is made of, or None where it is not known."""
 
 
@@ -269,18 +248,18 @@ class Effect:
         return {
             name: value
             for name, value in self.assignments
-            if value is not None and not isinstance(value, FromField | FromOld)
+            if value is not None and not isinstance(value, From | Changed)
         }
 
 
 Assigned: TypeAlias = tuple[tuple[str, Any], ...]
-"""Variables with their new values, or the FromOld that is applied to the old one."""
+"""Variables with their new values, or the Changed that is applied to the old one."""
 
 
 def assigned(effect: Effect, fields: Mapping[str, int]) -> Assigned:
     """The new value of each variable that the effect sets with these values of the fields."""
     return tuple(
-        (name, value.value(fields[value.field]) if isinstance(value, FromField) else value)
+        (name, value.value(fields[value.field]) if isinstance(value, From) else value)
         for name, value in effect.assignments
     )
 
@@ -289,11 +268,10 @@ def value_words(value: Any) -> str:
     """A new value in words."""
     if value is None:
         return "not known"
-    if not isinstance(value, FromOld):
+    if not isinstance(value, Changed):
         return str(value)
-    factor, plus, low, high = value
-    added = f" {'-' if plus < 0 else '+'} {abs(plus)}" if plus else ""
-    return f"{times(factor)}old value{added} ({low} to {high})"
+    added = f" {'-' if value.plus < 0 else '+'} {abs(value.plus)}" if value.plus else ""
+    return f"{times(value.factor)}old value{added} ({value.low} to {value.high})"
 
 
 def times(factor: int) -> str:
@@ -306,7 +284,7 @@ def after(state: State, values: Assigned) -> State:
     new: dict[str, Any] = {}
     for name, value in values:
         old = getattr(state, name)
-        found = value.value(old) if type(value) is FromOld else value
+        found = value.value(old) if type(value) is Changed else value
         if found != old:
             new[name] = found
     if not new:

@@ -97,12 +97,6 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             yield from ((first + place, group, frame) for place, frame in enumerate(frames))
             number = first + len(frames)
 
-    @property
-    def may_be_out_of_step(self) -> bool:
-        """Whether an answer is held that came in the open frame and shows that it is given up."""
-        times = [t + QUIET for t, _ in self.held]
-        return bool(self.frame) and self.out_of_step in times
-
     def require_sense(self, protocol: Protocol) -> None:
         """Raise ValueError unless a session of this protocol can be in this state."""
         state = self.state
@@ -125,7 +119,8 @@ class DecoderState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             and not (self.held and self.waiting)
             and not (self.away and self.waiting)
             and is_open(protocol, self.frame)
-            and (self.out_of_step is None or self.may_be_out_of_step)
+            and (self.out_of_step is None or self.frame != b"")
+            and self.out_of_step in (None, *(t + QUIET for t, _ in self.held))
         )
         if not sane:
             raise ValueError("no session is ever in this state")

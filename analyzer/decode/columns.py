@@ -165,7 +165,7 @@ class ColumnDecoder:
         return Carry(
             Reads(data, times, reads, np.full(len(reads), -1)),
             len(waiting),
-            found.requests,
+            found.whole,
             np.array([group.end for _, group, _ in asked], np.int64),
             np.array([number for number, *_ in asked], np.int64),
             Reads(
@@ -190,16 +190,6 @@ class ColumnDecoder:
         """The bytes of the frame and of the answer that are not complete, as they came."""
         answer = [] if self._plain else carry.device.chunks("device")
         return [*carry.host.chunks("host", carry.begun), *answer]
-
-    def saved(self, carry: Carry) -> DecoderState | None:
-        """All that is needed to go on from here; None while an answer is not complete."""
-        if len(carry.device.data) and not self._plain:
-            return None
-        state, held = self.state(carry), self.begun(carry)
-        if not held:
-            return state
-        frame = b"".join(one.data for one in held)
-        return replace(state, frame=frame, frame_start=held[0].t, frame_end=held[-1].t)
 
     def _groups(self, carry: Carry) -> Iterator[WaitingFrames]:
         """Yield the waiting frames, neighbours with equal times together."""
@@ -246,7 +236,7 @@ class ColumnDecoder:
 
         # Requests, and those of them that wait for an answer.
         found = self._requests.cut(host.data, before.begun, host.upto)
-        requests = found.requests
+        requests = found.whole
         if not found.regular:
             cut = min(cut, host.event_of(found.end))
         ends = requests.end
@@ -270,7 +260,7 @@ class ColumnDecoder:
 
         # Answers: answer j is to request j of those.
         given = self._answers.cut(host.data, asked, device.data, device.upto)
-        answers, pairs = given.answers, slice(len(given.answers.code))
+        answers, pairs = given.whole, slice(len(given.whole.code))
         if not given.regular:
             cut = min(cut, device.event_of(given.end))
         if not self._paired and not self._plain and len(device.data):

@@ -8,14 +8,21 @@ appends the records to the list that it gets, since a list costs less per record
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Final
+from typing import Any, Final
 
 from msgspec import UNSET
 from msgspec.structs import replace
 
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
-from bilprov.analyzer.decode.pairing import Held, Pairing, ReplyFramer, Waiting, waiting_frames
+from bilprov.analyzer.decode.pairing import (
+    Heard,
+    Held,
+    Pairing,
+    ReplyFramer,
+    Waiting,
+    waiting_frames,
+)
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
@@ -243,11 +250,11 @@ class Decoder:
             )
         )
 
-    def save(self, state: DecoderState) -> DecoderState:
-        """Return `state` with the decoder's part of it filled in."""
+    def save(self, **session: Any) -> DecoderState:
+        """The state of the decoder, and of the `session` that it belongs to."""
         start, end = self._framer.span if self._framer.missing else (0, 0)
-        return replace(
-            state,
+        return DecoderState(
+            **session,
             sequence=self._sequence,
             state=self._state,
             frame=self._framer.held,
@@ -356,14 +363,10 @@ class Decoder:
             )
             if heard is None:
                 return
-            held = Held.of_reply(heard.start, heard.reply)
-            if not self._paired:
-                self._unpaired(held, anomalies.ALONE, out)
-                continue
             for _ in range(heard.passed):
                 passed = waiting.popleft()
                 out.append(FaultRecord(anomalies.unanswered(passed, heard.end), self._state))
-            self._pair(held, waiting.popleft(), out)
+            self._reply(heard, out)
 
     def _give_up_reply(self, now: int, out: list[Record]) -> None:
         """Take what is held of an answer that is not continued, or that no request waits for."""
@@ -372,9 +375,13 @@ class Decoder:
         heard = heard or self._replies.take_rest(alone=not self._both_heard)
         if heard is None:
             return
+        self._reply(heard, out)
+
+    def _reply(self, heard: Heard, out: list[Record]) -> None:
+        """Pair an answer of several bytes with the oldest request that waits, if there is one."""
         held = Held.of_reply(heard.start, heard.reply)
-        if self._paired and waiting:
-            self._pair(held, waiting.popleft(), out)
+        if self._paired and self._pairing.waiting:
+            self._pair(held, self._pairing.waiting.popleft(), out)
         elif self._paired:
             self._unsolicited(held, out)
         else:

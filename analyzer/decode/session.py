@@ -148,16 +148,12 @@ class Session:
         if self._resync or self._decoder.unread or not self._decoder.settled:
             return None
         return self._decoder.save(
-            DecoderState(
-                time=self._time,
-                timeout=self._timeout,
-                skew=self._skew,
-                heard=self._heard,
-                sequence=0,
-                state=self._protocol.power_on,
-                unsynced_since=self._unsynced_since,
-                spoken=self._spoken,
-            )
+            time=self._time,
+            timeout=self._timeout,
+            skew=self._skew,
+            heard=self._heard,
+            unsynced_since=self._unsynced_since,
+            spoken=self._spoken,
         )
 
     def resume(self, state: DecoderState) -> None:

@@ -19,7 +19,7 @@ from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Reading
-from bilprov.spec.state import Effect, FromField, FromOld, times, value_words
+from bilprov.spec.state import Changed, Effect, From, times, value_words
 
 
 def layouts_of(protocol: Protocol) -> Mapping[str, Layout]:
@@ -198,7 +198,7 @@ def _power_on(protocol: Protocol) -> dict[str, Any]:
 def _effect(effect: Effect) -> str:
     words = [
         f"{variable} = {times(value.factor)}{value.field}"
-        if isinstance(value, FromField)
+        if isinstance(value, From)
         else f"{variable} = {value_words(value)}"
         for variable, value in effect.assignments
     ]
@@ -298,9 +298,9 @@ def _fields_json(data: DataSpec) -> list[dict[str, Any]]:
 
 def _effect_json(effect: Effect) -> dict[str, Any]:
     def told(value: Any) -> Any:
-        if isinstance(value, FromField):
+        if isinstance(value, From):
             return {"field": value.field, "factor": value.factor}
-        return value._asdict() if isinstance(value, FromOld) else value
+        return asdict(value) if isinstance(value, Changed) else value
 
     return {variable: told(value) for variable, value in effect.assignments}
 

@@ -18,7 +18,7 @@ from bilprov.captures import topics
 from bilprov.captures.storage import records
 from bilprov.captures.storage.messages import Contents
 from bilprov.captures.storage.records import MAGIC, RECORD_HEAD, Damaged, Statistics
-from bilprov.captures.storage.recovery import RecordFile
+from bilprov.captures.storage.recovery import RecordFile, read_footer
 
 SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
 
@@ -162,11 +162,7 @@ def _end(file: BufferedReader, size: int) -> tuple[int, bytes, int]:
 
     Raises Damaged.
     """
-    file.seek(max(0, size - _END))
-    footer = file.read(_END)
-    opcode, length, start, _, crc = _FOOTER.unpack_from(footer)
-    if (opcode, length, footer[-len(MAGIC) :]) != (records.FOOTER, records.FOOTER_BYTES, MAGIC):
-        raise Damaged("the file is not finished")
+    _, _, start, _, crc = _FOOTER.unpack_from(read_footer(file, size))  # none: StructError
     data_end = start - _DATA_END.size
     if not len(MAGIC) <= data_end <= size - _END or size - data_end > SUMMARY_BYTES:
         raise Damaged("the summary does not begin where it can")

@@ -332,6 +332,16 @@ class RecordFile:
         return content
 
 
+def read_footer(file: BufferedReader, size: int) -> bytes:
+    """The footer of a file and the magic behind it; b"" if the file is not finished."""
+    begin = records.RECORD_HEAD.pack(records.FOOTER, records.FOOTER_BYTES)
+    tail = len(begin) + records.FOOTER_BYTES + len(records.MAGIC)
+    file.seek(max(0, size - tail))
+    last = file.read(tail)
+    whole = last.startswith(begin) and last.endswith(records.MAGIC)
+    return last if whole and size >= len(records.MAGIC) + tail else b""
+
+
 def _sequence(content: bytes, start: int) -> int:
     number: int = records.MESSAGE_HEAD.unpack_from(content, start + records.RECORD_HEAD.size)[1]
     return number

@@ -17,7 +17,7 @@ from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, blocks_of
 from bilprov.captures.storage.messages import Contents
 from bilprov.captures.storage.records import MAGIC, ChannelRecord, CutOff
-from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile
+from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile, read_footer
 from bilprov.captures.text import printable
 
 DAMAGE_NOTES: Final = 20  # sentences about damage; further damaged places are only counted
@@ -38,7 +38,7 @@ class _Survey:
     def __init__(self, file: BufferedReader, size: int, damage: str) -> None:
         self._records = RecordFile(file, size)
         self._size = size
-        self._finished = _has_end(file, size)
+        self._finished = bool(read_footer(file, size))
         self._regions: list[tuple[int, int]] = []
         self._library = ""
         self._metadata: dict[str, str] = {}
@@ -239,16 +239,6 @@ class _Survey:
             self._notes.append(sentence)
         else:
             self._more_notes += 1
-
-
-def _has_end(file: BufferedReader, size: int) -> bool:
-    end = records.RECORD_HEAD.pack(records.FOOTER, records.FOOTER_BYTES)
-    tail = len(end) + records.FOOTER_BYTES + len(MAGIC)
-    if size < len(MAGIC) + tail:
-        return False
-    file.seek(size - tail)
-    last = file.read(tail)
-    return last.startswith(end) and last.endswith(MAGIC)
 
 
 def _by_topic(numbers: dict[int, int], channels: dict[int, tuple[str, str]]) -> dict[str, int]:

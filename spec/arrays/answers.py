@@ -18,6 +18,7 @@ from bilprov.spec.arrays.layouts import (
     OUTCOMES,
     Bytes,
     Checking,
+    Cut,
     Mask,
     Numbers,
     Places,
@@ -62,18 +63,6 @@ class Answers(NamedTuple):
     def end(self) -> Places:
         """Where each answer ends."""
         return self.offset + self.size
-
-
-class CutAnswers(NamedTuple):
-    """The answers in a buffer up to byte `end`.
-
-    With `regular` what follows is the beginning of an answer, or waits for its request; without it,
-    it is an answer that is damaged, or in the layout of errors.
-    """
-
-    answers: Answers
-    end: int
-    regular: bool
 
 
 class AnswerTables:
@@ -121,7 +110,7 @@ class AnswerTables:
             [one is not None and Outcome.VALID not in one.outcomes for one in known], np.bool_
         )
 
-    def cut(self, asked: Bytes, requests: Requests, data: Bytes, reads: Places) -> CutAnswers:
+    def cut(self, asked: Bytes, requests: Requests, data: Bytes, reads: Places) -> Cut[Answers]:
         """The answers in `data` to the requests of `asked`, as far as they are right.
 
         `reads` are where the reads end in which the bytes came: mostly, each is one answer.
@@ -129,7 +118,7 @@ class AnswerTables:
         if self._protocol.plain:  # each byte is an answer, right or not
             count = min(len(data), len(requests.kind))
             size = np.broadcast_to(np.int64(1), count)
-            return CutAnswers(Answers(np.arange(count), size, data[:count]), count, regular=True)
+            return Cut(Answers(np.arange(count), size, data[:count]), count, regular=True)
         bounds = self._whole_reads(asked, requests, data, reads)
         if bounds[-1] < len(data):
             left = requests.rows(slice(len(bounds) - 1, len(bounds) - 1 + len(data)))
@@ -142,7 +131,7 @@ class AnswerTables:
         if regular and end < len(data) and rows < len(requests.kind):
             left = requests.rows(slice(rows, rows + 1))
             regular = self._is_open(data[end:].tobytes(), asked, left)
-        return CutAnswers(found.rows(slice(rows)), int(bounds[rows]), regular)
+        return Cut(found.rows(slice(rows)), int(bounds[rows]), regular)
 
     def agree(self, requests: Requests, answers: Answers) -> Mask:
         """Which answers are those that a conforming device gives to these requests."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from construct import Container
@@ -60,6 +60,22 @@ class Requests(NamedTuple):
     def end(self) -> Places:
         """Where each frame ends."""
         return self.offset + self.size
+
+
+Rows = TypeVar("Rows")
+
+
+class Cut(NamedTuple, Generic[Rows]):
+    """The `whole` requests, or answers, of a buffer up to byte `end`.
+
+    With `regular` what follows is the beginning of another one, or nothing, or an answer waits for
+    its request; without it, it is a request that is not valid, an answer that is damaged or in the
+    layout of errors, or neither.
+    """
+
+    whole: Rows
+    end: int
+    regular: bool
 
 
 def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[Any]:

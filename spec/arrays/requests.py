@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from bilprov.spec.arrays.layouts import (
     OUTCOMES,
     WIDEST,
     Bytes,
+    Cut,
     Mask,
     Places,
     Requests,
@@ -37,18 +37,6 @@ from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import is_open
 from bilprov.spec.protocol import NO_ANSWER, InstructionSpec, Protocol
-
-
-class CutRequests(NamedTuple):
-    """The requests of a buffer up to byte `end`.
-
-    With `regular` what follows is the beginning of a frame, or nothing; without it, it is a frame
-    that is not valid, or none.
-    """
-
-    requests: Requests
-    end: int
-    regular: bool
 
 
 class RequestTables:
@@ -119,7 +107,7 @@ class RequestTables:
         self._answered[kinds] = step.judgement.answer_due
         self.states.add(kinds, step.sets)
 
-    def cut(self, data: Bytes, begun: int, reads: Places | None = None) -> CutRequests:
+    def cut(self, data: Bytes, begun: int, reads: Places | None = None) -> Cut[Requests]:
         """The requests of `data` from byte `begun` on, as far as they are whole and valid.
 
         `reads` are where the reads end in which the bytes came: mostly, each is one frame.
@@ -127,7 +115,7 @@ class RequestTables:
         if len(self._verdict):
             offset, end = self.offsets(data, begun)
             size = np.diff(offset, append=end)
-            return CutRequests(self._judged(data, offset, size), end, regular=True)
+            return Cut(self._judged(data, offset, size), end, regular=True)
         bounds = np.array([begun]) if reads is None else self._whole_reads(data, begun, reads)
         if bounds[-1] < len(data):
             bounds = np.concatenate([bounds[:-1], self._walk(data, int(bounds[-1]))])
@@ -137,7 +125,7 @@ class RequestTables:
         rows = len(good) if good.all() else int(np.argmin(good))
         regular = rows == len(good) and is_open(self._protocol, data[bounds[-1] :].tobytes())
         found = Requests(offset, size, kind, np.zeros(len(kind), np.uint8)).rows(slice(rows))
-        return CutRequests(found, int(bounds[rows]), regular)
+        return Cut(found, int(bounds[rows]), regular)
 
     def _judged(self, data: Bytes, offset: Places, size: Places) -> Requests:
         """Frames with one header byte, valid or not."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bilprov.spec.arrays.layouts import Bytes, Places, Requests, field_values, part_values
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.state import OTHERS, FromField, FromOld, State, VariableSpec
+from bilprov.spec.state import OTHERS, Changed, From, State, VariableSpec
 
 _TAIL = 256  # requests in which each variable is mostly set
 _WIDER = 16  # times as many before them are searched for those that are not
@@ -46,9 +46,9 @@ class StateTables:
         self._values = {v.name: np.zeros(kinds, self._type(v)) for v in self._variables}
         # Of the variables whose new value may depend on the old one: the place of each kind in a
         # list of changes, from 1 on.
-        self._changes: dict[str, tuple[Places, list[FromOld]]] = {}
+        self._changes: dict[str, tuple[Places, list[Changed]]] = {}
         # Of the variables that are set from a field: by which kind, from which field, and how.
-        self._fields: dict[str, list[tuple[int, FieldSpec, FromField]]] = {}
+        self._fields: dict[str, list[tuple[int, FieldSpec, From]]] = {}
 
     def _type(self, variable: VariableSpec) -> np.dtype[Any]:
         if variable.unknown:
@@ -62,12 +62,12 @@ class StateTables:
         parts = {part.name: part for part in fields}
         for name, value in sets:
             self._sets[kinds] |= 1 << list(self._values).index(name)
-            if isinstance(value, FromOld):
-                made = np.zeros(len(self._sets), np.int64), list[FromOld]()
+            if isinstance(value, Changed):
+                made = np.zeros(len(self._sets), np.int64), list[Changed]()
                 places, changes = self._changes.setdefault(name, made)
                 changes.append(value)
                 places[kinds] = len(changes)
-            elif isinstance(value, FromField):
+            elif isinstance(value, From):
                 assert isinstance(kinds, int)
                 self._fields.setdefault(name, []).append((kinds, parts[value.field], value))
             else:
@@ -144,7 +144,7 @@ class StateTables:
         counts = np.diff(np.append(rows, len(kind)), prepend=0)
         return np.repeat(np.append(np.array([before[place]], values.dtype), values), counts)
 
-    def _from(self, variable: str, source: FromField, numbers: NDArray[Any]) -> Any:
+    def _from(self, variable: str, source: From, numbers: NDArray[Any]) -> Any:
         """The values of a variable that is set from a field with these numbers."""
         if not source.words:
             return numbers * source.factor

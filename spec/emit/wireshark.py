@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from typing import Any, TypeVar
 
 from bilprov.spec.data import DataSpec, FieldSpec
@@ -19,7 +19,7 @@ from bilprov.spec.layout import Check, Layout
 from bilprov.spec.protocol import NO_ANSWER, Protocol, ResponseSpec
 from bilprov.spec.python_names import each_once, snake_case
 from bilprov.spec.replies import GIVES_UP
-from bilprov.spec.state import AllOf, Effect, FromField, FromOld
+from bilprov.spec.state import AllOf, Changed, Effect, From
 
 T = TypeVar("T")
 
@@ -167,15 +167,15 @@ def _sets(effect: Effect, fields: Iterable[FieldSpec]) -> dict[str, Any]:
     places = {part.name: place for place, part in enumerate(fields, 1)}
     return {
         variable: _from_field(places[value.field], value)
-        if isinstance(value, FromField)
-        else [0, *value]
-        if isinstance(value, FromOld)
+        if isinstance(value, From)
+        else [0, *astuple(value)]
+        if isinstance(value, Changed)
         else value
         for variable, value in effect.assignments
     }
 
 
-def _from_field(place: int, value: FromField) -> dict[Any, Any]:
+def _from_field(place: int, value: From) -> dict[Any, Any]:
     words = {known: word for word, known in value.words}
     return {1: place, 2: value.factor} | ({"words": words} if words else {})
 

@@ -59,7 +59,7 @@ def all_of(path: Path) -> list[Message]:
 
 @pytest.mark.slow
 def test_a_file_cut_anywhere_gives_a_prefix(small: Path, pytestconfig: pytest.Config) -> None:
-    messages = all_of(small)
+    held = all_of(small)
     chunks = chunk_offsets(small.read_bytes())
     size = small.stat().st_size
     # Each byte of the data; the schemas before and behind are long and all alike.
@@ -75,7 +75,7 @@ def test_a_file_cut_anywhere_gives_a_prefix(small: Path, pytestconfig: pytest.Co
             lengths.append(0)
             continue
         read = list(messages(capture))
-        assert read == messages[: len(read)], cut
+        assert read == held[: len(read)], cut
         assert capture.unfinished
         assert capture.damage == ()
         lengths.append(len(read))
@@ -167,10 +167,10 @@ def test_the_start_survives_the_loss_of_all_that_stands_before_the_second_chunk(
 ) -> None:
     whole = small.read_bytes()
     second = chunk_offsets(whole)[1]
-    messages = all_of(small)
+    held = all_of(small)
     capture = open_capture(with_bytes(tmp_path / "t.mcap", whole[:8] + whole[second:]))
     assert capture.start == START
-    assert list(messages(capture)) == messages[FLUSH_EVERY:]
+    assert list(messages(capture)) == held[FLUSH_EVERY:]
 
 
 def test_a_flipped_start_in_the_metadata_does_not_shift_the_times(

@@ -21,7 +21,7 @@ from bilprov.spec.emit.python_stub import python_stub
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import GrammarError, Protocol, load
-from bilprov.spec.state import Effect, FromField, State
+from bilprov.spec.state import Effect, From, State
 from tests.support.drawn_grammars import Drawn, drawn
 from tests.support.grammars import use
 
@@ -124,8 +124,8 @@ def doubles(protocol: Protocol, variable: str) -> Protocol | None:
 
 
 def _doubled(variable: str, name: str, value: object) -> tuple[str, object]:
-    if name == variable and isinstance(value, FromField):
-        return name, value._replace(factor=2 * value.factor)
+    if name == variable and isinstance(value, From):
+        return name, replace(value, factor=2 * value.factor)
     return name, 2 * value if name == variable and isinstance(value, int) else value
 
 

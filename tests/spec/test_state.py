@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,14 +94,13 @@ def test_a_wrong_declaration_is_one_sentence(changes: dict[str, str], piece: str
 
 
 @pytest.mark.parametrize("kinds", [{"of": Whole(0, 1)}, {"a": 1}, {"_a": Whole(0, 1)}])
-def test_a_variable_must_have_a_name_and_a_kind(kinds: dict[str, Whole]) -> None:
+def test_a_variable_must_have_a_name_and_a_kind(kinds: dict[str, Any]) -> None:
     with pytest.raises(WrongValue):
         Variables(**kinds)
 
 
 def test_rest_is_any_or_all_of_the_values() -> None:
-    kinds = {"a": Whole(-9, 9), "b": Whole(-9, 9)}
-    specs = tuple(kind.spec(name) for name, kind in kinds.items())
+    specs = tuple(Variables(a=Whole(-9, 9), b=Whole(-9, 9)).specs.values())
     for condition, moving in ((AnyOf(a=0, b=0), False), (AllOf(a=0, b=0), True)):
         state = state_class(specs, condition).of({"a": 0, "b": 3})
         assert state.moving is moving
@@ -135,7 +135,7 @@ def test_columns_have_what_the_effects_make_one_by_one(
     frames = [*data, *(bytes([0x52, at, 1]) for at in range(3) if changes)]
     array = np.frombuffer(b"".join(frames), np.uint8)
     tables, state = request_tables(board), board.power_on
-    requests, known = tables.cut(array, 0).requests, Known(board.power_on, None)
+    requests, known = tables.cut(array, 0).whole, Known(board.power_on, None)
     expected = []
     for frame in frames:
         judged = judge(board, frame)

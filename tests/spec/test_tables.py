@@ -99,7 +99,7 @@ def test_the_last_state_is_the_last_of_all_states(
         stream += bytes([each_protocol.pad_byte]) * padding
     tables = request_tables(each_protocol)
     array = np.frombuffer(stream, np.uint8)
-    requests = tables.cut(array, 0).requests
+    requests = tables.cut(array, 0).whole
     before = each_protocol.state(motion="forward", speed=5, steering=-6, led=1)
 
     known = Known(before, None)
@@ -199,7 +199,7 @@ def test_a_state_that_only_power_on_sets_fits(grammar_text: str, led: int) -> No
     tables = RequestTables(other)
     stop = np.array([other.pad_byte], np.uint8)
 
-    requests = tables.cut(stop, 0).requests
+    requests = tables.cut(stop, 0).whole
     state = tables.states.column("led", stop, requests, Known(other.power_on, None))
 
     assert state.tolist() == [led]

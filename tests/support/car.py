@@ -7,7 +7,7 @@ from bilprov.spec import grammar
 from bilprov.spec.motion import Motion
 from bilprov.spec.state import State
 
-VARIABLES = tuple(grammar.STATE.kinds)
+VARIABLES = tuple(grammar.STATE.specs)
 
 
 def car_state(
