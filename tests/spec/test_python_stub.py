@@ -119,18 +119,11 @@ def test_no_two_instructions_or_fields_have_one_name_and_none_is_a_keyword(horn_
     assert list(parameter_names(names["rotate_left_"])) == ["self_", "a_b", "a_b_", "if_"]
 
 
-READING = """\
-from servo import Servo
-
-def where(servo: Servo) -> int:
-    raw: bytes = servo.read(42, 2)
-    servo.read(42)  # refused: call-overload
-    servo.read("goal_position", size=2).decode  # refused: union-attr
-    return servo.read("goal_position", address=3) + 1
-"""
+# What a type checker sees of the car's methods, and of what is read by a register's name.
 SEEN = """\
 from bilprov import Robot
 from bilprov.conformance.pytest_plugin.bench import Client
+from servo import Servo
 
 def drive(robot: Robot, client: Client) -> float:
     robot.speed(127)
@@ -142,40 +135,35 @@ def drive(robot: Robot, client: Client) -> float:
     robot.sped(1)  # refused: attr-defined
     client.led(rgb=None)  # refused: arg-type
     return robot.speed(speed=3).latency
+
+def where(servo: Servo) -> int:
+    raw: bytes = servo.read(42, 2)
+    servo.read(42)  # refused: call-overload
+    servo.read("goal_position", size=2).decode  # refused: union-attr
+    return servo.read("goal_position", address=3) + 1
 """
 
 
-def errors_in(folder: Path, text: str) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
-    """The lines that mypy refuses and why, and those that say that they are refused."""
-    code, settings = folder / "drive.py", folder / "mypy.ini"
-    code.write_text(text)
+def test_a_type_checker_sees_the_methods_and_refuses_what_is_wrong(tmp_path: Path) -> None:
+    stub = python_stub(load_protocol(str(ROOT / "examples" / "feetech.py")))
+    (tmp_path / "servo.pyi").write_text(stub.replace("FeetechSts3215", "Servo"))
+    code, settings = tmp_path / "drive.py", tmp_path / "mypy.ini"
+    code.write_text(SEEN)
     settings.write_text(
         "[mypy]\nstrict = true\n[mypy-construct.*]\nignore_missing_imports = true\n"
     )
-    options = ("--config-file", settings, "--cache-dir", folder / "cache")
+    options = ("--config-file", settings, "--cache-dir", tmp_path / "cache")
     mypy = [sys.executable, "-m", "mypy", *options, code]
-    places = os.environ | {"MYPYPATH": str(folder)}
+    places = os.environ | {"MYPYPATH": str(tmp_path)}
     done = subprocess.run(mypy, cwd=ROOT, env=places, capture_output=True, text=True, check=False)
+
     found = [
         (int(line.split(":")[1]), line.rsplit("[", 1)[1].rstrip("]"))
         for line in done.stdout.splitlines()
         if ": error:" in line
     ]
-    wanted = [
+    assert found == [
         (at, line.split("refused: ")[1])
-        for at, line in enumerate(text.splitlines(), 1)
+        for at, line in enumerate(SEEN.splitlines(), 1)
         if "refused" in line
     ]
-    return found, wanted
-
-
-def test_a_type_checker_sees_the_methods_and_refuses_what_is_wrong(tmp_path: Path) -> None:
-    found, wanted = errors_in(tmp_path, SEEN)
-    assert found == wanted
-
-
-def test_a_type_checker_knows_what_is_read_by_a_registers_name(tmp_path: Path) -> None:
-    stub = python_stub(load_protocol(str(ROOT / "examples" / "feetech.py")))
-    (tmp_path / "servo.pyi").write_text(stub.replace("FeetechSts3215", "Servo"))
-    found, wanted = errors_in(tmp_path, READING)
-    assert found == wanted

@@ -128,24 +128,6 @@ def test_what_a_valid_frame_sets_is_looked_at(protocol: Protocol) -> None:
     assert led.axes["state"].verdict is Verdict.FAIL
 
 
-def test_fail_fast_ends_after_the_first_failure_and_skips_the_rest(
-    protocol: Protocol, cases: tuple[Case, ...]
-) -> None:
-    device = Simulator(protocol, fault_bank(protocol)["no-stop-on-unknown-id"])
-
-    runner = run_over(CountingLink(device), protocol, cases, fail_fast=True)
-
-    results = runner.run.results
-    require_complete(results, cases)
-    verdicts = [r.verdict for r in results]
-    assert verdicts.count(Verdict.FAIL) == 1
-    first = verdicts.index(Verdict.FAIL)
-    assert results[first].id == "unused-id/9/0"
-    assert set(verdicts[first + 1 :]) == {Verdict.SKIPPED}
-    assert "--fail-fast" in results[-1].reason
-    assert at_rest(device)
-
-
 @given(asks=st.integers(0, ASKS))
 @example(asks=0)
 @example(asks=1)

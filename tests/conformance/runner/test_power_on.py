@@ -220,23 +220,6 @@ class Notes(RunListener):
         self.told.append((self._done, sentence))
 
 
-def test_a_slow_device_is_told_with_its_time_and_an_estimate_before_the_cases(
-    protocol: Protocol,
-) -> None:
-    notes = Notes()
-    slow = Simulator(protocol, variants(protocol)["R-answer-deadline=150-ms"].fault)
-    report = conform(slow, grammar=protocol, options=FEW, listener=notes)
-
-    ((before, sentence),) = notes.told
-    assert before < len(report.results) - len(select_cases(protocol, FEW))
-    assert sentence.startswith("an answer takes 150 ms and is due after 100 ms: slow, non-strict")
-    about = int(sentence.partition("the run takes about ")[2].removesuffix(" s more"))
-    assert 0.15 * report.counts["non-strict"] + 0.15 * 60 < about < 60
-    assert {r.verdict for r in report.results if r.id.startswith("wrong-length/")} == {
-        Verdict.NON_STRICT
-    }
-
-
 def test_a_slow_device_that_takes_too_long_is_told_so_and_no_group_left_out_passes(
     protocol: Protocol,
 ) -> None:
