@@ -18,7 +18,7 @@ from bilprov.spec.by_effect import (
 )
 from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.state import Effect, From
+from bilprov.spec.state import Changed, Effect, From
 from tests.support.car import car_state, wheels
 from tests.support.grammars import still_grammar
 from tests.vectors import SEQUENCES, WHEELS, Sequence, WheelVector
@@ -85,6 +85,9 @@ def test_a_robot_that_cannot_steer_drives_straight_on() -> None:
         (Effect(), (10, 20)),
         (Effect((("speed", 7),)), (7, 20)),
         (Effect((("steering", From("strength", -1)),)), (10, -30)),
+        (Effect((("speed", Changed(2, 5, 0, 255)),)), (25, 20)),
+        (Effect((("speed", Changed(2, 5, 0, 24)),)), (24, 20)),
+        (Effect((("steering", Changed(-2, 0, -30, 30)),)), (10, -30)),
     ],
 )
 def test_an_effect_changes_only_what_it_names(effect: Effect, after: tuple[int, int]) -> None:
