@@ -22,7 +22,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.export.rows import Chosen, write_text
 from bilprov.analyzer.output.outputs import Window
 from bilprov.captures.reader import Capture, open_capture
-from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import write_capture
@@ -211,6 +211,14 @@ def test_a_reader_that_goes_away_ends_it_quietly(style: str) -> None:
     done = process(str(SAMPLE), "--format", style, code=CLOSED)
 
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("style", ["csv", "jsonl"])
+def test_text_is_utf_8(tmp_path: Path, style: str) -> None:
+    events = [Line(0, "break", "host", "Prüfstand"), Chunk(1, "host", b"\0")]
+    path = written(tmp_path / "a.mcap", events)
+
+    assert "Prüfstand" in exported(path, style).decode()
 
 
 def much(path: Path, kilobytes: int) -> Path:
