@@ -100,7 +100,6 @@ def _of_data(protocol: Protocol) -> Iterator[Feature]:
     for index in range(1, protocol.data_lengths[-1] + 1):
         words = f"with data byte {index} {{}}"
         yield Feature(f"byte {index}", _byte(index), words, 2 if index == 1 else 4, 8)
-    yield Feature("same", _repeats, "{}", 3)
 
 
 def _field(name: str) -> Of:
@@ -109,13 +108,6 @@ def _field(name: str) -> Of:
 
 def _byte(index: int) -> Of:
     return lambda e: e.step.frame[index] if index < len(e.step.frame) else None
-
-
-def _repeats(exchange: Exchange) -> str | None:
-    if exchange.previous is None:
-        return None
-    same = exchange.previous.step.frame == exchange.step.frame
-    return "the same frame again" if same else "another frame than before"
 
 
 def _of_states(protocol: Protocol) -> Iterator[Feature]:
@@ -160,19 +152,14 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
     yield Feature(
         "previous", lambda e: e.previous.kind if e.previous else "power-on", "sent after {}", 2
     )
-    yield Feature("previous fault", _previous_fault, "sent after {}", 2)
-    yield Feature(
-        "previous instruction",
-        lambda e: e.previous.judgement.name if e.previous else None,
-        "sent after {}, right or wrong",
-        4,
-    )
+    yield Feature("previous fault", _of_previous(_fault), "sent after {}", 2)
+    named = _of_previous(lambda before: before.judgement.name)
+    yield Feature("previous instruction", named, "sent after {}, right or wrong", 4)
     kinds = [FAULTS, VALID, TRUNCATED, *(s.name for s in protocol.instructions)]
     for kind in (FRAMES, *kinds, STOPPING, *POINTS):
         name = kind if kind in (FRAMES, FAULTS) else f"{kind} frames"
         words = f"with {{}} {name} before it since power-on"
         yield Feature(name, _times(kind), words, 6 if kind == FRAMES else 5, counts=True)
-    yield Feature("due", _due, "{}", 2)
     yield Feature("row", lambda e: e.history.row, "with {} faults in a row before it", 3)
     for kind in kinds:
         yield Feature(f"since {kind}", _since(kind), f"with {kind} {{}} frames before it", 6)
@@ -182,17 +169,8 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
                 yield Feature(f"{one}/{other}", _later(one, other), "{}", 5)
 
 
-def _due(exchange: Exchange) -> str | None:
-    if exchange.previous is None:
-        return None
-    same = exchange.accepted & exchange.previous.accepted
-    return "the answer due is that of before" if same else "another answer is due than before"
-
-
-def _previous_fault(exchange: Exchange) -> str | None:
-    if exchange.previous is None:
-        return None
-    return "a faulty frame" if exchange.previous.step.faulty else "a valid frame"
+def _of_previous(of: Of) -> Of:
+    return lambda exchange: of(exchange.previous) if exchange.previous else None
 
 
 def _times(kind: str) -> Of:

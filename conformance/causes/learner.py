@@ -83,8 +83,7 @@ class _Column:
     def literals(self, part: _Part, single: Mask) -> list[Literal]:
         """The literals that hold for some of a part; `single` are those alone in their bag."""
         feature = self.feature
-        words = self._words(part.codes)
-        found = [Literal(feature, "is", word) for word in words]
+        found = [Literal(feature, "is", word) for word in self._words(part.codes)]
         several = self._words(part.codes[single])
         if 1 < len(several) <= _WORDS:
             found.append(Literal(feature, "in", several))

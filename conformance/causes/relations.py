@@ -59,8 +59,6 @@ class Relation:
         predicted = self.predict(exchange)
         if predicted is None:
             return False
-        if self.facet == ANSWER:
-            return predicted not in exchange.accepted
         return predicted != value_after(self.facet, exchange)
 
 
@@ -101,7 +99,12 @@ class Effect:
 
 
 def value_after(facet: str, exchange: Exchange) -> Value:
-    """Return the right value of a facet after an exchange, None where it is not known."""
+    """Return the right value of a facet after an exchange, None where it is not known.
+
+    Of the answer it is the code, None for no answer.
+    """
+    if facet == ANSWER:
+        return next(iter(exchange.accepted), None)
     return value_of(facet, exchange.after)
 
 
@@ -132,37 +135,20 @@ def _of_answers(how: str, bags: Iterable[Bag]) -> list[Relation]:
         return [Relation(ANSWER, how, words[how])]
     codes = Counter(bag.deviation.seen for bag in bags).most_common(4)
     return [
-        *_other_codes(bags),
+        *_instead(ANSWER, how, bags),
         *(Relation(ANSWER, how, f"answers {code:#04x}", lambda e, c=code: c) for code, _ in codes),  # type: ignore[misc]
         Relation(ANSWER, how, "answers what was due to the frame before", _due_before),
     ]
 
 
-def _instead(bags: Iterable[Bag]) -> dict[Value, Value]:
-    """The value seen most for each right one; empty where it is always the same value."""
+def _instead(facet: str, how: str, bags: Iterable[Bag]) -> Iterator[Relation]:
+    """A value of its own instead of each that is right, where several are exchanged for others."""
     pairs = Counter((bag.deviation.expected, bag.deviation.seen) for bag in bags)
-    found = {due: seen for (due, seen), _ in reversed(pairs.most_common())}
-    return found if len(set(found.values())) > 1 else {}
-
-
-def _other_codes(bags: Iterable[Bag]) -> Iterator[Relation]:
-    """A code of its own instead of each that is due, where several are exchanged for others."""
-    instead = _instead(bags)
-
-    def predict(exchange: Exchange) -> Value:
-        due = [code for code in exchange.accepted if code in instead]
-        return instead[due[0]] if due else None
-
-    if instead:
-        yield Relation(ANSWER, "other", "exchanges codes", predict)
-
-
-def _other_motions(how: str, bags: Iterable[Bag]) -> Iterator[Relation]:
-    """A motion of its own instead of each that is right, where several are exchanged."""
-    instead = _instead(bags)
-    if instead:
-        words = ", ".join(f"{seen} instead of {due}" for due, seen in instead.items())
-        yield Relation(MOTION, how, f"is {words}", lambda e: instead.get(value_after(MOTION, e)))
+    found = {right: seen for (right, seen), _ in reversed(pairs.most_common())}
+    if len(set(found.values())) > 1:
+        exchanged = ", ".join(f"{seen} instead of {right}" for right, seen in found.items())
+        words = "exchanges codes" if facet == ANSWER else f"is {exchanged}"
+        yield Relation(facet, how, words, lambda e: found.get(value_after(facet, e)))
 
 
 def _due_before(exchange: Exchange) -> Value:
@@ -188,7 +174,7 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     seen = Counter(bag.deviation.seen for bag in bags).most_common(3)
     if facet == MOTION:
         found += [Relation(facet, how, f"is {v}", _moving_as(v)) for v, _ in seen]
-        return found + list(_other_motions(how, bags))
+        return [*found, *_instead(facet, how, bags)]
     found += [Relation(facet, how, f"is {value}", lambda e, v=value: v) for value, _ in seen]  # type: ignore[misc]
     return found + [
         Relation(facet, how, words, _changed(facet, change)) for words, change in _changes(bags)

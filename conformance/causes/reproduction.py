@@ -246,23 +246,13 @@ def _endings(last: Exchange) -> Iterator[list[Exchange]]:
 def _line(
     chain: Sequence[Exchange], way: Sequence[bytes], timing: Timing, *, together: bool
 ) -> Line:
-    chunks = [Chunk(_answered(timing) if together else 0, frame) for frame in way]
+    chunks = [Chunk(timing.timeout if together else 0, frame) for frame in way]
     for exchange in chain:
-        first = _pause_before(exchange, timing) if together and chunks else 0
+        waited = together and not exchange.ahead
+        first = max(exchange.gap or 0, timing.timeout) if waited else 0
         data = exchange.step.frame
         cuts = [(0, first), *(exchange.pauses if together else ())]
         ends = [at for at, _ in cuts[1:]] + [len(data)]
         chunks += [Chunk(pause, data[at:end]) for (at, pause), end in zip(cuts, ends, strict=True)]
-    if chunks:
-        chunks[0] = chunks[0]._replace(pause=0)
+    chunks[0] = chunks[0]._replace(pause=0)
     return Line(tuple(chunks), len(chain) + len(way), together)
-
-
-def _pause_before(exchange: Exchange, timing: Timing) -> int:
-    """The pause (ns) before a frame: none where it was sent ahead of the answers."""
-    return 0 if exchange.ahead else max(exchange.gap or 0, _answered(timing))
-
-
-def _answered(timing: Timing) -> int:
-    """A pause (ns) in which an answer comes."""
-    return timing.timeout
