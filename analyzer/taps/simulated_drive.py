@@ -53,7 +53,7 @@ class SimulatedDrive(Source):
 
     def __init__(self, protocol: Protocol, settings: LineSettings) -> None:
         super().__init__({})
-        self.names = {"simulated": "drive"}
+        self.names = {"simulated": "drive" if protocol.wheels else protocol.device}
         self._chunks = drive(protocol, settings.byte_time)
         self._next = next(self._chunks)
 

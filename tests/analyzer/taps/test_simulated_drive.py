@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.taps.simulated_drive import drive
+from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.taps.simulated_drive import SimulatedDrive, drive
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.reader import open_capture
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
@@ -52,6 +54,12 @@ def test_the_host_stops_soon_after_it_has_set_the_robot_moving(protocol: Protoco
         longest = max(longest, moving)
 
     assert 1 < longest < 8
+
+
+def test_what_does_not_drive_is_called_by_its_noun() -> None:
+    modbus = load_protocol("modbus-rtu")
+
+    assert SimulatedDrive(modbus, line_settings(modbus)).names == {"simulated": modbus.device}
 
 
 @pytest.mark.waits
