@@ -253,6 +253,11 @@ def test_a_fault_is_one_cause_that_names_it_and_shows(protocol: Protocol) -> Non
     assert found.unexplained == 0
 
 
+def test_a_mixture_is_compared_with_what_the_device_has_chosen(protocol: Protocol) -> None:
+    found = explained(protocol, ["mixture:R-fault-state=speed-zeroed:by-motion"], "smoke", 1)
+    assert (found.causes, found.named, found.of, found.shown) == (1, 1, 1, True)
+
+
 @pytest.mark.slow
 def test_of_two_faults_each_has_its_cause(protocol: Protocol) -> None:
     score = cause_score(protocol, ["no-stop-on-truncated", "speed-bit-0-lost"], 1, "smoke")
