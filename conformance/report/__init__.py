@@ -1,1 +1,1 @@
-"""The report of a run: written in every format, read, merged, compared. Drives no device."""
+"""The report of a run: written in every format, read, compared. Drives no device."""
