@@ -99,12 +99,12 @@ def _without_leftovers(causes: Sequence[Cause]) -> list[Cause]:
 def _brought_about(bag: Bag, causes: Sequence[Cause], back: int) -> Cause | None:
     """The cause that shows at a frame up to this deviation, None where there is none.
 
-    It shows in the same way at one of the frames that may have caused it, at one that was sent
-    ahead of these, or at one of the `back` frames before.
+    It shows in the same way, and as it foresees, at one of the frames that may have caused it, at
+    one that was sent ahead of these, or at one of the `back` frames before.
     """
     for cause in causes:
         facets = {effect.relation.facet for effect in cause.effects}
-        if bag.deviation.facet in facets and any(matches(cause.rule, e) for e in bag.exchanges):
+        if bag.deviation.facet in facets and any(cause.foresees(e) for e in bag.exchanges):
             return cause
     case = bag.exchanges[-1].case
     exchange: Exchange | None = bag.exchanges[-1]

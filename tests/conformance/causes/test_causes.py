@@ -160,6 +160,12 @@ def test_a_cause_takes_in_nothing_that_contradicts_it(protocol: Protocol, name: 
         assert not [e for e in against if matches(cause.rule, e)]
 
 
+def test_what_a_cause_does_not_foresee_is_another_cause(protocol: Protocol) -> None:
+    causes = report_of(protocol, find_fault(protocol, "stop-takes-its-time")).causes
+
+    assert [cause.when.split(",")[0] for cause in causes] == ["Stop", "Stop"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["every-100th-fault-missed", "no-stop-after-100-faults"])
 def test_what_a_cause_counts_is_in_its_line(protocol: Protocol, name: str) -> None:
