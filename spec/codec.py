@@ -141,9 +141,8 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         raise ValueError("an empty frame cannot be judged; it needs at least a header byte")
     layout = protocol.layout
     begun = len(frame) >= layout.head
-    identity = layout.value("id", frame) if begun else None
+    identity, address, size = _head(protocol, frame) if begun else (None, None, 0)
     spec = protocol.by_id.get(identity) if identity is not None else None
-    size = layout.size(frame, spec) or 0
     if protocol.plain and len(frame) > size:
         raise ValueError(
             f"frame {spaced(frame)} has {data_bytes(len(frame) - 1)}, its header says {size - 1}"
@@ -157,11 +156,15 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     fields: tuple[tuple[str, Any], ...] = ()
     if whole and spec and outcome in (Outcome.VALID, Outcome.BAD_DATA):
         fields = tuple(spec.decode(data).items())
-    address = layout.value("address", frame) if begun else None
     heard = whole or layout.check is None  # what is cut short has no right check
     code = wrong.code if wrong else ""
     about_data = outcome in (Outcome.VALID, Outcome.UNKNOWN_ID, Outcome.BAD_DATA)
-    found = Judgement(
+    valid = outcome is Outcome.VALID
+    if wrong or not protocol.plain:
+        reading = wrong.reading if wrong else ""
+    else:
+        reading = _reading(spec, length, valid=valid, whole=whole)
+    return Judgement(
         frame=frame,
         id=identity if identity is not None else -1,
         length=length,
@@ -171,7 +174,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         response=_response(protocol, outcome, spec, address, code) if heard else NO_ANSWER,
         reason=reason,
         clause=protocol.clauses.instructions if about_data else protocol.clauses.responses,
-        reading=wrong.reading if wrong else "",
+        reading=reading,
         truncated=not whole,
         address=address,
         head=layout.head,
@@ -179,20 +182,27 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         framed=not protocol.plain,
         registers=_registers(protocol, spec, data, fields),
     )
-    return (
-        found if found.framed or wrong else msgspec.structs.replace(found, reading=_reading(found))
-    )
 
 
-def _reading(judged: Judgement) -> str:
+def _head(protocol: Protocol, frame: bytes) -> tuple[int | None, int | None, int]:
+    """The ID and the address that a frame begins with, and its size (bytes; 0: not known)."""
+    if protocol.plain:  # by a table: most of the frames that are judged one by one are a car's
+        identity, length = protocol.headers[frame[0]]
+        return identity, None, 1 + length
+    layout = protocol.layout
+    known = layout.value("id", frame)
+    spec = protocol.by_id.get(known) if known is not None else None
+    return known, layout.value("address", frame), layout.size(frame, spec) or 0
+
+
+def _reading(spec: InstructionSpec | None, length: int, *, valid: bool, whole: bool) -> str:
     """The reading of the car's document on which a judgement about ID and length rests."""
-    spec, length = judged.instruction, judged.length
     if spec is None:
         unused = "R-unused-length" if length else ""
-        return "R-truncated-unused" if judged.truncated else unused
-    if judged.truncated:
+        return unused if whole else "R-truncated-unused"
+    if not whole:
         return "R-truncated-long" if length > spec.length else "R-truncated-known"
-    return "" if judged.valid else "R-known-length"
+    return "" if valid else "R-known-length"
 
 
 def _registers(

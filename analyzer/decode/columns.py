@@ -191,6 +191,19 @@ class ColumnDecoder:
         answer = [] if self._plain else carry.device.chunks("device")
         return [*carry.host.chunks("host", carry.begun), *answer]
 
+    def saved(self, carry: Carry) -> DecoderState | None:
+        """All that is needed to go on from here; None while an answer is not complete.
+
+        A Session gives the same, but to hand over to one and back takes as long as a batch.
+        """
+        if len(carry.device.data) and not self._plain:
+            return None
+        state, held = self.state(carry), self.begun(carry)
+        if not held:
+            return state
+        frame = b"".join(one.data for one in held)
+        return replace(state, frame=frame, frame_start=held[0].t, frame_end=held[-1].t)
+
     def _groups(self, carry: Carry) -> Iterator[WaitingFrames]:
         """Yield the waiting frames, neighbours with equal times together."""
         if not len(carry.end):

@@ -124,7 +124,9 @@ class StreamDecoder:
 
     def saved(self) -> DecoderState | None:
         """All that is needed to go on from here; None while frame boundaries are looked for."""
-        return self._leave_columns().saved()
+        if self._carry is not None and self._regular is not None:
+            return self._regular.saved(self._carry)
+        return self._session.saved()
 
     def resume(self, state: DecoderState) -> None:
         """Go on from a saved state. Raises ValueError if it is of a session with other settings."""
