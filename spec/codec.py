@@ -586,6 +586,9 @@ class Step(msgspec.Struct, frozen=True, gc=False):
     sets: Assigned
 
 
+_BY_DATA = (Outcome.VALID, Outcome.BAD_DATA)
+
+
 class Steps(dict[bytes, Step]):
     """The Step of each frame by its bytes (whole, or cut short): `steps[frame]`.
 
@@ -596,9 +599,18 @@ class Steps(dict[bytes, Step]):
     def __init__(self, protocol: Protocol) -> None:
         super().__init__()
         self._protocol = protocol
+        # By header and size: one header byte that no data can make right is judged once.
+        self._whatever_data: dict[tuple[bytes, int], Step] = {}
 
     def __missing__(self, frame: bytes) -> Step:
+        key = frame[:1], len(frame)
+        known = self._whatever_data.get(key)
+        if known is not None:
+            replaced = msgspec.structs.replace
+            return replaced(known, judgement=replaced(known.judgement, frame=frame))
         step = self._step(judge(self._protocol, frame))
+        if self._protocol.plain and step.judgement.outcome not in _BY_DATA:
+            self._whatever_data[key] = step
         if len(self) >= _REMEMBERED:
             self.clear()
         self[frame] = step
