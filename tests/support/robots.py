@@ -36,6 +36,7 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -75,6 +76,7 @@ class CountingLink:
 
     def __init__(self, device: Any, broken: Callable[[int], None] = lambda asks: None) -> None:
         self.asks = 0
+        self.operations: list[Operation] = []
         self.looks: list[Look] = []
         self._link = VirtualLink(device, BYTE_TIME)
         self._broken = broken
@@ -82,6 +84,7 @@ class CountingLink:
     def do(self, ask: Operation) -> int | Received | Observation:
         self._broken(self.asks)
         self.asks += 1
+        self.operations.append(ask)
         reply = self._link.do(ask)
         if isinstance(ask, Observe):
             assert isinstance(reply, Observation)
@@ -104,6 +107,16 @@ class SlowProbe(VirtualLink):
             self._pass(asked + self._look)
         reply = super().do(operation)
         return replace(reply, asked=asked) if isinstance(reply, Observation) else reply
+
+
+class Notes(RunListener):
+    """Keeps the sentences of a run for the user."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def note(self, sentence: str) -> None:
+        self.told.append(sentence)
 
 
 def cases_of(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
+from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol
@@ -74,20 +74,6 @@ def test_a_device_object_must_declare_it(protocol: Protocol, declared: object, c
         device.lossless = declared  # type: ignore[attr-defined]
 
     assert conform(device, options=Options(level="smoke")).exit == code
-
-
-@pytest.mark.slow
-def test_another_grammar_fails_too(each_protocol: Protocol) -> None:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-        return (
-            twice(device, event, reaction)
-            if event.faults == 60 and not event.judgement.valid
-            else reaction
-        )
-
-    device = Simulator(each_protocol, Fault("x", "test", "", react=react))  # type: ignore[arg-type]
-
-    assert conform(device, grammar=each_protocol, options=Options(level="smoke")).exit == 1
 
 
 @pytest.mark.slow

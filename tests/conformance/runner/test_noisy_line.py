@@ -85,25 +85,3 @@ def test_a_long_row_that_is_spoilt_again_and_again_is_no_failure(protocol: Proto
         device = NoisyDevice(Simulator(protocol), Noise(dropped=2e-4), seed)
         codes.add(conform(device, grammar=protocol, options=only).exit)
     assert codes == {0, 3}
-
-
-@pytest.mark.slow
-def test_many_bad_bytes_end_the_run_by_itself_and_fail_nothing(protocol: Protocol):
-    for seed in range(4):
-        device = NoisyDevice(Simulator(protocol), Noise(3e-4, 3e-4, 3e-4), seed)
-        report = conform(device, grammar=protocol, options=Options(level="smoke"))
-        failed = [r.id for r in report.results if r.verdict is Verdict.FAIL]
-        assert not failed, (seed, failed)
-
-
-@pytest.mark.sample(2)
-@pytest.mark.parametrize("seed", [1, 7, 10, 13, 17])
-def test_one_byte_doubled_in_a_thousand_fails_no_reference(protocol: Protocol, seed: int):
-    device = NoisyDevice(Simulator(protocol), Noise(doubled=1e-3), seed)
-
-    report = conform(
-        device, grammar=protocol, options=Options(level="smoke", seed=seed), logged=False
-    )
-
-    assert report.exit == 3
-    assert [r.id for r in report.results if r.verdict is Verdict.FAIL] == []

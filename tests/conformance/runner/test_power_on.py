@@ -15,10 +15,9 @@ from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.run import SPARE_ANSWERS, Run, RunConfig
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import ALL_SEEING, CountingLink, Hidden, cases_of
+from tests.support.robots import ALL_SEEING, CountingLink, Hidden, Notes, cases_of
 
 FEW = Options(only=("wrong-length/Stop/*",))
 
@@ -204,20 +203,6 @@ def test_a_device_object_is_judged_whatever_it_answers(protocol: Protocol) -> No
     report = conform(Other(protocol, b"0"), grammar=protocol, options=FEW)
 
     assert (report.exit, report.unusable) == (1, None)
-
-
-class Notes(RunListener):
-    """Keeps the sentences for the user, each with how many cases were final before it."""
-
-    def __init__(self) -> None:
-        self.told: list[tuple[int, str]] = []
-        self._done = 0
-
-    def end(self, result: object) -> None:
-        self._done += 1
-
-    def note(self, sentence: str) -> None:
-        self.told.append((self._done, sentence))
 
 
 def test_a_slow_device_that_takes_too_long_is_told_so_and_no_group_left_out_passes(

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 
 import pytest
 
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
-from bilprov.conformance.api import Options, conform, run_suite
+from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
-from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.homing import preamble_of
-from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.settings import IDENT, settings
 from bilprov.spec.by_effect import moving_motions
@@ -75,22 +71,6 @@ def test_what_the_frame_under_test_did_wrong_is_its_own(protocol: Protocol) -> N
     wrong = {result.id: result.reason for result in failed(report)}
     assert wrong["valid/LED/5"] == "led is 0, expected 5"
     assert "already so" in wrong["valid/Speed/2"]
-
-
-def test_a_recheck_names_the_preamble_too(protocol: Protocol, tmp_path: Path) -> None:
-    path = str(tmp_path / "run.mcap")
-    device = Simulator(protocol, EIGHT_BITS)
-    target = device_target(protocol, device, name="sim", probe="sim", fault=None)
-    with RunRecorder(path, target) as recorder:
-        report = run_suite(target, Options(only=("valid/Speed/2",)), [recorder])
-
-    again = recheck(path)
-
-    assert again.differences == ()
-    assert again.report is not None
-    told = [[result.reason for result in failed(one)] for one in (report, again.report)]
-    assert told[0] == told[1]
-    assert any("after its preamble" in reason for reason in told[0])
 
 
 FAULTS = "bad-data/LED/*"

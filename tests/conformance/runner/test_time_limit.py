@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import (
     Ended,
     Link,
@@ -20,6 +21,7 @@ from bilprov.analyzer.client.operations import (
     Reply,
     Send,
 )
+from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.link import Environment
@@ -33,7 +35,7 @@ from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.conformance.runner.time_limit import TimeLimit
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import ALL_SEEING, BYTE_TIME, MS, SlowProbe
+from tests.support.robots import ALL_SEEING, BYTE_TIME, MS, Notes, SlowProbe
 
 SECOND = 1000 * MS
 SMOKE = Options(level="smoke")
@@ -143,42 +145,11 @@ def test_what_a_device_turns_out_to_take_is_announced_once_and_moves_the_limit(
 
 @pytest.mark.parametrize("name", ["R-truncated-known=silent", "R-led-state=off"])
 def test_a_device_that_takes_no_longer_is_not_announced_anew(protocol: Protocol, name: str) -> None:
-    robot, notes = Robot(protocol, fault=variants(protocol)[name].fault), []
+    robot, notes = Robot(protocol, fault=variants(protocol)[name].fault), Notes()
 
-    class Noting(RunListener):
-        def note(self, sentence: str) -> None:
-            notes.append(sentence)
+    run_suite(robot.target, SMOKE, [notes])
 
-    run_suite(robot.target, SMOKE, [Noting()])
-
-    assert notes == []
-
-
-class Delayed(Simulator):
-    """A robot whose answers come so many ns late, as through a server in a network."""
-
-    def __init__(self, protocol: Protocol, delay: int) -> None:
-        super().__init__(protocol)
-        self._delay = delay
-        self._later: list[tuple[int, bytes]] = []
-
-    def receive(self, data: bytes, now: int) -> None:
-        super().receive(data, now)
-        self._hold(now)
-
-    def advance(self, now: int) -> bytes:
-        self._hold(now)
-        due = b"".join(answer for t, answer in self._later if t <= now)
-        self._later = [one for one in self._later if one[0] > now]
-        return due
-
-    def deadline(self) -> int | None:
-        times = [super().deadline(), *(t for t, _ in self._later)]
-        return min((t for t in times if t is not None), default=None)
-
-    def _hold(self, now: int) -> None:
-        if answer := super().advance(now):
-            self._later.append((now + self._delay, answer))
+    assert notes.told == []
 
 
 @pytest.mark.slow
@@ -186,7 +157,7 @@ def test_answers_that_are_slower_than_was_thought_are_counted_though_not_told(
     protocol: Protocol,
 ) -> None:
     robot = Robot(protocol, announced=0.01)
-    robot.simulator = Delayed(protocol, 4 * MS)
+    robot.simulator = NoisyDevice(Simulator(protocol), Noise(), 1, delay=2 * MS)
     told: list[float] = []
 
     class Noting(TimeLimit):

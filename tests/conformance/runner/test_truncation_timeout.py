@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from bilprov.analyzer.client.operations import drive
+from bilprov.analyzer.client.operations import Ended, Procedure, drive
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Fault, Simulator
@@ -27,11 +27,13 @@ from bilprov.conformance.report.summary import show
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.truncation_timeout import measure_timeout
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import watchdog
 from tests.support.pairs import pairs
 from tests.support.robots import ALL_SEEING, MS, CountingLink
 
+STEPS = 120  # operations of a measurement, at most
 WATCHDOG = Fault("", "", "", react=watchdog(1000))
 
 
@@ -80,6 +82,25 @@ def test_a_time_out_that_never_comes_is_no_pass_where_a_watchdog_stops_the_robot
 
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "hides the time-out" in result.axes["stop"].reason
+
+
+def test_a_measurement_that_is_interrupted_after_its_answer_is_no_pass(protocol: Protocol) -> None:
+    verdicts = []
+    for stop_at in range(STEPS):
+        run = Run(RunConfig(protocol, Timers(), ALL_SEEING))
+        link = CountingLink(Simulator(protocol))
+
+        def script(run: Run = run) -> Procedure[bool]:
+            try:
+                yield from measure_timeout(run)
+            except Ended:
+                return False
+            return True
+
+        if not drive(script(), link, lambda link=link, at=stop_at: link.asks >= at):  # type: ignore[misc]
+            verdicts += [result.verdict for result in run.results]
+    assert verdicts
+    assert set(verdicts) == {Verdict.INCONCLUSIVE}
 
 
 SMOKE = Options(level="smoke")

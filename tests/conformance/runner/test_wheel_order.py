@@ -13,7 +13,6 @@ from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.wheel_order import wheel_orders
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
-from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.oracle.wheel_order import judge_order
 from bilprov.spec.codec import judge
@@ -165,18 +164,6 @@ def test_a_probe_that_shows_no_speeds_leaves_the_cases_out(
     protocol: Protocol, change: Callable[[Look], dict[str, object]]
 ) -> None:
     assert set(verdicts(protocol, seen(change)).values()) == {SKIPPED}
-
-
-@pytest.mark.slow
-def test_no_legal_variant_fails(protocol: Protocol) -> None:
-    every = variants(protocol)
-    for name in [*list(every)[::3], "R-resolution=plateau"]:
-        variant = every[name]
-        options = replace(ONLY, allow=(variant.allow,) if variant.allow else ())
-        found = judged(protocol, variant.fault, options)
-
-        most = NON_STRICT if variant.reading == "R-resolution" else PASS
-        assert max(result.verdict for result in found.values()) is most, name
 
 
 def test_a_fall_that_shows_once_is_flaky(protocol: Protocol) -> None:
