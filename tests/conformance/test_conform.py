@@ -198,20 +198,6 @@ def test_on_a_terminal_it_asks_once(
 # -- options --------------------------------------------------------------------------------------
 
 
-def test_strict_counts_non_strict_as_failed(protocol: Protocol) -> None:
-    slow = ["--level", "deep", "--deadline", "100", "--only", "truncated/9/3/*"]
-    # runs-data-of-too-long is non-strict in what it answers to long frames that are cut short
-    fault = ["--fault", "runs-data-of-too-long", "--only", "truncated/LED/15/1?"]
-
-    plain = report_of(command("conform", "sim", *fault, *slow, "--json", "-").stdout)
-    strict = report_of(command("conform", "sim", *fault, *slow, "--strict", "--json", "-").stdout)
-
-    assert plain.counts == strict.counts
-    assert strict.options["strict"] is True
-    if not plain.counts["fail"]:
-        assert (plain.exit, strict.exit) == (0, 1)
-
-
 @pytest.mark.parametrize("timeout", [None, 50.0])
 def test_a_run_counts_as_many_cases_as_were_announced(
     protocol: Protocol, timeout: float | None
@@ -380,18 +366,6 @@ def test_a_run_in_the_background_is_ended_by_a_signal_that_is_sent_to_it() -> No
     assert state["moving"] is False
 
 
-def test_a_dead_line_is_told_in_one_sentence_and_in_the_report(tmp_path: Path) -> None:
-    file = tmp_path / "report.json"
-    with simulate("--fault", "echo") as robot:
-        run = Conforming(robot.port, "--json", str(file))
-        code, out, _ = run.end()
-
-    assert code == 2
-    assert "echo" in out
-    report = report_of(file.read_bytes())
-    assert (report.exit, report.verdict, report.cases) == (2, "error", [])
-
-
 # -- simulate -------------------------------------------------------------------------------------
 
 
@@ -410,14 +384,6 @@ def test_the_simulator_serves_until_it_is_told_to_stop(number: signal.Signals, p
         out, err = robot.process.communicate(timeout=PATIENCE)
 
     assert (robot.process.returncode, out, err) == (0, "", "")
-
-
-def test_a_served_fault_misbehaves() -> None:
-    with simulate("--fault", "always-1") as robot:
-        host, port = robot.port.removeprefix("socket://").split(":")
-        with socket.create_connection((host, int(port))) as line:
-            line.sendall(b"\x20")
-            assert line.recv(1) == b"\x01"
 
 
 def test_a_recording_that_the_disk_cannot_take_ends_the_run_with_the_robot_at_rest(

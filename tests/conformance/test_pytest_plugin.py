@@ -22,8 +22,8 @@ from tests.support.firmware import AVR, built
 from tests.support.robots import PATIENCE, READING_CASES, TIMED_PROBES, simulate
 
 pytestmark = pytest.mark.waits
-
 pytest_plugins = ["pytester"]
+
 
 PLUGIN = ("-p", "bilprov.conformance.pytest_plugin")
 PROBES = 1 + READING_CASES  # the time-out and reading/*: what every run asks of a device first
@@ -137,20 +137,29 @@ def test_what_could_not_be_judged_is_skipped_with_its_reason(run: pytest.Pyteste
     result.stdout.fnmatch_lines(["SKIPPED*inconclusive: precondition lost: not seen moving*"])
 
 
+# A result that is put before, or instead of, that of one case.
+AT_LED_3 = """\
+import msgspec
+from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.pytest_plugin import bench
+
+put = bench.Bench.end
+
+def end(self, result):
+    if result.id == "valid/LED/3":
+        axis = Axis({axis})
+        axes = {{"answer": axis}}
+        {then}
+    put(self, result)
+
+bench.Bench.end = end
+"""
+
+
 def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
-    run.makeconftest(
-        "from bilprov.conformance.oracle import verdicts\n"
-        "from bilprov.conformance.pytest_plugin import bench\n"
-        "put = bench.Bench.end\n"
-        "def end(self, result):\n"
-        "    if result.id == 'valid/LED/3':\n"
-        "        import msgspec\n"
-        "        verdict = verdicts.Verdict.NON_STRICT\n"
-        "        axes = {'answer': verdicts.Axis(verdict, 'e', 'a', 'slow', 'R-x')}\n"
-        "        result = msgspec.structs.replace(result, verdict=verdict, axes=axes)\n"
-        "    put(self, result)\n"
-        "bench.Bench.end = end\n"
-    )
+    axis = "Verdict.NON_STRICT, 'e', 'a', 'slow', 'R-x'"
+    then = "result = msgspec.structs.replace(result, verdict=axis.verdict, axes=axes)"
+    run.makeconftest(AT_LED_3.format(axis=axis, then=then))
 
     result = on_sim(run, *FEW, "--junitxml", "j.xml", "-rP")
 
@@ -173,19 +182,10 @@ def test_a_line_that_cannot_be_used_is_one_error_and_nothing_passes(run: pytest.
 
 
 def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytester) -> None:
-    run.makeconftest(
-        "from bilprov.conformance.oracle import verdicts\n"
-        "from bilprov.conformance.pytest_plugin import bench\n"
-        "put = bench.Bench.end\n"
-        "def end(self, result):\n"
-        "    if result.id == 'valid/LED/3':\n"
-        "        import msgspec\n"
-        "        axis = verdicts.Axis(verdicts.Verdict.FAIL, 'no answer', '9', 'unasked')\n"
-        "        put(self, msgspec.structs.replace(result, id='line/unsolicited', "
-        "verdict=axis.verdict, axes={'answer': axis}))\n"
-        "    put(self, result)\n"
-        "bench.Bench.end = end\n"
-    )
+    changes = "id='line/unsolicited', verdict=axis.verdict, axes=axes"
+    then = f"put(self, msgspec.structs.replace(result, {changes}))"
+    axis = "Verdict.FAIL, 'no answer', '9', 'unasked'"
+    run.makeconftest(AT_LED_3.format(axis=axis, then=then))
 
     result = on_sim(run, *FEW)
 
@@ -358,33 +358,6 @@ def test_people_test_their_robot_with_the_fixture(run: pytest.Pytester) -> None:
 
     on_sim(run, "test_mine.py").assert_outcomes(passed=5, failed=1)
     on_sim(run, *FEW).assert_outcomes(passed=19 + PROBES, failed=1)
-
-
-METHODS = """\
-import pytest
-
-def test_it_drives(robot):
-    robot.speed(80)
-    assert robot.forward().name == "OK"
-    assert robot.look().moving
-
-def test_a_value_out_of_range(robot):
-    with pytest.raises(ValueError, match="LED.rgb is 8, allowed are 0 to 7"):
-        robot.led(8)
-
-def test_a_refusal_fails_a_test(robot):
-    robot.led(rgb=5)
-"""
-
-
-def test_the_fixture_has_the_instructions_as_methods_too(run: pytest.Pytester) -> None:
-    run.makepyfile(test_mine=METHODS)
-
-    on_sim(run, "test_mine.py").assert_outcomes(passed=3)
-    refused = on_sim(run, "test_mine.py", "--robot-fault", "always-1")
-
-    refused.assert_outcomes(passed=1, failed=2)
-    refused.stdout.fnmatch_lines(["*Refused: LED rgb=5 (R B) (81 05) was answered BAD_HEADER*"])
 
 
 @AVR
