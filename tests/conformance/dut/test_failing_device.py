@@ -58,13 +58,6 @@ class Moody:
         return self.robot.look(now)
 
 
-class Hanging(Moody):
-    def receive(self, data: bytes, now: int) -> None:
-        self.due(len(data))
-        if self.left > 0:
-            super().receive(data, now)
-
-
 class Flooding(Moody):
     """A byte every 100 us, without end."""
 
@@ -123,25 +116,6 @@ def counted(protocol: Protocol) -> int:
 
 def of(report: Report, verdict: Verdict) -> list[str]:
     return [result.id for result in report.results if result.verdict is verdict]
-
-
-def test_one_that_hangs_fails_where_it_stopped_answering_and_the_rest_is_inconclusive(
-    protocol: Protocol,
-) -> None:
-    whole = conform(Simulator(protocol), grammar=protocol, options=SMOKE)
-    report = run(protocol, Hanging, counted(protocol) * 3 // 4)
-    failed = of(report, Verdict.FAIL)
-
-    assert report.exit == 1
-    assert failed[1:] in ([], ["leave/stopped"])  # it may drive on, and that is said too
-    at = [result.id for result in report.results].index(failed[0])
-    after = [result for result in report.results[at + 1 :] if result.id != "leave/stopped"]
-    assert {result.verdict for result in after} <= {Verdict.INCONCLUSIVE}
-    assert of(report, Verdict.PASS)
-    rest = next(r for r in report.results if r.verdict is Verdict.INCONCLUSIVE)
-    assert "stopped answering" in rest.axes["answer"].reason
-    ran = {result.id for result in whole.results}
-    assert ran <= {result.id for result in report.results} | {"power-on/Forward"}
 
 
 def test_one_that_floods_fails_and_is_not_listened_to_for_ever(protocol: Protocol) -> None:

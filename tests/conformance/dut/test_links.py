@@ -23,8 +23,6 @@ from bilprov.analyzer.client.operations import (
     Reconnected,
     Send,
     drive,
-    listen,
-    observe,
     send,
 )
 from bilprov.analyzer.client.port_link import PortLink
@@ -416,18 +414,3 @@ def test_a_flood_does_not_fill_the_memory(protocol: Protocol) -> None:
             room.link.do(Send(b"\0"))
             heard += len(heard_of(room.link, 60_000, 300 * MS).answers)
             assert heard <= 4 << 16
-
-
-def test_listen_and_see_are_asks_of_their_own() -> None:
-    class Recorder:
-        def do(self, ask: Operation) -> int | Received | Observation:
-            if isinstance(ask, Listen):
-                return Received((), 5)
-            return Observation(1, 2, CarLook(2, None))
-
-    def procedure() -> Procedure[tuple[int, int]]:
-        heard = yield from listen(1, 5)
-        seen = yield from observe()
-        return heard.now, seen.now
-
-    assert drive(procedure(), Recorder(), lambda: False) == (5, 2)

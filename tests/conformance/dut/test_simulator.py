@@ -12,20 +12,16 @@ from hypothesis import strategies as st
 
 from bilprov.conformance.dut.simulator import Fault, Simulator, answers
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
-from tests.support.car import car_state
 from tests.vectors import (
     FRAMES,
     SEQUENCES,
     STREAMS,
     TIMING,
-    WHEELS,
     FrameVector,
     RobotState,
     Sequence,
     StreamVector,
-    WheelVector,
 )
 
 MS = 1_000_000
@@ -62,20 +58,13 @@ def test_a_frame_gets_the_documents_answer_once(protocol: Protocol, vector: Fram
 
 
 @pytest.mark.parametrize("sequence", SEQUENCES, ids=lambda s: s.title)
-def test_a_sequence_gives_the_answers_and_states_of_the_document(
+def test_a_sequence_gives_the_answers_and_states_of_the_document_and_its_probe_what_it_does_now(
     protocol: Protocol, sequence: Sequence
 ) -> None:
     device, now = Simulator(protocol), 0
     for step in sequence.steps:
         said, now = exchange(device, step.frame, now)
         assert (said, shown(device)) == (bytes([step.code]), step.state)
-
-
-@pytest.mark.parametrize("sequence", SEQUENCES, ids=lambda s: s.title)
-def test_the_probe_tells_what_the_wheels_do_now(protocol: Protocol, sequence: Sequence) -> None:
-    device, now = Simulator(protocol), 0
-    for step in sequence.steps:
-        _, now = exchange(device, step.frame, now)
         told = json.loads(device.probe(now))
         state = step.state
         assert set(told) == {"moving", "motion", "speed", "steering", "led", "left", "right"}
@@ -83,21 +72,6 @@ def test_the_probe_tells_what_the_wheels_do_now(protocol: Protocol, sequence: Se
         assert told["motion"] == (state.motion if state.moving else "stopped")
         assert (told["speed"], told["steering"], told["led"]) == state[1:4]
         assert (told["left"] == told["right"] == 0) is not state.moving
-
-
-@pytest.mark.parametrize("vector", WHEELS, ids=lambda v: f"{v.motion} {v.steering}")
-def test_the_wheels_turn_as_the_motion_says(protocol: Protocol, vector: WheelVector) -> None:
-    device = Simulator(protocol)
-    device.state = car_state(Motion(vector.motion), speed=200, steering=vector.steering)
-
-    look = device.look(0)
-
-    assert look.left is not None
-    assert look.right is not None
-    signs = [(side > 0) - (side < 0) for side in (look.left, look.right)]
-    assert signs == [vector.left, vector.right]
-    faster = abs(look.left) - abs(look.right)
-    assert vector.faster == ("left" if faster > 0 else "right" if faster < 0 else "")
 
 
 @pytest.mark.parametrize("stream", STREAMS, ids=lambda s: s.title)

@@ -29,7 +29,7 @@ from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state, lost
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code, worst
+from bilprov.conformance.oracle.verdicts import Axis, Verdict, exit_code, worst
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol
@@ -145,30 +145,12 @@ def test_an_unused_code_is_never_right(
 
 
 @pytest.mark.parametrize(
-    ("late", "verdict", "reading"),
-    [
-        (0, PASS, ""),
-        (100, PASS, ""),
-        (101, NON_STRICT, "R-answer-deadline"),
-        (1000, NON_STRICT, "R-answer-deadline"),
-        (1001, FAIL, "R-answer-deadline"),
-    ],
-)
-def test_an_answer_is_due_in_100_ms_and_wrong_after_a_second(
-    protocol: Protocol, cases: dict[str, Case], late: int, verdict: Verdict, reading: str
-) -> None:
-    heard = Received(((5 * MS + late * MS, 0),), 5 * MS + late * MS)
-
-    axis = judge_answers(
-        protocol, cases["valid/Stop"].accepted, heard, 5 * MS, timed=True, timers=Timers()
-    )
-
-    assert (axis.verdict, axis.reading or "") == (verdict, reading)
-
-
-@pytest.mark.parametrize(
     ("deadline", "late", "verdict", "reason"),
     [
+        (100, 100, PASS, ""),
+        (100, 101, NON_STRICT, "slow: answered after 101 ms, expected within 100 ms"),
+        (100, 1000, NON_STRICT, "slow: answered after 1000 ms, expected within 100 ms"),
+        (100, 1001, FAIL, "answered after 1001 ms, at most 1000 ms are allowed"),
         (50, 50, PASS, ""),
         (50, 80, NON_STRICT, "slow: answered after 80 ms, expected within 50 ms"),
         (200, 150, PASS, ""),
@@ -193,6 +175,7 @@ def test_the_deadline_of_the_run_decides_whether_an_answer_is_slow(
     )
 
     assert (axis.verdict, axis.reason) == (verdict, reason)
+    assert (axis.reading == "R-answer-deadline") is (verdict is not PASS)
 
 
 def test_a_right_answer_is_not_slow_where_a_time_out_comes_first(
@@ -666,42 +649,6 @@ def test_a_time_out_is_measured_and_should_lie_between_5_ms_and_a_second(
     assert {r.verdict for r in report.results} <= {PASS, INFORMATIONAL, measured.verdict}
 
 
-class Banner:
-    """A device that sends a greeting by itself, `at` ns after it was made."""
-
-    def __init__(self, device: Simulator, at: int, greeting: bytes) -> None:
-        self._device = device
-        for byte in greeting:
-            device.answer(byte, at)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._device, name)
-
-
-def test_a_banner_before_the_first_instruction_is_informational(protocol: Protocol) -> None:
-    device = Banner(Simulator(protocol), 0, b"Hej!")
-
-    report = conform(device, grammar=protocol, options=Options(only=("valid/Stop",)))
-
-    (at_rest,) = [r for r in report.results if r.verdict is not PASS]
-    assert (at_rest.id, at_rest.verdict) == ("power-on/at-rest", INFORMATIONAL)
-    assert at_rest.reading == "R-unsolicited"
-
-
-@pytest.mark.parametrize("at", [1, 30])
-def test_a_byte_without_an_instruction_that_came_once_is_never_a_pass(
-    protocol: Protocol, at: int
-) -> None:
-    device = Banner(Simulator(protocol), at * MS, b"!")
-
-    report = conform(device, grammar=protocol, options=Options(only=("wrong-length/*",)))
-
-    assert report.exit in (1, 3)  # 3 where the line may have made it: it was flaky
-    worst_of_all = [r for r in report.results if r.verdict >= INCONCLUSIVE]
-    assert len(worst_of_all) == 1
-    assert report.exit == 1 or "flaky, not reproduced" in worst_of_all[0].reason
-
-
 def test_a_byte_without_an_instruction_that_comes_again_and_again_is_a_failure(
     protocol: Protocol,
 ) -> None:
@@ -716,19 +663,6 @@ def test_a_byte_without_an_instruction_that_comes_again_and_again_is_a_failure(
     assert report.exit == 1
     found = Counter(r.verdict for r in report.results if r.id.startswith("wrong"))
     assert found[FAIL] >= found.total() // 8  # one in eight waits long enough to meet it
-
-
-@pytest.mark.slow
-def test_a_byte_too_many_now_and_then_is_a_failure(protocol: Protocol) -> None:
-    chatty = Fault("x", "test", "", react=lambda d, e, r: (
-        replace(r, answers=(*r.answers, (3 * MS, 0))) if e.frames % 10 == 9 else r
-    ))  # fmt: skip
-
-    report = conform(
-        Simulator(protocol, chatty), grammar=protocol, options=Options(only=("wrong-length/*",))
-    )
-
-    assert report.exit == 1
 
 
 def only_moving(look: Look) -> Look:
@@ -838,23 +772,3 @@ def test_the_worst_verdict_counts(verdicts: list[Verdict]) -> None:
     order = [SKIPPED, PASS, INFORMATIONAL, NON_STRICT, INCONCLUSIVE, FAIL, ERROR]
 
     assert worst(verdicts) is max(verdicts, key=order.index)
-
-
-def test_a_case_takes_the_worst_of_its_axes_and_its_reason() -> None:
-    axes = {
-        "answer": Axis(PASS, "", ""),
-        "stop": Axis(FAIL, "stopped", "moving", "drives on"),
-        "state": Axis(NON_STRICT, "", "", "another reading"),
-    }
-    result = CaseResult(
-        id="x",
-        clause="",
-        requirement="",
-        verdict=worst(a.verdict for a in axes.values()),
-        axes=axes,
-        reading=None,
-        sent=(),
-        received=(),
-    )
-
-    assert (result.verdict, result.reason) == (FAIL, "drives on")

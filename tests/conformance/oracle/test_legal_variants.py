@@ -108,33 +108,6 @@ def test_every_variant_has_its_verdict_here_and_every_other_choice_its_variant(
     assert legal == {variant.reading for variant in known.values()}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "drives", "rotations"),
-    [
-        (None, "kept", "kept"),
-        ("R-drive-steering=straight", "straight", "kept"),
-        ("R-rotate-steering=reset", "kept", "reset"),
-        ("R-rotate-steering=reset-and-drives-straight", "straight", "reset"),
-    ],
-)
-def test_drives_and_rotations_may_treat_the_steering_apart(
-    protocol: Protocol, name: str | None, drives: str, rotations: str
-) -> None:
-    fault = find_variant(protocol, name) if name else None
-
-    report = conform(Simulator(protocol, fault), grammar=protocol, options=Options(level="smoke"))
-
-    shown = report.profile.readings or {}
-    assert (shown["R-drive-steering"], shown["R-rotate-steering"]) == (drives, rotations)
-    axes = [axis for result in report.results for axis in result.axes.values()]
-    rests = {axis.reading for axis in axes if axis.verdict > PASS}
-    assert rests == {point for point in shown if shown[point] in ("straight", "reset")} - {
-        "R-fault-state steering", "R-stop-steering"
-    }  # fmt: skip
-    assert report.verdict is (INFORMATIONAL if name else PASS)
-
-
 class TellingItsWheels(Simulator):
     """Its probe tells the wheels and the light, and no value that was set."""
 
@@ -175,19 +148,6 @@ def test_a_reading_that_needs_an_option_fails_without_it(name: str, protocol: Pr
     device = Simulator(protocol, find_variant(protocol, name))
 
     assert conform(device, grammar=protocol, options=Options(level="smoke")).exit == 1
-
-
-@pytest.mark.slow
-def test_a_reading_that_a_device_rests_on_is_named(protocol: Protocol) -> None:
-    for name, verdict in VERDICTS.items():
-        if verdict in (PASS, FAIL):
-            continue
-        cases = cases_of(protocol, "valid/Stop", "*/[1-9]", "*/0", "timing/*", "valid/R*")[::27]
-        device = Simulator(protocol, find_variant(protocol, name))
-        runner = run_over(CountingLink(device), protocol, cases, discover=True)
-        readings = {axis.reading for r in runner.run.results for axis in r.axes.values()}
-        if any(result.verdict is verdict for result in runner.run.results):
-            assert readings - {None}, name
 
 
 def test_a_probe_that_sees_only_motion_does_not_take_a_zeroed_speed_for_a_broken_restart(

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 from bilprov.captures.text import escape_controls
-from bilprov.conformance.oracle.profile import Figures
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
@@ -111,10 +109,6 @@ def test_only_its_own_script_and_style_may_run(protocol: Protocol) -> None:
     assert policy.startswith("default-src 'none'; script-src 'sha256-")
     assert "unsafe" not in policy
     assert not [a for _, a in elements if "style" in a or any(key.startswith("on") for key in a)]
-
-
-def test_the_same_report_gives_the_same_page(protocol: Protocol) -> None:
-    assert as_html([failing(protocol)], protocol) == as_html([failing(protocol)], protocol)
 
 
 def test_matrix_and_cases_are_there_without_any_script(protocol: Protocol) -> None:
@@ -229,56 +223,6 @@ def test_the_timing_picture_has_a_mark_for_each_entry(protocol: Protocol, show: 
     assert "20.0 ms" in page.eval("document.querySelector('.timing').textContent")
 
 
-# Pauses of a log (s), and their labels in the picture; the shortest has none.
-PAUSES = {
-    3e-6: "",
-    20e-6: "20 µs",
-    200e-6: "200 µs",
-    0.0012: "1.2 ms",
-    0.02: "20.0 ms",
-    0.2: "200 ms",
-    2.0: "2.00 s",
-    20.0: "20.00 s",
-}
-
-
-@needs_chromium
-@pytest.mark.parametrize("width", [1280, 400])
-def test_the_timing_picture_shows_pauses_of_20_us_and_of_20_s_beside_each_other(
-    protocol: Protocol, show: Open, width: int
-) -> None:
-    times = [0.0]
-    for pause in (*PAUSES, *reversed(PAUSES)):
-        times.append(times[-1] + pause)
-    log = tuple(WireEvent(t, "look", look="moving") for t in times)
-    case = replace(a_case("made/1", Verdict.FAIL), log=log)
-    page = show(replace(every_verdict(protocol), results=(case,)))
-    page.size(width)
-    open_case(page, "made/1")
-
-    marks = page.eval(
-        "[...document.querySelectorAll('.timing circle')].map(mark => mark.cx.baseVal.value)"
-    )
-    widths = [after - before for before, after in pairwise(marks)]
-    half = len(PAUSES)
-    assert widths[:half] == sorted(widths[:half])  # a longer pause is drawn wider
-    assert widths[half:] == pytest.approx(widths[:half][::-1], abs=0.01)
-    assert min(widths) > 10  # the marks of two entries, 10 wide, do not cover each other
-    assert max(widths) < 300
-    labels = page.eval(
-        "[...document.querySelectorAll('.timing .pause')].map(label => "
-        "[label.textContent, label.getBBox().x, label.getBBox().x + label.getBBox().width])"
-    )
-    named = list(filter(None, PAUSES.values()))
-    assert [label for label, _, _ in labels] == named + named[::-1]
-    spans = [(a, b) for a, b in pairwise(marks) if b - a > widths[0] + 1]
-    assert len(spans) == len(labels)
-    for (begin, end), (_, left, right) in zip(spans, labels, strict=True):
-        assert begin < left < right < end
-    assert page.eval("document.querySelector('.timing').width.baseVal.value") > marks[-1]
-    assert page.eval("document.documentElement.scrollWidth") <= width  # the picture alone scrolls
-
-
 @needs_chromium
 def test_a_reading_is_told_with_its_point_default_and_verdicts(
     protocol: Protocol, show: Open
@@ -327,23 +271,6 @@ def test_a_case_opens_by_keyboard_and_by_its_address(protocol: Protocol, show: O
     page.eval(f"location.hash = '#case={passed}'")
     page.wait(f"document.querySelector('details[data-id=\"{passed}\"][open] .inside')")
     assert passed in visible_ids(page)
-
-
-@needs_chromium
-def test_a_case_that_is_closed_and_opened_again_is_drawn_once(
-    protocol: Protocol, show: Open
-) -> None:
-    report = failing(protocol)
-    page = show(report)
-    row = f'details[data-id="{ids(report, Verdict.FAIL)[0]}"]'
-    open_case(page, ids(report, Verdict.FAIL)[0])
-
-    for state in ("false", "true"):
-        page.click(f"{row} summary")
-        page.wait(f"document.querySelector('{row}').open === {state}")
-        page.eval("new Promise(drawn => requestAnimationFrame(() => setTimeout(drawn)))")
-
-    assert page.eval("document.querySelectorAll('.inside').length") == 1
 
 
 @needs_chromium
@@ -458,20 +385,3 @@ def test_five_thousand_cases_are_drawn_only_when_opened(protocol: Protocol, show
     open_case(page, "made/4321")
     assert page.eval("document.querySelectorAll('.inside').length") == 1
     assert wire_log(page)[-1][4] == "7 entries are left out here"
-
-
-@needs_chromium
-def test_a_run_of_nothing_still_makes_a_page(protocol: Protocol, show: Open) -> None:
-    report = replace(
-        every_verdict(protocol),
-        results=(),
-        coverage={},
-        profile=Figures(),
-        unusable="it echoes",
-        exit=2,
-    )
-    page = show(report)
-
-    words = page.eval("document.body.innerText")
-    assert "not judged: it echoes" in words
-    assert "No case was judged." in words
