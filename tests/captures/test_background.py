@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from bilprov.captures.background import EVENT_BYTES, QUEUE_BYTES, BackgroundWriter
-from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
@@ -166,20 +165,3 @@ def test_wrong_use_is_told_and_the_file_is_finished(tmp_path: Path) -> None:
     capture.close()
     assert [chunk.data for chunk in chunks(path)] == [b"x"]
     assert not open_capture(path).unfinished
-
-
-def test_after_closing_nothing_is_taken(tmp_path: Path) -> None:
-    capture = writer(tmp_path / "a.mcap")
-    capture.close()
-    capture.close()
-    with pytest.raises(ValueError, match="is closed"):
-        capture.chunk(Chunk(0, "host", b"x"))
-    assert not open_capture(tmp_path / "a.mcap").unfinished
-
-
-def test_a_file_that_cannot_be_made_starts_no_thread(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").touch()
-    before = threading.active_count()
-    with pytest.raises(CaptureError, match="exists and captures are never overwritten"):
-        writer(tmp_path / "a.mcap")
-    assert threading.active_count() == before

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import os
-import random
 import struct
 import zlib
 from collections.abc import Callable
@@ -29,7 +28,6 @@ START = 1_790_000_000_000_000_000
 STEP = 1_000
 GRAMMAR = "a" * 64
 SAMPLES = ROOT / "captures" / "samples"
-Sight = Chunk | Line | Look
 
 
 def written(path: Path, checkpoints: dict[int, Checkpoint] | None = None) -> Path:
@@ -63,10 +61,6 @@ def opened(path: Path) -> Capture:
     capture = open_indexed(path)
     assert capture is not None
     return capture
-
-
-def names_of(path: Path) -> list[str]:
-    return [message.topic for message in messages(open_capture(path))]
 
 
 def changed_summary(path: Path, change: Callable[[bytearray, int], None]) -> None:
@@ -160,11 +154,6 @@ def test_a_checkpoint_that_lies_is_passed_over(tmp_path: Path, lie: str) -> None
     assert found.value == good
     alone = opened(written(tmp_path / "b.mcap", {55: LIES[lie]}))
     assert alone.checkpoint_before(1 << 62, GRAMMAR) is None
-
-
-def test_a_capture_of_another_grammar_has_no_checkpoint_for_this_one(path: Path) -> None:
-    assert opened(path).checkpoint_before(1 << 62, "b" * 64) is None
-    assert opened(path).checkpoint_before(1 << 62) is not None
 
 
 def test_a_damaged_chunk_costs_its_checkpoints_alone(path: Path) -> None:
@@ -303,20 +292,6 @@ def test_a_file_that_changed_since_it_was_opened_is_an_error_of_ours(path: Path)
     for read in (lambda: list(capture.events()), lambda: capture.checkpoint_before(1 << 62)):
         with pytest.raises(CaptureError, match="does not exist"):
             read()
-
-
-def damage(content: bytearray, choose: random.Random) -> bytearray:
-    at = choose.randrange(len(content))
-    kind = choose.randrange(4)
-    if kind == 0:
-        content[at] ^= 1 << choose.randrange(8)
-    elif kind == 1:
-        content[at : at + 40] = choose.randbytes(len(content[at : at + 40]))
-    elif kind == 2:
-        del content[at : at + choose.randrange(1, 300)]
-    else:
-        struct.pack_into("<Q", content, min(at, len(content) - 8), choose.choice([0, 1 << 62, 9]))
-    return content
 
 
 def test_the_official_reader_reads_checkpoints(path: Path) -> None:

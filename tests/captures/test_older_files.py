@@ -64,19 +64,6 @@ def test_an_old_profile_is_taken(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
 
 
-def test_an_old_report_is_shown() -> None:
-    result = command("report", str(OLD / "report.json"))
-
-    assert (result.returncode, result.stderr) == (0, b"")
-
-
-def test_an_old_grammar_file_is_a_grammar() -> None:
-    result = command("--grammar", str(OLD / "horn-grammar.txt"), "decode", "91", "02")
-
-    assert result.returncode == 0, result.stderr
-    assert b"Horn sound=2" in result.stdout
-
-
 def test_both_spellings_are_declarations_and_nothing_else_of_either_is(grammar_text: str) -> None:
     for text in (grammar_text, bare(grammar_text)):
         require_declarations(text)

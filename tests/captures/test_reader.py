@@ -17,10 +17,9 @@ from mcap.writer import CompressionType, Writer
 
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Chunk, Line, Log, Time
+from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.storage import records, recovery
 from bilprov.captures.storage.recovery import RecordFile
-from bilprov.captures.text import printable
 from bilprov.captures.topics import TOPICS
 from bilprov.captures.writer import CaptureWriter
 from tests.support.car import car_state
@@ -196,17 +195,6 @@ def test_what_is_no_capture_is_refused_in_a_sentence(
 ) -> None:
     with pytest.raises(CaptureError, match=sentence):
         open_capture(with_bytes(tmp_path / "a.mcap", data))
-
-
-def test_a_folder_and_a_missing_file_are_refused_in_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(CaptureError, match="is a folder"):
-        open_capture(tmp_path)
-    with pytest.raises(CaptureError, match="does not exist"):
-        open_capture(tmp_path / "none.mcap")
-    with pytest.raises(CaptureError, match="not a regular file"):
-        open_capture("/dev/null")
-    with pytest.raises(CaptureError, match="cannot be read"):
-        open_capture("a\0b")
 
 
 Fill = Callable[[Writer], Any]
@@ -446,21 +434,6 @@ def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(tmp_path: Path
     path.write_bytes(path.read_bytes()[: 2 * len(much)])
     with pytest.raises(CaptureError, match="changed while it was read"):
         list(events)
-
-
-def test_foreign_text_is_one_harmless_line_of_at_most_200_characters() -> None:
-    assert printable("plain å") == "plain å"
-    assert printable("a\x1b[2J\x9b\u202e\n\ud800") == "a\\x1b[2J\\x9b\\u202e\\n\\ud800"
-    assert len(printable("\x00" * 5000)) == len(printable("a" * 5000)) == 200
-
-
-def test_log_messages_keep_foxgloves_timestamp(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as capture:
-        capture.write(Log(Time(1, 2), 4, "bad", "kind"), 0)
-    (message,) = all_of(path)
-    assert isinstance(message.value, dict)
-    assert message.value["timestamp"] == {"sec": 1, "nsec": 2}
 
 
 def test_an_empty_chunk_checksum_is_not_taken_from_our_own_files(
