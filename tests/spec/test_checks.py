@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.arrays.layouts import Checking
 from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
 from tests.vectors_modbus_rtu import REQUESTS
 
@@ -29,16 +27,6 @@ FUNCTIONS = [
 @given(data=st.binary(max_size=20))
 def test_the_running_check_is_that_of_each_prefix(function: CheckFunction, data: bytes) -> None:
     assert list(function.running(data)) == [function(data[:n]) for n in range(len(data) + 1)]
-
-
-@pytest.mark.parametrize("function", FUNCTIONS, ids=repr)
-@given(data=st.binary(min_size=2, max_size=20))
-def test_checks_worked_out_in_columns_are_the_same(function: CheckFunction, data: bytes) -> None:
-    end = np.arange(len(data) + 1)
-    found = Checking(function, len(end))
-    found.take(np.frombuffer(data, np.uint8), np.zeros_like(end), end)
-
-    assert found.values.tolist() == list(function.running(data))
 
 
 @pytest.mark.parametrize("vector", [one for one in REQUESTS if one.outcome == "valid"], ids=str)

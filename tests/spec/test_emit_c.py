@@ -11,7 +11,7 @@ import pytest
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import build
 from bilprov.spec.emit.c import c_header
-from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.firmware import needs
@@ -51,16 +51,6 @@ def test_another_grammar_gives_another_header(horn: Protocol) -> None:
     found = constants(c_header(horn))
 
     assert (found["HORN"], found["HORN_SOUND_MIN"], found["HORN_SOUND_MAX"]) == (0x91, 0, 3)
-
-
-def test_prose_cannot_end_its_comment(grammar_text: str) -> None:
-    hostile = grammar_text.replace("steering strength", "*/ int x; /* #define STOP 9 \\\\")
-
-    text = c_header(load(hostile))
-
-    assert hostile != grammar_text
-    assert "*/ int" not in text
-    assert constants(text)["STOP"] == 0
 
 
 def framed(name: str) -> Protocol:

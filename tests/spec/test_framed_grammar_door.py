@@ -31,18 +31,105 @@ def read(fields: str, answer: str = "STATUS") -> dict[str, str]:
     }
 
 
-# What is replaced by what, a piece of the sentence, and the text whose line it must tell.
-WRONG: list[tuple[dict[str, str], str, str]] = [
+# What is replaced by what, and a piece of the sentence, which tells the line of the change.
+WRONG: list[tuple[dict[str, str], str]] = [
     (
         {SUM: "Checksum(Byte, Sum(16), this.covered.data)"},
         "FRAME.sum is a Sum of up to 65535 in a type of up to 255; give it a wider type",
-        '"sum" /',
     ),
     (
         {SUM: "Checksum(Byte, Crc(16, 0x1021), this.covered.data)"},
         "FRAME.sum is a Crc of up to 65535 in a type of up to 255",
-        '"sum" /',
     ),
+    (
+        {'Same("address", Byte)': 'Same("adress", Byte)'},
+        "REPLY.address is Same('adress'), allowed are address, id",
+    ),
+    ({ID: f'"copy" / Same("relay", Byte), {ID}'}, "FRAME.copy is Same('relay'), allowed are none"),
+    (
+        read('"n" / Byte, "text" / Bytes(this.m), '),
+        "Read.text is counted by 'm'; allowed are this.n",
+    ),
+    (read('"text" / Bytes(asked.n), '), "Read.text is counted by 'n'; allowed are a number or"),
+    (
+        read('"n" / Byte, ', 'Struct("text" / Bytes(asked.m))'),
+        "the answer of Read.text is counted by 'm'; allowed are asked.address, asked.id, asked.n",
+    ),
+    (
+        read('"n" / Byte, ', 'Struct("text" / Bytes(this.n))'),
+        "the answer of Read.text is counted by 'n'",
+    ),
+    (
+        {"Address(Byte, 1, 4)": "Address(Byte, 1, 400)"},
+        "FRAME.address has addresses up to 400 in a type of up to 255",
+    ),
+    (
+        {"Address(Byte, 1, 4)": "Address(Byte, 1, 4, broadcast=256)"},
+        "FRAME.address has addresses up to 256 in a type of up to 255",
+    ),
+    ({'NAME = "relay-board"': 'NAME = ""'}, "NAME is empty, allowed is a text"),
+    ({'NAME = "relay-board"': "NAME = 5"}, "NAME is 5, allowed is a text"),
+    ({'"Toggle"': '"On now"'}, "the name of instruction 3 is 'On now', allowed is one word"),
+    (read('"the level" / Byte, '), "is 'the level', allowed is one word"),
+    ({'"sum" /': '"the sum" /', ID: f'"a b" / Byte, {ID}'}, "is 'a b', allowed is one word"),
+    (
+        {"TIMING =": "AT_RESTS = AllOf(on=0)\n\nTIMING ="},
+        "nothing uses 'AT_RESTS'; did you mean AT_REST?",
+    ),
+    (
+        {"TIMING =": "STOPPED = AnyOf(on=0)\n\nTIMING ="},
+        "nothing uses 'STOPPED'; did you mean AT_REST?",
+    ),
+    ({"SILENT =": "SILNT ="}, "nothing uses 'SILNT'; did you mean SILENT?"),
+    ({"POWER_ON =": "power_on ="}, "nothing uses 'power_on'; did you mean POWER_ON?"),
+    *(
+        (
+            read(f'"text" / {kind}, '),
+            "the type of Read.text must be a whole number, such as Byte, or Bytes, Array, Prefixed",
+        )
+        for kind in (
+            'CString("utf8")',
+            'GreedyString("utf8")',
+            "NullTerminated(Byte)",
+            "Optional(Byte)",
+            "If(this.x, Byte)",
+            "Float32b",
+        )
+    ),
+    ({SUM: "Checksum(Byte, Summ(8), this.covered.data)"}, "name 'Summ' is not"),
+    ({"Outcome.UNKNOWN_ID": "Outcome.UNKNOWN"}, "AttributeError: UNKNOWN"),
+    ({'header="': 'headers="'}, "unexpected keyword argument 'headers'"),
+    ({"Const(b": "Const("}, "given non-bytes value"),
+    (
+        {"effect=Sets(on=1)": "effect=Sets(on=5)"},
+        "the value of on in On.effect is 5, allowed is 0 to 1",
+    ),
+    (
+        {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(on=9)"},
+        "the value of on in POWER_ON is 9, allowed is 0 to 1",
+    ),
+    (
+        {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(onn=0)"},
+        "POWER_ON sets onn, allowed are on (line",
+    ),
+    (
+        {SUM: "Checksum(Byte, Sum(8, complement=3), this.covered.data)"},
+        "Sum.complement is 3, allowed are 0, 1, 2",
+    ),
+    (
+        {"(Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)": "Outcome.UNKNOWN_ID"},
+        "allowed is a tuple: (Outcome.UNKNOWN_ID,)",
+    ),
+    (
+        {
+            **read('"n" / Ranged(Byte, 0, 9, code="BAD"), '),
+            "SILENT = (": "SILENT = (Outcome.BAD_DATA, ",
+        },
+        "Read.n has code='BAD', allowed are names of an Answer: there is none",
+    ),
+]
+# As well, and the text whose line it must tell; "" where it tells none.
+ELSEWHERE: list[tuple[dict[str, str], str, str]] = [
     (
         {"Switch(this.id,": "Switch(this.idd,"},
         "FRAME has Switch(this.idd, ...), allowed is the path to its part id",
@@ -67,51 +154,9 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         "FRAME =",
     ),
     (
-        {
-            REPLY: REPLY.replace("this.covered", "asked.coverd.data + this.covered"),
-        },
+        {REPLY: REPLY.replace("this.covered", "asked.coverd.data + this.covered")},
         "the check of REPLY must cover one part: write this.covered.data, or asked.covered.data",
         "REPLY =",
-    ),
-    (
-        {'Same("address", Byte)': 'Same("adress", Byte)'},
-        "REPLY.address is Same('adress'), allowed are address, id",
-        '"address" / Same',
-    ),
-    (
-        {ID: f'"copy" / Same("relay", Byte), {ID}'},
-        "FRAME.copy is Same('relay'), allowed are none",
-        '"copy"',
-    ),
-    (
-        read('"n" / Byte, "text" / Bytes(this.m), '),
-        "Read.text is counted by 'm'; allowed are this.n",
-        '"text"',
-    ),
-    (
-        read('"text" / Bytes(asked.n), '),
-        "Read.text is counted by 'n'; allowed are a number or",
-        '"text"',
-    ),
-    (
-        read('"n" / Byte, ', 'Struct("text" / Bytes(asked.m))'),
-        "the answer of Read.text is counted by 'm'; allowed are asked.address, asked.id, asked.n",
-        '"text"',
-    ),
-    (
-        read('"n" / Byte, ', 'Struct("text" / Bytes(this.n))'),
-        "the answer of Read.text is counted by 'n'",
-        '"text"',
-    ),
-    (
-        {"Address(Byte, 1, 4)": "Address(Byte, 1, 400)"},
-        "FRAME.address has addresses up to 400 in a type of up to 255",
-        '"address" / Address',
-    ),
-    (
-        {"Address(Byte, 1, 4)": "Address(Byte, 1, 4, broadcast=256)"},
-        "FRAME.address has addresses up to 256 in a type of up to 255",
-        '"address" / Address',
     ),
     (
         {"answer_longest=1000": "answer_longest=10"},
@@ -123,99 +168,18 @@ WRONG: list[tuple[dict[str, str], str, str]] = [
         "Timing.truncation_timeout is 50, allowed is at least Timing.truncation_shortest, 60",
         "TIMING =",
     ),
-    ({'NAME = "relay-board"': 'NAME = ""'}, "NAME is empty, allowed is a text", "NAME ="),
-    ({'NAME = "relay-board"': "NAME = 5"}, "NAME is 5, allowed is a text", "NAME ="),
-    (
-        {'"Toggle"': '"On now"'},
-        "the name of instruction 3 is 'On now', allowed is one word",
-        '"On now"',
-    ),
-    (
-        read('"the level" / Byte, '),
-        "is 'the level', allowed is one word",
-        '"the level"',
-    ),
-    (
-        {'"sum" /': '"the sum" /', ID: f'"a b" / Byte, {ID}'},
-        "is 'a b', allowed is one word",
-        '"a b"',
-    ),
-    (
-        {"TIMING =": "AT_RESTS = AllOf(on=0)\n\nTIMING ="},
-        "nothing uses 'AT_RESTS'; did you mean AT_REST?",
-        "AT_RESTS",
-    ),
-    (
-        {"TIMING =": "STOPPED = AnyOf(on=0)\n\nTIMING ="},
-        "nothing uses 'STOPPED'; did you mean AT_REST?",
-        "STOPPED",
-    ),
-    ({"SILENT =": "SILNT ="}, "nothing uses 'SILNT'; did you mean SILENT?", "SILNT"),
-    ({"POWER_ON =": "power_on ="}, "nothing uses 'power_on'; did you mean POWER_ON?", "power_on"),
-    *(
-        (
-            read(f'"text" / {kind}, '),
-            "the type of Read.text must be a whole number, such as Byte, or Bytes, Array, Prefixed",
-            '"text"',
-        )
-        for kind in (
-            'CString("utf8")',
-            'GreedyString("utf8")',
-            "NullTerminated(Byte)",
-            "Optional(Byte)",
-            "If(this.x, Byte)",
-            "Float32b",
-        )
-    ),
     (read("", "Byte"), "a field of the answer of Read has no name; write it", ""),
-    ({SUM: "Checksum(Byte, Summ(8), this.covered.data)"}, "name 'Summ' is not", "Summ(8)"),
     ({"    Same,": "    Sam,"}, "cannot import name 'Sam' from 'bilprov.spec.fields' (line", ""),
-    ({"Outcome.UNKNOWN_ID": "Outcome.UNKNOWN"}, "AttributeError: UNKNOWN", "UNKNOWN"),
-    ({'header="': 'headers="'}, "unexpected keyword argument 'headers'", "CLAUSES ="),
-    ({"Const(b": "Const("}, "given non-bytes value", '"sync" / Const'),
     (
         {"STATE = Variables(on=Whole(0, 1))": "ON = 0"},
         "On.effect sets on, allowed are none, since STATE declares none",
         "effect=Sets(on=1)",
     ),
     (
-        {"effect=Sets(on=1)": "effect=Sets(on=5)"},
-        "the value of on in On.effect is 5, allowed is 0 to 1",
-        "Sets(on=5)",
-    ),
-    (
-        {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(on=9)"},
-        "the value of on in POWER_ON is 9, allowed is 0 to 1",
-        "POWER_ON",
-    ),
-    (
-        {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(onn=0)"},
-        "POWER_ON sets onn, allowed are on (line",
-        "POWER_ON",
-    ),
-    (
-        {SUM: "Checksum(Byte, Sum(8, complement=3), this.covered.data)"},
-        "Sum.complement is 3, allowed are 0, 1, 2",
-        "Sum(8",
-    ),
-    (
         {"SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)": "SILENT = (Outcome.UNKNOWN_ID,)"},
         "no response stands for bad checksum; give it an Answer in RESPONSE, or put "
         "Outcome.BAD_CHECKSUM into SILENT",
         "",
-    ),
-    (
-        {"(Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)": "Outcome.UNKNOWN_ID"},
-        "allowed is a tuple: (Outcome.UNKNOWN_ID,)",
-        "SILENT",
-    ),
-    (
-        {
-            **read('"n" / Ranged(Byte, 0, 9, code="BAD"), '),
-            "SILENT = (": "SILENT = (Outcome.BAD_DATA, ",
-        },
-        "Read.n has code='BAD', allowed are names of an Answer: there is none",
-        "code=",
     ),
 ]
 
@@ -224,17 +188,33 @@ def test_names_of_a_grammars_own_are_let_alone() -> None:
     load(mutated(TEXT, {"TIMING =": "LINES = 3\nSTATES = Whole(0, LINES)\nX = STATES\nTIMING ="}))
 
 
-@pytest.mark.parametrize(("changes", "piece", "where"), WRONG, ids=[row[1] for row in WRONG])
-def test_what_cannot_work_is_refused_with_its_line(
-    changes: dict[str, str], piece: str, where: str
-) -> None:
+def refused(changes: dict[str, str], piece: str) -> tuple[str, str]:
+    """The grammar with the changes, and the sentence that refuses it, which holds the piece."""
     text = mutated(TEXT, changes)
     with pytest.raises(GrammarError) as raised:
         load(text, "mine.py")
     said = str(raised.value)
-
     assert piece in said
     assert said.isprintable()
+    return text, said
+
+
+@pytest.mark.parametrize(("changes", "piece"), WRONG, ids=[row[1] for row in WRONG])
+def test_what_cannot_work_is_refused_with_its_line(changes: dict[str, str], piece: str) -> None:
+    text, said = refused(changes, piece)
+
+    lines = zip(TEXT.splitlines(), text.splitlines(), strict=False)
+    changed = next(n for n, (before, after) in enumerate(lines, 1) if before != after)
+    assert f"line {changed}" in said
+
+
+@pytest.mark.parametrize(
+    ("changes", "piece", "where"), ELSEWHERE, ids=[row[1] for row in ELSEWHERE]
+)
+def test_what_cannot_work_is_refused_with_the_line_of_its_declaration(
+    changes: dict[str, str], piece: str, where: str
+) -> None:
+    text, said = refused(changes, piece)
+
     if where:
-        lines = [n for n, line in enumerate(text.splitlines(), 1) if where in line]
-        assert f"line {lines[0]}" in said
+        assert f"line {1 + text[: text.index(where)].count(chr(10))}" in said
