@@ -274,10 +274,6 @@ def test_a_probe_that_stays_silent_is_given_up_at_its_own_limit(pty: str, patien
     assert len(asked) >= 9
 
 
-def test_the_limit_of_a_tcp_probe_is_the_one_that_the_contract_tells() -> None:
-    assert TcpProbe.patience == 1.0
-
-
 # -- exec -----------------------------------------------------------------------------------------
 
 

@@ -685,15 +685,6 @@ def test_another_grammar_has_other_methods(horn_text: str, tmp_path: Path) -> No
                 other.horn(2)
 
 
-def test_an_instruction_that_a_robot_of_another_grammar_lacks_is_refused(horn: Protocol) -> None:
-    with simulate() as served, Robot(served.port, grammar=horn) as robot:
-        other: Any = robot
-        with pytest.raises(Refused) as raised:
-            other.horn(sound=2)
-
-    assert (raised.value.answer, raised.value.instruction) == ("BAD_HEADER", "Horn")
-
-
 def test_an_instruction_whose_name_a_robot_needs_itself_gets_an_underscore(
     horn_text: str,
 ) -> None:

@@ -103,11 +103,6 @@ def _fractions(name: str) -> Iterator[tuple[str, str, bool]]:
 OPTIONS = [option for name in COMMANDS for option in _fractions(name)]
 
 
-def test_the_walk_meets_the_options() -> None:
-    met = {(name, option) for name, option, _ in OPTIONS}
-    assert {("conform", "--deadline"), ("capture cut", "--start"), ("sniff", "--duration")} <= met
-
-
 @pytest.mark.parametrize(("name", "option", "finite"), OPTIONS)
 def test_what_is_no_number_is_refused(name: str, option: str, finite: bool) -> None:
     assert finite

@@ -66,13 +66,6 @@ def test_a_capture_and_hex_are_read_too(tmp_path: Path) -> None:
     assert b"Ping (sync): it begins with ff fe, right is ff ff" in result.stdout
 
 
-def test_a_check_that_fits_is_told() -> None:
-    result = checked("modbus-rtu", "11 03 00 6b 00 03 87 76 11 06 00 01 00 03 9b 9a")
-
-    assert result.returncode == 1
-    assert b'"crc" / Checksum(Int16ub, Crc(16, 0x8005, 0xFFFF, reflected=True)' in result.stdout
-
-
 def test_a_check_that_fits_the_answers_alone_is_told(tmp_path: Path) -> None:
     text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
     asked, answered = text.split("REPLY =")

@@ -8,13 +8,10 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer import api
-from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.screen.details import details
 from bilprov.spec.explain import explain_responses, requests_of
 from tests.support import ROOT
 from tests.support.commands import command
-from tests.support.decoding import conversation, decoded, devices
 
 SILENT_END = "its end is uncertain: only silence marks it"
 ROBOCLAW = str(ROOT / "examples" / "roboclaw.py")
@@ -120,17 +117,6 @@ def test_what_is_no_answer_is_explained_as_that() -> None:
     (one,) = explain_responses(load_protocol("modbus-rtu"), bytes.fromhex("110306")).responses
     assert one.meaning == "the bytes are not an answer"
     assert [group.meaning for group in one.groups] == ["no answer"] * 3
-
-
-@pytest.mark.parametrize(("grammar", "answer", "asked", "alone", "known"), ANSWERS)
-def test_the_screen_explains_answers_of_several_bytes(
-    grammar: str, answer: str, asked: str, alone: str, known: str
-) -> None:
-    protocol = load_protocol(grammar)
-    said = conversation([(bytes.fromhex(asked), bytes.fromhex(answer))])
-    (record,) = devices(decoded(Session(protocol), said))
-    labels = [one.label for one in details(protocol, record, state=True)]
-    assert {"means", "answers", "latency"} <= set(labels)
 
 
 def test_a_function_above_127_is_refused_with_the_bits_that_fit() -> None:

@@ -25,15 +25,40 @@ def test_latency_counts_from_the_last_byte_of_the_instruction(protocol: Protocol
     assert record.value.latency == 3 * MS
 
 
-def test_an_instruction_without_an_answer_is_reported_once(protocol: Protocol) -> None:
-    events: list[Event] = [Chunk(0, "host", b"\x20"), Line(5000 * MS, "close")]
+ERROR, WARNING, INFO = Severity.ERROR, Severity.WARNING, Severity.INFO
+CLOSED = Line(5000 * MS, "close")
+# Events, and the one fault in them: its kind, how severe it is, when it is known, words of it.
+FAULTS: dict[str, tuple[list[Event], str, Severity, int, str]] = {
+    "no answer": ([Chunk(0, "host", b"\x20"), CLOSED], "unanswered", ERROR, 1000, "Forward"),
+    "a second answer": (
+        [*conversation([(b"\x20", b"\0\0")]), CLOSED],
+        *("unsolicited", ERROR, 21, ""),
+    ),
+    "a banner": ([Chunk(0, "device", b"\0"), CLOSED], "unsolicited", INFO, 0, ""),
+    "OK to bad data": (conversation([(b"\x81\x09", b"\0")]), "disagreeing", ERROR, 21, "0 to 7"),
+    "another reading": (
+        conversation([(b"\x91\x00", b"\3")]),
+        *("disagreeing", WARNING, 21, "R-unused-length"),
+    ),
+    "an unused code": (conversation([(b"\x20", b"\x07")]), "unused code", ERROR, 21, ""),
+    "too late": (conversation([(b"\x20", b"\0")], latency=101 * MS), "slow", WARNING, 121, ""),
+    "before the end of its instruction": (
+        [Chunk(0, "host", b"\x81"), Chunk(MS, "device", b"\0"), Chunk(2 * MS, "host", b"\x05")],
+        *("early", WARNING, 1, ""),
+    ),
+}
 
-    records = decoded(Session(protocol), events)
 
-    (fault,) = [fault for record in records for fault in record.faults]
-    assert (fault.kind, fault.severity, fault.instruction) == ("unanswered", Severity.ERROR, 0)
-    assert fault.t == 1000 * MS
-    assert "Forward" in fault.reason
+@pytest.mark.parametrize("name", FAULTS)
+def test_what_is_odd_is_one_fault(protocol: Protocol, name: str) -> None:
+    events, kind, severity, ms, words = FAULTS[name]
+
+    records = decoded(Session(protocol, skew=0), events)
+
+    found = [fault for record in records for fault in record.faults]
+    faults = [fault for fault in found if fault.kind != "faulty instruction"]
+    assert [(one.kind, one.severity, one.t) for one in faults] == [(kind, severity, ms * MS)]
+    assert words in faults[0].reason
 
 
 def test_after_silence_counting_begins_anew(protocol: Protocol) -> None:
@@ -48,71 +73,12 @@ def test_after_silence_counting_begins_anew(protocol: Protocol) -> None:
     assert record.value.instruction == 1
 
 
-def test_an_answer_that_nothing_waits_for_is_unsolicited(protocol: Protocol) -> None:
-    events = [*conversation([(b"\x20", b"\0\0")]), Line(500 * MS, "close")]
-
-    records = decoded(Session(protocol), events)
-
-    assert kinds(records) == ["unsolicited"]
-    assert devices(records)[1].faults[0].severity is Severity.ERROR
-
-
-def test_a_banner_before_the_first_instruction_is_only_noted(protocol: Protocol) -> None:
-    records = decoded(Session(protocol), [Chunk(0, "device", b"\0"), Line(500 * MS, "close")])
-
-    assert devices(records)[0].faults[0].severity is Severity.INFO
-
-
-def test_ok_to_bad_data_disagrees_and_says_how(protocol: Protocol) -> None:
-    records = decoded(Session(protocol), conversation([(b"\x81\x09", b"\0")]))
-
-    (fault,) = devices(records)[0].faults
-    assert (fault.kind, fault.severity) == ("disagreeing", Severity.ERROR)
-    for word in ("OK", "BAD_DATA", "LED rgb=9", "0 to 7"):
-        assert word in fault.reason
-
-
-def test_another_code_for_a_fault_names_the_reading(protocol: Protocol) -> None:
-    records = decoded(Session(protocol), conversation([(b"\x91\x00", b"\3")]))
-
-    (fault,) = devices(records)[0].faults
-    assert fault.severity is Severity.WARNING
-    assert "R-unused-length" in fault.reason
-
-
-def test_an_unused_code_is_an_error(protocol: Protocol) -> None:
-    records = decoded(Session(protocol), conversation([(b"\x20", b"\x07")]))
-
-    (record,) = devices(records)
-    assert (record.value.name, record.value.agrees) == (None, False)
-    assert kinds(records) == ["unused code"]
-
-
-def test_an_answer_after_the_deadline_is_slow(protocol: Protocol) -> None:
-    records = decoded(Session(protocol), conversation([(b"\x20", b"\0")], latency=101 * MS))
-
-    assert kinds(records) == ["slow"]
-
-
 def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:
     events = [Chunk(0, "device", b"\x00"), Chunk(5 * MS, "host", b"\x20")]
 
     first, second = decoded(Session(protocol), events)
 
     assert ([first], [second]) == (hosts([first]), devices([second]))
-
-
-def test_where_one_clock_hears_both_an_early_answer_is_the_devices_own(protocol: Protocol) -> None:
-    events = [
-        Chunk(0, "host", b"\x81"),
-        Chunk(1 * MS, "device", b"\x00"),
-        Chunk(2 * MS, "host", b"\x05"),
-    ]
-
-    records = decoded(Session(protocol, skew=0), events)
-
-    (fault,) = devices(records)[0].faults
-    assert (fault.kind, fault.severity) == ("early", Severity.WARNING)
 
 
 def test_a_frame_cut_short_may_go_unanswered_without_shifting_the_rest(protocol: Protocol) -> None:

@@ -157,15 +157,6 @@ def test_damage_becomes_a_gap(protocol: Protocol, tmp_path: Path) -> None:
     assert open_capture(new).damage == ()
 
 
-def test_an_unfinished_capture_is_finished(protocol: Protocol, tmp_path: Path) -> None:
-    live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
-    os.truncate(live, live.stat().st_size * 2 // 3)
-    new, done = converted(live)
-    assert b"was never finished" in done.stderr
-    assert list(open_capture(new).events()) == list(open_capture(live).events())
-    assert not open_capture(new).unfinished
-
-
 def test_a_foreign_capture_is_taken_without_its_other_topics(tmp_path: Path) -> None:
     path = tmp_path / "foreign.mcap"
     with path.open("wb") as file:
@@ -185,18 +176,6 @@ def test_a_foreign_capture_is_taken_without_its_other_topics(tmp_path: Path) -> 
     ]
     found = by_topic(new)
     assert [len(found[topic]) for topic in DECODED[:2]] == [1, 1]
-
-
-def test_a_start_that_no_clock_shows_is_not_believed(tmp_path: Path) -> None:
-    path, new = tmp_path / "foreign.mcap", tmp_path / "new.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start(library="other")
-        writer.add_metadata(topics.METADATA_NAME, {topics.START_KEY: "9" * 20})
-        writer.add_message(writer.register_channel(topics.HOST_RAW, "x", 0), 5, b"\0", 0)
-        writer.finish()
-    assert command("capture", "decode", str(path), str(new)).returncode == 0
-    assert [open_capture(file).start for file in (path, new)] == [5, 5]
 
 
 def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(

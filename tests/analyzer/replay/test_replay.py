@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -14,7 +10,6 @@ import pytest
 
 from benchmarks.adapter import Adapter
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.capture_decoding import paced
 from bilprov.analyzer.replay.comparison import (
     UNANSWERED_STOPS,
     ReplayRun,
@@ -22,16 +17,16 @@ from bilprov.analyzer.replay.comparison import (
     first_difference,
 )
 from bilprov.analyzer.transport.port import open_pty
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import PLAIN_ANSWER, Protocol, load
 from bilprov.spec.replies import build_reply
-from tests.support import ROOT, commands
+from tests.support import commands
 from tests.support.captures import write_capture
 from tests.support.decoding import MS, Event, conversation
 from tests.support.framed_traffic import FRAMED
 from tests.support.robots import until
-from tests.support.wires import PATIENCE, PtyRobot, json_lines, running, served
+from tests.support.wires import PtyRobot, json_lines, running, served
 
 pytestmark = pytest.mark.waits
 
@@ -70,20 +65,6 @@ def test_a_file_that_tells_nonsense_is_decoded_with_the_usual_settings(
     assert len(_shown(capture(conversation(TALK), metadata))) == 10
 
 
-def test_hostile_text_in_a_capture_reaches_no_terminal(capture: Write) -> None:
-    hostile = "\x1b]0;owned\x07\x9b31m\u202e[/red][bold]" + "x" * 5000
-    events = [Line(0, hostile, "", hostile), Line(MS, "break", "host", hostile)]
-    path = capture([*events, *conversation(TALK)], {"grammar_sha256": "x", "grammar_name": hostile})
-
-    for style in ("lines", "jsonl"):
-        run = commands.command("replay", str(path), "--rate", "0", "--format", style)
-
-        assert run.returncode == 0
-        for line in (run.stdout + run.stderr).decode().splitlines():
-            assert line.isprintable()
-            assert len(line) < 1200
-
-
 def test_ctrl_c_ends_a_slow_replay_with_0(capture: Write) -> None:
     path = capture([Chunk(0, "host", b"\x20"), Chunk(3600_000 * MS, "host", b"\x00")])
 
@@ -100,16 +81,6 @@ def test_a_frame_that_is_decided_by_silence_is_shown_while_the_replay_waits(capt
     with running("replay", str(path), "--format", "jsonl") as command:
         assert json_lines(command.stdout.readline())[0]["kind"] == "truncated"
         command.end()
-
-
-def test_events_inside_the_window_wait_for_their_time_and_no_others() -> None:
-    events = [Chunk(t * MS, "host", b"\0") for t in (0, 10, 20, 30, 9000)]
-    slept: list[float] = []
-
-    given = list(paced(events, 1e-3, sleep=slept.append, start=10 * MS, end=30 * MS))
-
-    assert [event.t // MS for event in given] == [0, 10, 20, 30]
-    assert len(slept) == 1  # 10 ms is the window's beginning, 20 ms is waited for
 
 
 @pytest.mark.parametrize("rate", ["0", "1"])
@@ -235,37 +206,6 @@ def test_without_a_terminal_a_device_moves_only_with_yes(
     assert robot.frames == []
 
 
-@pytest.mark.parametrize(("said", "code"), [(b"n\n", 2), (b"y\n", 0)])
-def test_on_a_terminal_the_user_is_asked_once(
-    capture: Write, protocol: Protocol, said: bytes, code: int
-) -> None:
-    robot = PtyRobot(protocol)
-    path = capture(conversation(TALK))
-    with served(robot) as port, open_pty() as terminal:
-        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
-        process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "bilprov", "replay", str(path), "--rate", "0"),
-                *("--to", port),
-            ],
-            stdin=slave,
-            stdout=subprocess.DEVNULL,
-            stderr=slave,
-            cwd=ROOT,
-        )
-        os.close(slave)
-        asked = b""
-        give_up = time.monotonic() + PATIENCE
-        while b"may it move" not in asked and time.monotonic() < give_up:
-            asked += terminal.read()
-        os.write(terminal.master, said)
-        status = process.wait(PATIENCE)
-
-    assert status == code
-    assert port.encode() in asked
-    assert bool(robot.frames) == (code == 0)
-
-
 def test_a_port_where_nobody_answers_is_said(capture: Write) -> None:
     with open_pty() as silent:
         run = commands.command(
@@ -274,25 +214,6 @@ def test_a_port_where_nobody_answers_is_said(capture: Write) -> None:
 
     assert run.returncode == 2
     assert b"nobody answers" in run.stderr
-
-
-def test_a_capture_that_was_cut_before_its_first_chunk_is_said_to_hold_no_traffic(
-    tmp_path: Path,
-) -> None:
-    whole = tmp_path / "whole.mcap"
-    run = commands.command("conform", "sim", "--only", "valid/Stop", "--record", str(whole))
-    assert run.returncode == 0
-    data = whole.read_bytes()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(data[: data.index(b"bilprov", 60)])
-
-    result = commands.command("replay", str(cut), "--rate", "0")
-
-    assert result.returncode == 0
-    told = result.stderr.decode()
-    assert "was never finished" in told
-    assert "holds no traffic: not a byte of host or device is in it" in told
-    assert "no traffic" not in commands.command("replay", str(whole), "--rate", "0").stderr.decode()
 
 
 def run_of(protocol: Protocol, asked: bytes, answered: bytes) -> ReplayRun:
