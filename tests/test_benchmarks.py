@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import ast
 import json
-import resource
-import signal
-from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from benchmarks import captures, noise
+from benchmarks import captures
 from benchmarks.bench import WORKS, measured
 from benchmarks.mutants import ROOMS, draw
 from benchmarks.plot import as_svg
 from benchmarks.report import as_json, as_markdown, between_markers, machine
 from benchmarks.setting import Setting, Sizes, Work
-from benchmarks.torture import changes, exits, floods, guard, unplugs
+from benchmarks.torture import changes, floods, unplugs
 from benchmarks.torture.guard import watched
 from benchmarks.torture.harm import Harm, Row
 from benchmarks.torture.harms import HARMS, page
-from bilprov.captures.storage import survey
 from tests.support import ROOT
 
 # -- the bench ------------------------------------------------------------------------------------
@@ -76,42 +72,6 @@ def test_what_was_once_failed_on_fails_no_more(use: str, path: Path) -> None:
         assert changes.used(use, path.read_bytes()) in (True, False)
 
 
-def spin(_: object) -> None:
-    while True:
-        pass
-
-
-def grow(_: object) -> None:
-    bytearray(2 * guard.MEMORY)
-
-
-def leave(_: object) -> None:
-    raise SystemExit(0)
-
-
-@pytest.mark.parametrize(
-    ("act", "error"),
-    [
-        (leave, "SystemExit: 0 at "),
-        (lambda _: guard.require(False, "two ways differ"), "Wrong: two ways differ at "),
-        (spin, "Endless: more than 0.02 s of computing at "),
-        (grow, "MemoryError at "),
-    ],
-)
-def test_each_way_to_fail_is_noticed(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, act: Callable[[object], None], error: str
-) -> None:
-    monkeypatch.setattr(guard, "CPU_SECONDS", 0.02)
-    monkeypatch.setattr(changes, "_OUT", tmp_path)
-    monkeypatch.setattr(changes, "USES", dict.fromkeys(changes.USES, act))
-    before = resource.getrlimit(resource.RLIMIT_AS)
-
-    wrong = wrong_in(changes.HARM.measure(7, 1, lambda count: None))
-
-    assert [one.startswith(error) for one in wrong] == [True] * 4
-    assert resource.getrlimit(resource.RLIMIT_AS) == before
-
-
 # -- torture --------------------------------------------------------------------------------------
 
 FEW = {"damage": 160, "changes": 140, "hostile": 1, "kills": 3, "exits": 4, "signals": 2}
@@ -153,32 +113,6 @@ def test_a_command_whose_port_is_unplugged_ends_or_goes_on_as_it_must(name: str,
 @pytest.mark.parametrize(("name", "peer"), floods.PAIRS, ids=lambda word: word.replace(" ", "-"))
 def test_a_command_at_a_bad_device_stays_small(name: str, peer: str) -> None:
     assert floods.wrong_with(floods.flooded(name, peer, 1)) == ""
-
-
-@pytest.mark.waits
-def test_a_kill_is_seen_to_leave_the_robot_moving(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing follows a SIGKILL: this is what the harm would see of a stop that fails."""
-    monkeypatch.setitem(exits.WAYS, "SIGKILL", exits._signals(signal.SIGKILL))
-
-    left = exits.ended(("send", "in a pause", "SIGKILL"), seed=1)
-
-    assert left.moved
-    assert not left.held
-
-
-@pytest.mark.slow
-def test_a_reader_that_reports_no_damage_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(survey._Survey, "_note", lambda self, sentence: None)
-
-    assert any("which nothing tells" in sentence for sentence in wrong_in(rows_of("damage", 48)))
-
-
-@pytest.mark.slow
-def test_the_suite_over_bad_lines_judges_nobody_wrongly() -> None:
-    trials = noise.simulated(range(4), [1e-3])
-
-    ends = [noise.noisy_run(trial, level="smoke")[0] for trial in trials if not trial.fault]
-    assert set(ends) <= {0, 3}
 
 
 def test_the_page_has_every_harm_and_none_that_lost_what_may_not_be_lost() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -114,15 +113,6 @@ def test_no_help_page_loads_what_draws_screens_and_tables() -> None:
 def test_importing_the_library_loads_nothing_heavy() -> None:
     result = process(code="import sys, bilprov; print(*sys.modules)")
     assert not HEAVY & set(result.stdout.decode().split())
-
-
-def test_help_fits_80_columns_without_colour_codes_in_a_pipe() -> None:
-    shown = process("--help", env={"GITHUB_ACTIONS": "true"}).stdout.decode()
-    assert "\x1b" not in shown
-    assert max(map(len, shown.splitlines())) <= 80
-    for name in front_door.COMMANDS:
-        assert bool(re.search(rf"^  {name}  ", shown, re.MULTILINE)) is (" " not in name)
-    assert all(f"{panel}:" in shown for panel in front_door.PANELS)
 
 
 @pytest.mark.parametrize("variable", [{"LC_ALL": "C"}, {"PYTHONIOENCODING": "ascii"}])
@@ -343,11 +333,6 @@ def test_the_library_sniffs_two_ports_as_an_iterator() -> None:
     assert answer.value.agrees is True
 
 
-def test_sniffing_one_line_twice_is_refused() -> None:
-    with open_pty() as host, pytest.raises(ValueError, match="tapped"):
-        next(bilprov.sniff(host.name, host.name))
-
-
 @pytest.mark.parametrize("name", list(SHIPPED))
 def test_a_grammar_of_the_kit_is_known_by_its_name(name: str) -> None:
     listed = json.loads(command("spec", "grammars", "--format", "json").stdout)
@@ -356,13 +341,6 @@ def test_a_grammar_of_the_kit_is_known_by_its_name(name: str) -> None:
     assert [one["name"] for one in listed] == list(SHIPPED)
     assert text == (ROOT / "spec" / SHIPPED[name]).read_bytes()
     assert command("spec", "emit", "grammar", "--grammar", name).stdout == text
-
-
-def test_a_name_that_no_grammar_has_is_told_with_the_names() -> None:
-    result = command("spec", "show", "--grammar", "modbus")
-
-    assert result.returncode == 2
-    assert b"there is no grammar modbus: name a FILE.py or one of robot-car, mod" in result.stderr
 
 
 @pytest.mark.parametrize(

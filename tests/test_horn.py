@@ -10,7 +10,6 @@ import pytest
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import process
@@ -76,18 +75,6 @@ def test_a_robot_fails_the_grammar_that_differs_by_a_horn(
     assert caught in found
     assert not [ident for ident in found if ident.startswith(("valid/LED", "bad-data/LED"))]
     assert only or {"sequence", "pipelined", "split"} <= {ident.split("/")[0] for ident in found}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["accepts-id-10", "ok-to-bad-data", "never-times-out"])
-def test_the_bank_of_faults_follows_and_its_faults_are_caught(horn: Protocol, name: str) -> None:
-    only = ("unused-id/1?/[01]", "bad-data/Horn/1?", "truncated/Horn/*")
-    bank = fault_bank(horn)
-
-    report = conform(Simulator(horn, bank[name]), grammar=horn, options=Options(only=only))
-
-    assert report.exit == 1
-    assert "accepts-id-9" not in bank
 
 
 @pytest.mark.sample(1)
