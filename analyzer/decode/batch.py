@@ -143,7 +143,7 @@ class HostRows:
     `KINDS`, `verdict` one in `OUTCOMES` or NO_VERDICT, `sequence` the instruction's number or -1.
     `reasons` gives the reasons why some rows are faulty. `header` is the key of each row, as
     `Judgement.key`, whose ID is in `Protocol.keys`. `due` tells to which an answer is due; None: to
-    every frame.
+    every frame. Those that may not be one frame are `uncertain`.
     """
 
     t: NDArray[np.int64]
@@ -159,6 +159,7 @@ class HostRows:
     reasons: Callable[[NDArray[np.int64]], Sequence[str]]
     header: NDArray[np.uint8]
     due: Mask | None
+    uncertain: Mask
 
     def __len__(self) -> int:
         return len(self.t)
@@ -395,6 +396,7 @@ class Records(Batch):
             reasons=lambda rows: [listed[row].reason for row in rows.tolist()],
             header=np.array([one.key if one else 255 for one in judged], np.uint8),
             due=np.array([bool(one and one.answer_due) for one in judged], np.bool_),
+            uncertain=np.array([record.uncertain for record in listed], np.bool_),
         )
 
     @cached_property

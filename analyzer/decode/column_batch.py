@@ -112,6 +112,7 @@ class ColumnBatch(Batch):
             reasons=lambda rows: [one.reason for one in alone._judgements(rows)],
             header=tables.keys.take(self.requests.kind),
             due=tables.due(self.data, self.requests),
+            uncertain=np.broadcast_to(np.False_, count),
         )
 
     @cached_property

@@ -56,6 +56,7 @@ from bilprov.analyzer.decode.records import (
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement
 from bilprov.spec.data import plain_values
+from bilprov.spec.fields import Outcome
 from bilprov.spec.state import State
 
 
@@ -149,11 +150,15 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
     return lines
 
 
+OUTCOME_WORDS = (*(one.name.lower().replace("_", "-") for one in Outcome), "truncated")
+"""The words for the outcomes in their order, and for a frame that was cut short."""
+
+_PLACE = {outcome: place for place, outcome in enumerate(Outcome)}
+
+
 def outcome_word(judgement: Judgement) -> str:
     """The outcome of a frame as JSON lines have it."""
-    if judgement.truncated:
-        return "truncated"
-    return judgement.outcome.name.lower().replace("_", "-")
+    return OUTCOME_WORDS[-1 if judgement.truncated else _PLACE[judgement.outcome]]
 
 
 def unset_if_none(value: int | None) -> int | UnsetType:

@@ -10,11 +10,16 @@ from functools import lru_cache
 from typing import TypeAlias, get_args
 
 from bilprov.analyzer.decode.anomalies import KINDS, LINE_SEVERITY
+from bilprov.analyzer.decode.json_lines import OUTCOME_WORDS
 from bilprov.captures.schemas import Direction, FrameKind
 from bilprov.spec.data import FieldSpec
-from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, Protocol
 
 Value: TypeAlias = "bool | int | str"
+
+UNCODED, NONE = -1, -2
+"""The numbers of an answer without a code, and of no answer, which are compared by name."""
 
 
 class Kind(StrEnum):
@@ -67,8 +72,10 @@ class Field:
     @property
     def signs(self) -> tuple[str, ...]:
         """The signs that may stand behind it."""
-        named = self.kind is Kind.NUMBER and self.words
-        return (*SIGNS[self.kind], "contains") if named else SIGNS[self.kind]
+        if self.kind is not Kind.NUMBER or not self.words:
+            return SIGNS[self.kind]
+        by_name = {UNCODED, NONE} & {*self.words.values()}
+        return (*(("==", "!=", "in") if by_name else SIGNS[self.kind]), "contains")
 
     def value_of(self, word: str) -> Value | None:
         """What a value's name stands for, in any case; None if it is none."""
@@ -89,7 +96,7 @@ def fields_of(protocol: Protocol) -> Mapping[str, Field]:
 
     A field of an instruction that is named like another one is reached as `fields.NAME` only.
     """
-    rows = (*_of_rows(protocol), *_of_address(protocol), *_of_state(protocol))
+    rows = (*_of_rows(protocol), *_of_frames(protocol), *_of_state(protocol))
     own = {each.name: each for each in rows}
     parts = {part.name: _part(protocol, part.name) for _, part in _parts(protocol)}
     return {**parts, **own, **{part.key: part for part in parts.values()}}
@@ -119,9 +126,12 @@ def _of_rows(protocol: Protocol) -> list[Field]:
     number, seconds, word, truth = Kind.NUMBER, Kind.SECONDS, Kind.WORD, Kind.TRUTH
     ids = {spec.name: spec.id for spec in protocol.instructions}
     codes = {spec.name: spec.code for spec in protocol.responses}
+    given = {**codes, PLAIN_ANSWER.name: UNCODED} if protocol.uncoded else codes
+    due = codes if protocol.plain else {**codes, Outcome.VALID.value: UNCODED, NO_ANSWER.name: NONE}
     names = _itself([*protocol.by_name, *_answer_names(protocol), *_ROWS_OF_THEIR_OWN])
     kinds = _itself([*get_args(FrameKind), "fault"])
     longest = protocol.data_lengths[-1]
+    came = "the response code that the device sent"
     right = "the response that a conforming device gives to the instruction"
     named = "the name of the instruction, the response or the anomaly"
     length = "the data bytes that the header announces" if protocol.plain else "its data bytes"
@@ -131,19 +141,22 @@ def _of_rows(protocol: Protocol) -> list[Field]:
         Field("len", number, length, "", 0, longest),
         Field("data", Kind.BYTES, "the bytes behind the header; data[0] is the first"),
         Field("sequence", number, "the instruction's number, from 0", low=0),
-        Field("response", number, "the response code that the device sent", "", 0, 255, codes),
+        Field("response", number, came, "", min([0, *given.values()]), 255, given),
         Field("latency", seconds, "from the instruction's last byte to the answer"),
+        Field("latency_ns", number, "the same in ns"),
         Field("answers", number, "the number of the instruction that it answers", low=0),
         Field("agrees", truth, "whether the answer is the expected one", words=_TRUTH),
         Field("name", word, named, words=names),
         Field("direction", word, "host or device", words=_itself(get_args(Direction))),
         Field("kind", word, "the kind of the row", words=kinds),
         Field("hex", Kind.BYTES, "all bytes of the row; hex[0] is the first"),
-        Field("judgement", number, right, "", 0, 255, codes),
+        Field("bytes", Kind.BYTES, "the same as hex", "hex"),
+        Field("judgement", number, right, "", min([0, *due.values()]), 255, due),
         Field("faulty", truth, odd, words=_TRUTH),
         Field("faults", Kind.WORDS, "the kinds of anomalies", words=_itself(KINDS)),
         Field("reason", Kind.TEXT, "why, in words"),
         Field("t", seconds, "since the start of the recording"),
+        Field("t_ns", number, "the same in ns"),
         Field("time", Kind.CLOCK, "the time of day, or with a date before it"),
     ]
 
@@ -154,10 +167,15 @@ def _answer_names(protocol: Protocol) -> list[str]:
     return named if protocol.reply.part("code") else [*named, PLAIN_ANSWER.name]
 
 
-def _of_address(protocol: Protocol) -> Iterator[Field]:
+def _of_frames(protocol: Protocol) -> Iterator[Field]:
+    """What rows have where more than a header byte stands around the data."""
     part = protocol.layout.part("address")
     if part is not None:
         yield Field("address", Kind.NUMBER, "who is meant, or who answers", "", 0, part.most)
+    if not protocol.plain:
+        words = _itself(OUTCOME_WORDS)
+        yield Field("outcome", Kind.WORD, "how the instruction is judged", words=words)
+        yield Field("uncertain", Kind.TRUTH, "whether it may not be one frame", words=_TRUTH)
 
 
 def _of_state(protocol: Protocol) -> Iterator[Field]:

@@ -105,7 +105,7 @@ class _Checker:
         if one.kind is not other.kind:
             kinds = f"{one.name} is {kind_of(one)}, {other.name} is {kind_of(other)}"
             refuse(right, f"{kinds}: these never meet")
-        if one.words and other.words and one.words != other.words:
+        if one.words and other.words and not one.words.keys() & other.words.keys():
             refuse(right, f"{one.name} and {other.name} have no values in common: they never meet")
         if operand == with_operand:
             refuse(right, "both sides are the same")
@@ -188,8 +188,12 @@ class _Checker:
         named = [value for word, value in field.words.items() if same in folded(word)]
         if not named:
             refuse_part(right, f"is in no {field.name}; there are {values.listed(field)}")
+        # A row's word may be several, as of the flags of an answer.
+        same_or_has = "contains" if field.kind is Kind.WORD else "=="
         return _among(
-            sign, operand, [tree.Comparison(operand, "==", tree.Constant(one)) for one in named]
+            sign,
+            operand,
+            [tree.Comparison(operand, same_or_has, tree.Constant(one)) for one in named],
         )
 
     # Operands
@@ -235,7 +239,7 @@ class _Checker:
         operand, field = self._operand(left)
         for side in (left, right):
             whole = self._field(side)
-            if whole is not None and whole.kind is not Kind.NUMBER:
+            if whole is not None and (whole.kind is not Kind.NUMBER or "&" not in whole.signs):
                 refuse_part(side, f"is {kind_of(whole)}, and & takes whole numbers")
         if self._field(right) is not None:
             both = tree.Bits(operand, self._operand(right)[0])

@@ -16,6 +16,7 @@ from bilprov.analyzer.decode.batch import (
     GARBAGE,
     INSTRUCTION,
     KINDS,
+    NO_VERDICT,
     Batch,
     DeviceRows,
     HostRows,
@@ -23,9 +24,9 @@ from bilprov.analyzer.decode.batch import (
     Selection,
     StateColumns,
 )
-from bilprov.analyzer.decode.json_lines import JsonLine, json_line
+from bilprov.analyzer.decode.json_lines import OUTCOME_WORDS, JsonLine, json_line
 from bilprov.analyzer.filters import tree
-from bilprov.analyzer.filters.fields import Kind, fields_of
+from bilprov.analyzer.filters.fields import NONE, UNCODED, Kind, fields_of
 from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
 from bilprov.analyzer.filters.values import DAY, STEP, offset
 from bilprov.spec.arrays.layouts import (
@@ -36,7 +37,7 @@ from bilprov.spec.arrays.layouts import (
     field_values,
     part_values,
 )
-from bilprov.spec.codec import judge
+from bilprov.spec.codec import Judgement, judge
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.layout import Role
 from bilprov.spec.protocol import Protocol
@@ -134,17 +135,21 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
         "faulty": lambda: _truth(faulty),
         "reason": reason,
         "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
+        "uncertain": lambda: _truth(rows.uncertain),
     }
+
+    def one_by_one(found: NDArray[np.int64]) -> Iterator[Judgement]:
+        return (judge(protocol, frame) for frame in rows.frames(found))
 
     def register(name: str) -> Column:
         writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
         found = np.flatnonzero((rows.kind == INSTRUCTION) & np.isin(rows.header, writing))
-        judged = (judge(protocol, frame) for frame in rows.frames(found))
-        return _told(name, (one.values for one in judged), found, len(rows))
+        return _told(name, (one.values for one in one_by_one(found)), found, len(rows))
 
     fields = _of_fields(protocol, partial(_requests, protocol, rows), rows.data, len(rows))
     fields = {**fields, **_of_registers(protocol, register)}
-    both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
+    judged = _of_judgements(protocol, rows, rows.due, one_by_one)
+    both = (judged, _of_time(rows.t, start), _of_state(rows.states))
     return Columns(len(rows), makers, fields, *both)
 
 
@@ -168,19 +173,34 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
         odd = np.flatnonzero(rows.odd)
         return _words((record.reason for record in rows.samples(odd)), odd, len(rows))
 
+    def response() -> Column:
+        named = np.array([word is not None for word in answers.names]).take(answers.name)
+        return Numbers(rows.byte, (rows.byte >= 0) | named)
+
+    def uncertain() -> Column:
+        mask, odd = np.zeros(len(rows), np.bool_), np.flatnonzero(rows.odd)
+        mask[odd] = [record.uncertain for record in rows.samples(odd)]
+        return _truth(mask)
+
     makers: Makers = {
         "address": address,
         "hex": octets,
         "direction": lambda: _one("device"),
         "kind": lambda: _one("response"),
         "name": name,
-        "response": lambda: Numbers(rows.byte, rows.byte >= 0),
+        "response": response,
         "faulty": faulty,
         "reason": reason,
         "answers": lambda: Numbers(rows.sequence, rows.answering),
         "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
+        "latency_ns": lambda: Numbers(rows.latency, rows.answering),
         "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
+        "uncertain": uncertain,
     }
+
+    def one_by_one(found: NDArray[np.int64]) -> Iterator[Judgement]:
+        answered = (record.answered for record in rows.samples(found))
+        return (one for one in answered if one is not None)
 
     def register(name: str) -> Column:
         reading = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.reads]
@@ -190,7 +210,8 @@ def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> C
 
     fields = _of_fields(protocol, partial(_answers, protocol, rows), answers.data, len(rows))
     fields = {**fields, **_of_registers(protocol, register)}
-    both = (_of_side(protocol, rows), _of_time(rows.t, start), _of_state(rows.states))
+    judged = _of_judgements(protocol, rows, None, one_by_one)
+    both = (judged, _of_time(rows.t, start), _of_state(rows.states))
     return Columns(len(rows), makers, fields, *both)
 
 
@@ -213,24 +234,48 @@ def line_columns(lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | N
     return Columns(len(lines), makers, _of_time(t, start))
 
 
-def _of_side(protocol: Protocol, rows: HostRows | DeviceRows) -> Makers:
-    """What the rows of both sides have."""
+def _of_judgements(
+    protocol: Protocol,
+    rows: HostRows | DeviceRows,
+    due: Mask | None,
+    one_by_one: Callable[[NDArray[np.int64]], Iterable[Judgement]],
+) -> Makers:
+    """What tells how an instruction is judged: the row's own, or the one that it answers.
+
+    `due` tells to which an answer is due (None: to each), and `one_by_one` judges some rows, which
+    is done to those that are faulty where the verdict alone does not tell their answer.
+    """
+    there = rows.verdict != NO_VERDICT
+    parts = [part for spec in protocol.instructions for part in spec.fields]
+    by_verdict = protocol.plain and not any(part.code for part in parts)
+    odd = np.flatnonzero(there & (rows.verdict != VALID) & (not by_verdict))
 
     def judgement() -> Column:
-        codes = np.array([*(protocol.answers[outcome].code for outcome in OUTCOMES), -1])
-        uncoded = np.isin(rows.header, list(protocol.uncoded)) & (rows.verdict == VALID)
-        code = np.where(uncoded, -1, codes.take(rows.verdict))
-        return Numbers(code, code >= 0)
+        codes = [*(protocol.answers[outcome].code for outcome in OUTCOMES), NONE]
+        code = np.array(codes).take(rows.verdict)
+        valid = rows.verdict == VALID
+        code[np.isin(rows.header, list(protocol.uncoded)) & valid] = UNCODED
+        if due is not None:
+            code[~due] = NONE
+        judged = [one.response if one.answer_due else None for one in one_by_one(odd)]
+        code[odd] = [NONE if response is None else response.code for response in judged]
+        return Numbers(code, there if not protocol.plain else code >= 0)
+
+    def outcome() -> Column:
+        code = rows.verdict.copy()
+        cut_short = [one.truncated for one in one_by_one(odd)]
+        code[odd[cut_short]] = len(OUTCOMES)
+        return Words(np.where(there, code, len(OUTCOME_WORDS)), (*OUTCOME_WORDS, None))
 
     def faults() -> Column:
         return Words(rows.faults.code, list(map(frozenset, rows.faults.kinds)))
 
-    return {"judgement": judgement, "faults": faults}
+    return {"judgement": judgement, "outcome": outcome, "faults": faults}
 
 
 def _of_time(t: NDArray[np.int64], start: int | None) -> Makers:
     """The times of the rows (ns)."""
-    since: Makers = {"t": lambda: Numbers(t / 1e9)}
+    since: Makers = {"t": lambda: Numbers(t / 1e9), "t_ns": lambda: Numbers(t)}
     if start is None:
         return since
 
@@ -294,12 +339,22 @@ def _requests(protocol: Protocol, rows: HostRows) -> Iterator[tuple[DataSpec, _C
 
 def _answers(protocol: Protocol, rows: DeviceRows) -> Iterator[tuple[DataSpec, _Carried]]:
     """The data of the answers to each instruction, and the rows with them."""
-    there = rows.answering & (rows.answers.fields_size >= 0)
-    for spec in protocol.instructions:
-        if spec.answer and spec.answer.fields:
-            found = np.flatnonzero(there & (rows.header == protocol.key_of(spec.id)))
-            at, size = rows.answers.fields_at[found], rows.answers.fields_size[found]
-            yield spec.answer, _Carried(found, at, size)
+    answers = rows.answers
+    there = answers.fields_size >= 0
+    found = [
+        (spec.answer, np.flatnonzero(there & rows.answering & (rows.header == key)))
+        for spec in protocol.instructions
+        if spec.answer and spec.answer.fields
+        for key in (protocol.key_of(spec.id),)
+    ]
+    unasked = np.flatnonzero(there & ~rows.answering)
+    ways = [record.reply.way if record.reply else None for record in rows.samples(unasked)]
+    kinds = {id(way.data): way.data for way in ways if way and way.data}
+    found += [
+        (data, unasked[[bool(way and way.data is data) for way in ways]]) for data in kinds.values()
+    ]
+    for data, those in found:
+        yield data, _Carried(those, answers.fields_at[those], answers.fields_size[those])
 
 
 def _of_fields(

@@ -142,7 +142,7 @@ def _bytes(text: str) -> bytes:
 LONGEST = 1000  # characters of a filter
 DEEPEST = 40  # brackets and nots inside each other
 
-BYTES = ("data", "hex")
+BYTES = ("data", "hex", "bytes")
 """The names that are compared with bytes, which are written in hex without quotes: `11 ff`."""
 
 CLOSING = {"(": ")", "[": "]", "{": "}"}

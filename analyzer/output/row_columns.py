@@ -27,7 +27,7 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import Any, TypeAlias, TypeVar
 
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
 from bilprov.analyzer.decode.json_lines import JsonLine, encode, json_line
 from bilprov.analyzer.decode.records import Record, severity_of
@@ -276,18 +276,21 @@ def columns_of(protocol: Protocol) -> dict[str, Column]:
 
 
 def own_columns(protocol: Protocol) -> Iterator[Column]:
-    """The columns of keys that the lines of some grammars have: the address, and `uncertain`."""
+    """The columns of keys that the lines of some grammars have."""
 
-    def address(line: JsonLine) -> Value:
-        return None if line.address is UNSET else line.address
+    def key(name: str, heading: str, width: int, says: str, *, right: bool = False) -> Column:
+        def value(line: JsonLine) -> Value:
+            found: Value | UnsetType = getattr(line, name)
+            return None if found is UNSET else found
 
-    def uncertain(line: JsonLine) -> Value:
-        return None if line.uncertain is UNSET else line.uncertain
+        return Column(name, heading, width, says, value, right=right)
 
-    if protocol.layout.part("address"):
-        yield Column("address", "to", 4, "who is meant, or who answers", address, right=True)
     if not protocol.plain:
-        yield Column("uncertain", "uncertain", 9, "whether it may not be one frame", uncertain)
+        yield key("outcome", "outcome", 12, "how the instruction is judged")
+    if protocol.layout.part("address"):
+        yield key("address", "to", 4, "who is meant, or who answers", right=True)
+    if not protocol.plain:
+        yield key("uncertain", "uncertain", 9, "whether it may not be one frame")
 
 
 def bytes_fields(protocol: Protocol) -> frozenset[str]:

@@ -110,7 +110,7 @@ def test_a_filter_can_be_typed_by_what_is_offered(
     for _ in range(data.draw(st.integers(1, 12))):
         found = offered(text, each_protocol)
         if not found or re.search(r"(\d|[<>=.])$", text):
-            typed = "11 " if re.search(r"(data|hex)\W+(not )?\w*\W*$", text) else "1 "
+            typed = "11 " if re.search(r"(data|hex|bytes)\W+(not )?\w*\W*$", text) else "1 "
             text += "'a' " if "reason" in text[-12:] else typed
             continue
         text = data.draw(st.sampled_from(found)) + " "

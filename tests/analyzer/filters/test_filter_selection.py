@@ -17,6 +17,7 @@ from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import Filter, compile_filter
+from bilprov.analyzer.output.row_columns import nanoseconds
 from bilprov.captures.events import Events
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import build, judge, nearest
@@ -43,6 +44,8 @@ def values(protocol: Protocol, line: JsonLine) -> Values:
         "len": length,
         "data": data[1:] if instruction else None,
         "hex": data,
+        "t_ns": nanoseconds(line.t),
+        "latency_ns": None if line.latency is None else nanoseconds(line.latency),
         "response": data[0] if line.kind == "response" else None,
         "judgement": codes.get(line.judgement or ""),
         "faulty": bool(line.faults) or codes.get(line.judgement or "", 0) != 0,

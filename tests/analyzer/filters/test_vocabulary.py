@@ -1,0 +1,84 @@
+"""What a column shows can be asked for: a filter knows the columns' names and their values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bilprov.analyzer.decode.batch import Batch, Records
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
+from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.filters.fields import Kind, fields_of
+from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.output.row_columns import Column, bytes_fields, columns_of
+from bilprov.captures.events import Events
+from bilprov.spec.protocol import Protocol, load
+from tests.support.decoding import decoded
+from tests.support.framed_traffic import FRAMED, odd_traffic
+
+IN_WORDS = {"time", "fields", "state"}
+"""The columns that are other columns in words, or in another style."""
+
+SEPARATED = {"faults": "; "}
+"""What stands between the words of a column with several."""
+
+
+@pytest.fixture(scope="module", params=["car", *FRAMED])
+def any_protocol(request: pytest.FixtureRequest, protocol: Protocol) -> Protocol:
+    return protocol if request.param == "car" else load(FRAMED[request.param])
+
+
+def both_forms(protocol: Protocol) -> Iterator[tuple[Batch, list[JsonLine | None]]]:
+    """Odd and regular traffic as it is decoded one by one, and as arrays, with its lines."""
+    events = odd_traffic(protocol, count=60)
+    decoder = StreamDecoder(protocol)
+    for batch in (
+        Records(decoded(Session(protocol), events)),
+        *decoder.decode(Events.of(events)),
+        *decoder.finish(),
+    ):
+        yield batch, [json_line(record) for record in batch.records()]
+
+
+def asked_for(protocol: Protocol, column: Column, value: Any) -> str:
+    """A filter for the rows in which a column has a value."""
+    field = fields_of(protocol)[column.name]
+    if field.kind is Kind.BYTES:
+        return f"{column.name} == {value or repr('')}"
+    if field.kind is Kind.WORDS:
+        words = value.split(SEPARATED[column.name])
+        return " and ".join(f"{column.name} contains {word!r}" for word in words if word)
+    if field.kind is Kind.WORD and value not in field.words:  # several flags
+        return " and ".join(f"{column.name} contains {word!r}" for word in value.split())
+    return f"{column.name} == {value!r}"
+
+
+def test_every_column_and_each_of_its_values_can_be_asked_for(any_protocol: Protocol) -> None:
+    several = bytes_fields(any_protocol)
+    columns = [
+        column
+        for name, column in columns_of(any_protocol).items()
+        if name not in IN_WORDS and name.removeprefix("fields.") not in several
+    ]
+    for batch, lines in both_forms(any_protocol):
+        for column in columns:
+            shown = [None if line is None else column.value(line) for line in lines]
+            for value in {one for one in shown if one not in (None, "")}:
+                text = asked_for(any_protocol, column, value)
+                test = compile_filter(text, any_protocol)
+
+                passing = batch.in_order(test.selection(batch)).tolist()
+
+                assert passing == [one == value for one in shown], text
+
+
+def test_every_key_of_a_line_is_a_name(any_protocol: Protocol) -> None:
+    keys = set(JsonLine.__struct_fields__) - IN_WORDS
+    if any_protocol.plain:
+        keys -= {"outcome", "uncertain"}
+    if not any_protocol.layout.part("address"):
+        keys -= {"address"}
+    assert keys <= set(fields_of(any_protocol))
