@@ -7,6 +7,8 @@ beside it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import groupby
 from typing import ClassVar, NamedTuple, Self
 
 from rich.style import Style
@@ -65,7 +67,7 @@ def details(protocol: Protocol, record: Record, *, state: bool) -> Iterator[Deta
 
 def _host(protocol: Protocol, data: bytes, look: Look, state: Iterable[Detail]) -> Iterator[Detail]:
     frame = explain(protocol, data).frames[0]
-    yield from (_bits(group, look) for group in frame.groups)
+    yield from _bits(frame.groups, data, look)
     yield from state
     does = Detail("does", frame.action)
     sets = (Detail("sets", f"{variable} to {value}") for variable, value in frame.changes)
@@ -83,7 +85,7 @@ def _device(
 ) -> Iterator[Detail]:
     asked = record.answered if record.reply else None
     response = explain_reply(protocol, record.data, asked)
-    yield from (_bits(group, look) for group in response.groups)
+    yield from _bits(response.groups, record.data, look)
     yield Detail("means", response.meaning)
     yield from state
     if record.answered is not None:
@@ -97,9 +99,24 @@ def _device(
     yield Detail("document", protocol.clauses.responses)
 
 
-def _bits(group: BitGroup, look: Look) -> Detail:
-    text = f"{bit_picture(group)}  {group.value}  {group.meaning}"
-    return Detail(group.name, text, group, look if group.fault else ORDINARY)
+def _bits(groups: Iterable[BitGroup], data: bytes, look: Look) -> Iterator[Detail]:
+    """A line for each group of bits; one for a run of bytes of `data` that mean the same."""
+    for (name, meaning, fault, size), alike in groupby(groups, _sort):
+        run = tuple(alike)
+        first, shown = run[0], look if fault else ORDINARY
+        if meaning and size == 1 and len(run) > 1:
+            whole = replace(first, size=len(run))
+            told = spaced(data[first.byte : first.byte + len(run)])
+            yield Detail(name, f"{told}  {meaning}", whole, shown)
+            continue
+        for group in run:
+            text = f"{bit_picture(group)}  {group.value:>3}  {group.meaning}"
+            yield Detail(name, text, group, shown)
+
+
+def _sort(group: BitGroup) -> tuple[str, str, bool, int]:
+    """What neighbouring bytes have in common that are shown on one line."""
+    return group.name, group.meaning, group.fault, group.size
 
 
 def bit_picture(group: BitGroup) -> str:

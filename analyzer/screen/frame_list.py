@@ -34,7 +34,9 @@ SHOWN_ONLY = {column.name for column in (NO, DELTA, ARROW, WHAT)}
 
 _LEAST = {DELTA.name: 59, NO.name: 49}  # columns of the screen from which on these are shown
 _LENT = 6  # columns of what a row is that longer frames may take
+_WORDY = 36  # columns more than usual that the words and the reason of a fault take
 _LATE = 13  # columns of an answer's name
+_LATENCY = 11  # columns of a latency, which is shown where all of it has room
 _ROOMY = 45  # columns from which on a longer answer is cut, so that its latency is seen
 _FRONT = 2  # columns before the first cell: the signs of a fault and of a mark
 _HEADINGS = {TimeStyle.ABSOLUTE: "clock", TimeStyle.UTC: "UTC"}
@@ -82,7 +84,8 @@ class FrameList(ScrollView, can_focus=True):
         self.time_style: TimeStyle = TimeStyle.RELATIVE if relative else asked
         self._start_wall = start_wall
         self._recording = recording
-        self._bytes_width = hex_width(recording.protocol)
+        protocol = recording.protocol
+        self._bytes_widths = hex_width(protocol), 3 * protocol.longest_frame - 1
         self._first = 0  # the first row of the view when it was last drawn
         self._lines: dict[int, Text] = {}
 
@@ -246,7 +249,9 @@ class FrameList(ScrollView, can_focus=True):
         for column in self.columns or usual:
             room = self._room(column)
             if column is BYTES and not self.columns:
-                room = max(room, min(self._bytes_width, room + spare))
+                most, longest = self._bytes_widths
+                room = max(room, min(most, room + spare))
+                room = max(room, min(longest, room + spare - _WORDY))
             if column is BYTES and width < _LEAST[NO.name]:
                 room -= 3
             if fitting and left < min(room, 8):
@@ -304,11 +309,12 @@ class FrameList(ScrollView, can_focus=True):
         """The row in words, the latency of an answer, and why it is odd."""
         words, reason = words_of(record)
         text = Text(words, look.style, end="")
-        if isinstance(record, DeviceRecord) and record.latency is not None and room >= _LATE + 11:
+        if isinstance(record, DeviceRecord) and record.latency is not None:
             if room >= _ROOMY:
-                text.truncate(room - 11, overflow="ellipsis")
+                text.truncate(room - _LATENCY, overflow="ellipsis")
             text.pad_right(_LATE - text.cell_len)
-            text = Text.assemble(text, (f"{record.latency / 1e6:8.2f} ms", "dim"))
+            if text.cell_len + _LATENCY <= room:
+                text = Text.assemble(text, (f"{record.latency / 1e6:8.2f} ms", "dim"))
         text = Text.assemble(text, (f"  {reason}" if reason else "", "dim"))
         if text.cell_len > room:
             text.truncate(max(0, room - 1), overflow="crop")

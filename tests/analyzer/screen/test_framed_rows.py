@@ -14,7 +14,7 @@ from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.details import details
 from bilprov.analyzer.screen.frame_list import words_of
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.spec.codec import build, judge
+from bilprov.spec.codec import build, judge, raw_frame
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import build_reply
 from tests.support.framed_traffic import FRAMED, odd_traffic
@@ -30,6 +30,11 @@ KEYS = (
 def on_screen(protocol: Protocol) -> Browser:
     events = odd_traffic(protocol, count=25)
     return browser(protocol, told(StreamDecoder(protocol), events, [len(events)]))
+
+
+def unused(protocol: Protocol, length: int) -> bytes:
+    """A frame of an unused ID with so many data bytes."""
+    return raw_frame(protocol, protocol.unused_ids[0], length, bytes(range(200, 200 + length)))
 
 
 @pytest.mark.slow
@@ -89,6 +94,47 @@ def test_the_bytes_have_room_for_a_frame_where_there_is_some() -> None:
         assert any(f" {asked.hex(' ')} " in line for line in text_of(screen))
 
     operated(screen, steps, (100, 30))
+
+
+def test_a_long_frame_is_shown_whole_on_a_wide_screen_and_cut_on_a_small_one(
+    protocol: Protocol,
+) -> None:
+    frame = unused(protocol, protocol.data_lengths[-1])
+    screen = browser(protocol, told(StreamDecoder(protocol), [Chunk(0, "host", frame)], [1]))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        assert any(f" {frame.hex(' ')} " in line for line in text_of(screen))
+        await pilot.resize_terminal(80, 24)
+        await pilot.pause()
+        assert any(f" {frame[:3].hex(' ')} " in line for line in text_of(screen))
+
+    operated(screen, steps, (200, 30))
+
+
+def test_a_latency_is_shown_whole_or_not_at_all() -> None:
+    protocol = load(FRAMED["modbus_rtu"])
+    asked = build(protocol, "ReadHoldingRegisters", {"address": 247, "start": 0, "quantity": 2})
+    answer = build_reply(protocol, judge(protocol, asked), {"values": (0, 0)})
+    events = [Chunk(0, "host", asked), Chunk(13 * MS, "device", answer)]
+    screen = browser(protocol, told(StreamDecoder(protocol), events, [2]))
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        assert not any("13." in line.split("values=0 0")[-1] for line in text_of(screen)[:4])
+        await pilot.resize_terminal(120, 30)
+        await pilot.pause()
+        assert any("values=0 0   13.00 ms" in line for line in text_of(screen))
+
+    operated(screen, steps, (80, 24))
+
+
+def test_data_without_a_field_are_one_line_that_lights_them_all(protocol: Protocol) -> None:
+    frame = unused(protocol, 3)
+    (batch,) = told(StreamDecoder(protocol), [Chunk(0, "host", frame)], [1])
+    lines = list(details(protocol, batch.records()[0], state=False))
+    (data,) = [line for line in lines if line.label == "data"]
+    assert data.text.startswith("c8 c9 ca  taken because")
+    assert data.group
+    assert (data.group.byte, data.group.size) == (1, 3)
 
 
 def test_a_damaged_answer_tells_what_is_wrong_with_it() -> None:
