@@ -245,7 +245,7 @@ TEXT_BATCH = 1 << 14
 """Bytes of the line to decode at once where rows are made of them: those take 300 times as much."""
 
 BATCH_BYTES = 1 << 18
-_BYTES_A_READ = 4  # as many reads as there would be of so many bytes come at once at most
+_BYTES_A_READ = 2
 _FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
 
 WHOLE = Window()
