@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from dataclasses import replace as with_changes
 from functools import partial
 from io import BufferedReader, FileIO
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from bilprov.captures.storage.blocks import Messages, Stored
     from bilprov.captures.storage.index import Index
     from bilprov.captures.storage.messages import Contents, Order, Place
+    from bilprov.captures.storage.survey import Survey
 
 TOPICS_SHOWN = 10
 _FLIPPED = 2  # bits of the magic that may differ: other kinds of files differ in more
@@ -37,6 +39,8 @@ _READ_AHEAD = 1 << 16  # bytes: a chunk of short messages is smaller, and takes 
 _EVENTS = {topics.LINE, topics.CHECKPOINT}
 _SIGHTS = {*_EVENTS, topics.LOOKS}
 _RECORDED = {*_SIGHTS, topics.CASES, topics.ASKS}
+_DECIDES = attrgetter("own", "in_order", "counted", "metadata", "channels")
+"""What of a file's contents decides how its messages are read."""
 
 
 class Message(NamedTuple):
@@ -91,6 +95,8 @@ class Capture:
     `indexes` are those of its volumes if it was opened by them: then nobody looked for damage, so
     that `damage` and `contents.sizes` are empty. Where a part turns out to be damaged, it is left
     out and a Line `gap` is inserted, as after a survey.
+
+    `surveys` are those of its volumes if only its front is known (`open_front`), None otherwise.
     """
 
     path: Path
@@ -102,6 +108,7 @@ class Capture:
     contents: Contents = field(repr=False)
     volumes: tuple[Volume, ...] = field(repr=False)
     indexes: tuple[Index, ...] = field(default=(), repr=False)
+    surveys: list[Survey] | None = field(default=None, repr=False)
 
     def __iter__(self) -> Iterator[Chunk | Line]:
         """The same as `events()`."""
@@ -126,6 +133,30 @@ class Capture:
         from bilprov.captures.recorded import batches_of
 
         return batches_of(self.start, self._topics, self._blocks(after), _EVENTS)
+
+    @property
+    def passed(self) -> int:
+        """How many bytes of the files a survey has passed, while a front is read."""
+        return sum(survey.passed for survey in self.surveys or ())
+
+    def whole(self) -> Capture | None:
+        """The capture with all that is in it, after the last of `batches`.
+
+        None if its front does not tell how all of it is read: then what was read is void.
+        """
+        if self.surveys is None:
+            return self
+        contents = [survey.contents() for survey in self.surveys]
+        if [_DECIDES(volume.contents) for volume in self.volumes] != [*map(_DECIDES, contents)]:
+            return None
+        if any(one.damage for one in contents):
+            return None
+        volumes = [
+            volume._replace(contents=one)
+            for volume, one in zip(self.volumes, contents, strict=True)
+        ]
+        whole = _capture_of(self.path, tuple(volumes), cut_short=self.unfinished)
+        return whole if whole.start == self.start else None
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, in order, as `events` does."""
@@ -274,8 +305,17 @@ class Capture:
     def _read(
         self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
     ) -> Iterator[Messages]:
-        from bilprov.captures.storage.messages import stored_parts
+        from bilprov.captures.storage.messages import put_in_order, stored_parts
+        from bilprov.captures.storage.survey import Survey
 
+        if self.surveys is not None:
+            survey = Survey(file, contents.size)
+            self.surveys.append(survey)
+            for block in put_in_order(survey.blocks(), contents, order):
+                if survey.damaged:  # `whole` is None then
+                    break
+                yield block
+            return
         if self.indexes:
             _check_size(file.fileno(), contents.size)
         yield from stored_parts(file, contents, order, not self.indexes, place)
@@ -323,8 +363,23 @@ def _left_out(contents: Contents) -> int:
     return contents.size - min(len(MAGIC), contents.size) - read
 
 
-def open_capture(path: str | Path) -> Capture:
-    """Open a capture and survey it in one pass with bounded memory.
+def open_front(path: str | Path) -> Capture:
+    """Open a capture of which only the front is read; all of it where that does not tell enough.
+
+    A front can only give its `batches`, once, and in doing so is surveyed: `whole` is all that
+    there is to know. Raises CaptureError as `open_capture` does.
+    """
+    try:
+        front = open_capture(path, front=True)
+    except CaptureError:
+        return open_capture(path)
+    if any(volume.contents.damage for volume in front.volumes):
+        return open_capture(path)
+    return with_changes(front, surveys=[])
+
+
+def open_capture(path: str | Path, *, front: bool = False) -> Capture:
+    """Open a capture and survey it in one pass with bounded memory, or only its `front`.
 
     Where there is no such file, but parts of a recording under this name (`drive.00001.mcap` and so
     on for `drive.mcap`), they are opened as one capture.
@@ -340,7 +395,7 @@ def open_capture(path: str | Path) -> Capture:
         may_be_cut = len(parts) > 1 and number == max(parts)
         if may_be_cut and _is_empty(part):
             continue
-        contents = _surveyed(part)
+        contents = _surveyed(part, front)
         if not (may_be_cut and _is_hardly_begun(contents)):
             _check_topics(part, contents)
             held.append((number, part, contents))
@@ -458,7 +513,7 @@ def _is_hardly_begun(contents: Contents) -> bool:
     return contents.unfinished and not contents.starts and not any(contents.counts.values())
 
 
-def _surveyed(path: Path) -> Contents:
+def _surveyed(path: Path, front: bool) -> Contents:
     from bilprov.captures.storage.survey import surveyed
 
     try:
@@ -469,7 +524,7 @@ def _surveyed(path: Path) -> Contents:
         with _read_ahead(path) as file:
             size = os.fstat(file.fileno()).st_size
             damage = _magic_damage(path, file, size)
-            return surveyed(file, size, damage)
+            return surveyed(file, size, damage, front=front)
     except (OSError, ValueError) as error:
         raise _unreadable(path, error) from error
 

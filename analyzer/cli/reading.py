@@ -33,7 +33,6 @@ def opened_captures(
     `copied` is as in `protocol_of`; with `half_duplex` both directions are in one stream, and are
     told apart. Raises CaptureError, and GrammarError as `protocol_of` does.
     """
-    from bilprov.analyzer.replay.capture_decoding import said_about
     from bilprov.captures.reader import open_capture
 
     _keep_memory()
@@ -41,9 +40,28 @@ def opened_captures(
     protocol = protocol_of(*captures, copied=copied)
     if half_duplex:
         captures = [split(capture, protocol) for capture in captures]
+    note_captures(captures, protocol)
+    return captures, protocol
+
+
+def opened_fronts(paths: Iterable[str | Path]) -> tuple[list[Capture], Protocol]:
+    """Open the fronts of captures, with the protocol of all; otherwise as `opened_captures`.
+
+    What there is to note about each is known when it is read.
+    """
+    from bilprov.captures.reader import open_front
+
+    _keep_memory()
+    captures = [open_front(path) for path in paths]
+    return captures, protocol_of(*captures)
+
+
+def note_captures(captures: Iterable[Capture], protocol: Protocol) -> None:
+    """Print what there is to note about captures."""
+    from bilprov.analyzer.replay.capture_decoding import said_about
+
     for capture in captures:
         note_each(said_about(capture, protocol))
-    return captures, protocol
 
 
 def split(capture: Capture, protocol: Protocol) -> Capture:
@@ -103,10 +121,12 @@ def reading(
     from bilprov.analyzer.transport.signals import Stopper
     from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 
+    fronts = any(capture.surveys is not None for capture in captures)
     total = times * sum(
-        capture.contents.sizes.get(topic, 0)
+        capture.contents.size
+        if fronts
+        else sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
         for capture in captures
-        for topic in (HOST_RAW, DEVICE_RAW)
     )
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
@@ -119,7 +139,9 @@ def reading(
         def progress(size: int) -> None:
             if stopper.stopped:
                 raise click.Abort
-            if bar:
+            if bar and fronts:
+                bar.update(sum(capture.passed for capture in captures) - bar.pos)
+            elif bar:
                 bar.update(size)
 
         try:

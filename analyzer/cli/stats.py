@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Literal, cast
+from typing import TYPE_CHECKING, BinaryIO, Literal, TypeAlias, cast
 
 import click
 
@@ -28,8 +28,15 @@ from bilprov.analyzer.cli.output_files import (
     require_writable,
     write_output,
 )
-from bilprov.analyzer.cli.reading import opened_captures, reading
+from bilprov.analyzer.cli.reading import note_captures, opened_captures, opened_fronts, reading
 from bilprov.spec.errors import UserError
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.totals.totals import Totals
+    from bilprov.captures.reader import Capture
+    from bilprov.spec.protocol import Protocol
+
+_Counted: TypeAlias = "tuple[Protocol, list[tuple[Capture, Totals]]]"
 
 
 @dataclass(frozen=True)
@@ -64,21 +71,17 @@ def stats(options: StatsOptions) -> None:
     from bilprov.analyzer.output.capture_stats import file_stats, stats_csv, stats_of
     from bilprov.analyzer.output.console import show
     from bilprov.analyzer.output.stats_tables import drawn
-    from bilprov.analyzer.replay.capture_decoding import capture_line, capture_totals
+    from bilprov.analyzer.replay.capture_decoding import capture_line
     from bilprov.analyzer.totals.totals import Totals
 
     named = {"--json": options.json_file, "--csv": options.csv_file}
     outputs = [(option, path) for option, path in named.items() if path is not None]
     require_writable(outputs, inputs=options.files, force=options.force)
-    captures, protocol = opened_captures(options.files, half_duplex=options.half_duplex)
-    test = compiled(options.expression, protocol)
+    protocol, counted = _counted_at_once(options) or _counted(options)
     each, together = [], Totals(protocol)
-    with reading(captures) as progress:
-        for capture in captures:
-            started = test and test.started(capture.start)
-            totals = capture_totals(capture, protocol, progress, started)
-            together.merge(totals)
-            each.append(file_stats(capture, totals, capture_line(capture, protocol)))
+    for capture, totals in counted:
+        together.merge(totals)
+        each.append(file_stats(capture, totals, capture_line(capture, protocol)))
     found = stats_of(protocol, each, together, options.expression)
     if options.json_file is not None:
         write_output(options.json_file, json_object(found))
@@ -86,6 +89,42 @@ def stats(options: StatsOptions) -> None:
         write_output(options.csv_file, stats_csv(found).encode())
     if STANDARD_OUTPUT not in named.values():
         show(*drawn(found, moves=protocol.at_rest is not None))
+
+
+def _counted_at_once(options: StatsOptions) -> _Counted | None:
+    """Count the captures while they are surveyed; None if all must be known of one before."""
+    from bilprov.analyzer.replay.capture_decoding import capture_settings
+
+    if options.half_duplex:
+        return None
+    fronts, protocol = opened_fronts(options.files)
+    found = _totals(options, fronts, protocol)
+    captures = []
+    for front in fronts:
+        whole = front.whole()
+        if whole is None or capture_settings(whole, protocol) != capture_settings(front, protocol):
+            return None
+        captures.append(whole)
+    note_captures(captures, protocol)
+    return protocol, list(zip(captures, found, strict=True))
+
+
+def _counted(options: StatsOptions) -> _Counted:
+    """Count the captures after they are surveyed."""
+    captures, protocol = opened_captures(options.files, half_duplex=options.half_duplex)
+    found = _totals(options, captures, protocol)
+    return protocol, list(zip(captures, found, strict=True))
+
+
+def _totals(options: StatsOptions, captures: Sequence[Capture], protocol: Protocol) -> list[Totals]:
+    from bilprov.analyzer.replay.capture_decoding import capture_totals
+
+    test = compiled(options.expression, protocol)
+    with reading(captures) as progress:
+        return [
+            capture_totals(capture, protocol, progress, test and test.started(capture.start))
+            for capture in captures
+        ]
 
 
 @dataclass(frozen=True)

@@ -76,8 +76,15 @@ def stored_parts(
     """
     if place is not None:
         order.expected = place.sequence + 1
-    blocks = _in_file_order(_pieces(file, contents, place, surveyed), contents.counted, order)
-    yield from blocks if contents.own or contents.in_order else _by_time(blocks)
+    yield from put_in_order(blocks_of(_pieces(file, contents, place, surveyed)), contents, order)
+
+
+def put_in_order(
+    blocks: Iterator[Messages], contents: Contents, order: Order
+) -> Iterator[Messages]:
+    """Yield those messages of a file's blocks that are to be read, in order."""
+    blocks = _in_file_order(blocks, contents.counted, order)
+    return blocks if contents.own or contents.in_order else _by_time(blocks)
 
 
 def _by_time(blocks: Iterable[Messages]) -> Iterator[Messages]:
@@ -127,14 +134,14 @@ def messages_before(
                 yield message, place._replace(sequence=message.sequence)
 
 
-def _in_file_order(pieces: Iterator[Piece], counted: bool, order: Order) -> Iterator[Messages]:
+def _in_file_order(blocks: Iterator[Messages], counted: bool, order: Order) -> Iterator[Messages]:
     """Yield the messages that are to be read, in blocks with what is missing before each.
 
     Left out are those that are too long, and those that came before: of a chunk that stands in the
     file a second time. With `counted` a jump of the sequence numbers tells what is missing.
     """
     lost, expected = order.missing, -1
-    for block in blocks_of(pieces):
+    for block in blocks:
         lost = lost or block.lost
         rows = np.flatnonzero(block.end - block.start <= MESSAGE_BYTES)
         notes = dict.fromkeys(np.flatnonzero(np.diff(rows, prepend=-1) > 1).tolist(), _TOO_LONG)

@@ -24,18 +24,23 @@ DAMAGE_NOTES: Final = 20  # sentences about damage; further damaged places are o
 OWN_LINE: Final = topics.BY_VALUE[Line].channel
 
 
-def surveyed(file: BufferedReader, size: int, damage: str = "") -> Contents:
+def surveyed(file: BufferedReader, size: int, damage: str = "", *, front: bool = False) -> Contents:
     """Survey an open MCAP file of `size` bytes, whose magic at the start was checked before.
 
-    `damage` says what is damaged there, "" for nothing.
+    `damage` says what is damaged there, "" for nothing. With `front` the survey ends with the first
+    messages.
     """
-    survey = _Survey(file, size, damage)
-    survey.walk()
+    survey = Survey(file, size, damage)
+    for _ in survey.blocks():
+        if front:
+            break
     return survey.contents()
 
 
-class _Survey:
-    def __init__(self, file: BufferedReader, size: int, damage: str) -> None:
+class Survey:
+    """A survey of an open file; arguments as in `surveyed`."""
+
+    def __init__(self, file: BufferedReader, size: int, damage: str = "") -> None:
         self._records = RecordFile(file, size)
         self._size = size
         self._finished = bool(read_footer(file, size))
@@ -61,9 +66,21 @@ class _Survey:
         self._left_out = False  # whether a note tells of records that are not read
         self._stated: int | None = None  # messages that the file's statistics count
 
-    def walk(self) -> None:
+    @property
+    def damaged(self) -> bool:
+        """Whether anything so far is damaged or left out."""
+        return bool(self._notes)
+
+    @property
+    def passed(self) -> int:
+        """How many bytes of the file are surveyed."""
+        return self._regions[-1][1] if self._regions else 0
+
+    def blocks(self) -> Iterator[Messages]:
+        """Yield the messages of the file, in blocks, with which the survey goes on."""
         for block in blocks_of(self._pieces()):
             self._count(block)
+            yield block
 
     def _pieces(self) -> Iterator[Piece]:
         """Yield the messages of the file, and take in all else."""
@@ -82,6 +99,7 @@ class _Survey:
             start = found.end
 
     def contents(self) -> Contents:
+        """What was found up to the last block; nothing may be surveyed after it."""
         channels = self._table()
         unknown = sum(n for channel, n in self._counts.items() if channel not in channels)
         if self._too_long:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.events import Events
 from bilprov.captures.parts import part_path
-from bilprov.captures.reader import open_capture, open_indexed
+from bilprov.captures.reader import open_capture, open_front, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import message_starts
@@ -110,13 +111,8 @@ def damage(path: Path, choose: random.Random) -> None:
     path.write_bytes(bytes(data))
 
 
-@settings(max_examples=150)
-@given(seed=st.integers(0, 1 << 64), length=st.sampled_from([0, 1, 20, 300]))
-def test_the_batches_of_any_capture_hold_its_events(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, length: int
-) -> None:
-    choose = random.Random(seed)
-    path = tmp_path_factory.mktemp("drawn") / "a.mcap"
+def drawn(folder: Path, choose: random.Random, length: int) -> Path:
+    path = folder / "a.mcap"
     parts = choose.choice([0, 0, 3])
     if choose.random() < 0.5:
         written_by_us(path, choose, length, parts)
@@ -125,6 +121,16 @@ def test_the_batches_of_any_capture_hold_its_events(
         written_by_others(path, choose, length)
         files = [path]
     damage(choose.choice(files), choose)
+    return path
+
+
+@settings(max_examples=150)
+@given(seed=st.integers(0, 1 << 64), length=st.sampled_from([0, 1, 20, 300]))
+def test_the_batches_of_any_capture_hold_its_events(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, length: int
+) -> None:
+    choose = random.Random(seed)
+    path = drawn(tmp_path_factory.mktemp("drawn"), choose, length)
     try:
         capture = open_capture(path)
     except CaptureError:
@@ -140,6 +146,91 @@ def test_the_batches_of_any_capture_hold_its_events(
     if found is not None:
         rest = [event for batch in indexed.batches(found) for event in batch.single()]
         assert rest == list(indexed.events(found))
+
+
+@settings(max_examples=150)
+@given(seed=st.integers(0, 1 << 64), length=st.sampled_from([0, 1, 20, 300]))
+def test_a_front_gives_what_a_surveyed_capture_gives_or_is_void(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, length: int
+) -> None:
+    path = drawn(tmp_path_factory.mktemp("drawn"), random.Random(seed), length)
+    try:
+        capture = open_capture(path)
+    except CaptureError:
+        with pytest.raises(CaptureError):
+            open_front(path)
+        return
+    front = open_front(path)
+    events = [event for batch in front.batches() for event in batch.single()]
+    whole = front.whole()
+    if whole is not None:
+        assert whole == capture
+        assert events == list(capture.events())
+
+
+@dataclass
+class Foreign:
+    """A capture of another program, whose second chunk brings what the first does not tell."""
+
+    start: dict[str, str] | None = None
+    late: dict[str, str] | None = None
+    late_channel: bool = False
+    times: tuple[int, int] = (10, 20)
+
+    def write(self, path: Path) -> Path:
+        with path.open("wb") as file:
+            writer = Writer(file, chunk_size=1)
+            writer.start("", "another")
+            if self.start:
+                writer.add_metadata("bilprov", self.start)
+            host, device = (topic.name for topic in TOPICS[:2])
+            ids = [writer.register_channel(host, "", 0)] * 2
+            if not self.late_channel:
+                ids[1] = writer.register_channel(device, "", 0)
+            writer.add_message(ids[0], self.times[0], b"!", 0)
+            if self.late_channel:
+                ids[1] = writer.register_channel(device, "", 0)
+            if self.late:
+                writer.add_metadata("bilprov", self.late)
+            writer.add_message(ids[1], self.times[1], b"!", 0)
+            writer.finish()
+        return path
+
+
+def test_the_front_of_an_intact_capture_is_enough_to_read_it(tmp_path: Path) -> None:
+    written_by_us(tmp_path / "own.mcap", random.Random(1), 300, 0)
+    written_by_us(tmp_path / "kept.mcap", random.Random(1), 300, 3)
+    foreign = Foreign(start={"start": "5"}).write(tmp_path / "foreign.mcap")
+
+    for path in (tmp_path / "own.mcap", tmp_path / "kept.mcap", foreign):
+        front = open_front(path)
+        read = sum(1 for batch in front.batches() for _ in batch.single())
+        assert front.surveys is not None
+        assert front.whole() == open_capture(path)
+        assert read == sum(1 for _ in open_capture(path))
+        assert 0 < front.passed <= front.contents.size
+
+
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        Foreign(late={"start": "5"}),
+        Foreign(late={"line": "9600 8N1"}),
+        Foreign(late_channel=True),
+        Foreign(start={"start": "5"}, times=(20, 10)),
+    ],
+)
+def test_a_front_that_does_not_tell_how_to_read_the_rest_is_void(
+    tmp_path: Path, foreign: Foreign
+) -> None:
+    path = foreign.write(tmp_path / "a.mcap")
+
+    front = open_front(path)
+
+    assert front.surveys is not None
+    assert len(list(front.batches())) > 0
+    assert front.whole() is None
+    assert len(list(open_capture(path))) == 2
 
 
 @given(seed=st.integers(0, 1 << 64))
