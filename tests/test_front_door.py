@@ -18,6 +18,7 @@ import pytest
 
 import bilprov
 from bilprov import __main__ as front_door
+from bilprov import decode, encode, explain, judge, read_capture
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.grammar_file import SHIPPED
 from bilprov.analyzer.output.help import examples_in
@@ -361,3 +362,23 @@ def test_what_is_for_the_family_of_the_car_refuses_others(
     assert (result.returncode, result.stdout) == (2, b"")
     assert b"is for the robot car and its family" in result.stderr
     assert result.stderr.count(b"\n") == 1
+
+
+# -- a grammar by its name and by its file ---------------------------------------------------------
+
+
+RELAY = ROOT / "examples" / "relay_board.py"
+ON = bytes.fromhex("5556000000 02 01 AE")
+
+
+def test_a_grammar_is_given_by_name_and_by_file(tmp_path: Path) -> None:
+    assert encode("On", {"address": 2}, RELAY) == encode("On", {"address": 2}, str(RELAY)) == ON
+    assert encode("Ping", {"address": 1}, "dynamixel1").hex(" ") == "ff ff 01 02 01 fb"
+    assert judge(ON, RELAY).describe() == "@2 On"
+    assert explain(ON, protocol=RELAY).frames[0].judgement.valid
+    assert [one.words for one in decode(ON, protocol=RELAY)] == ["@2 On"]
+
+    file = tmp_path / "line.mcap"
+    with CaptureWriter(file, start_wall=0, metadata={}, version="1") as writer:
+        writer.chunk(Chunk(0, "host", ON))
+    assert next(iter(read_capture(file, RELAY))).words == "@2 On"  # type: ignore[union-attr]

@@ -8,6 +8,7 @@ import signal
 import struct
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from bilprov.captures.schemas import (
     Time,
 )
 from bilprov.captures.topics import CarLook
+from bilprov.captures.wall_clock import EARLIEST, LATEST, wall_clock
 from bilprov.captures.writer import FLUSH_AFTER, CaptureWriter
 from tests.support import ROOT
 from tests.support.car import car_state
@@ -437,3 +439,32 @@ def test_a_checkpoint_with_any_part_changed_is_not_whole(change: dict[str, Any])
 @pytest.mark.parametrize("decoder", ["", "{", "[1,]", "[" * 100_000, "\ud800"])
 def test_a_checkpoint_whose_state_is_not_json_is_not_whole(decoder: str) -> None:
     assert not Checkpoint.of(5, "g", decoder).whole
+
+
+# -- a clock that is set wrong ---------------------------------------------------------------------
+
+
+NOW = 1_790_000_000_000_000_000
+
+
+def before_1970() -> int:
+    return -3_600_000_000_000
+
+
+def after_2262() -> int:
+    """What Python does with a later time than it can give in ns."""
+    raise OverflowError("timestamp out of range for platform time_t")
+
+
+@pytest.mark.parametrize(
+    ("clock", "start"), [(before_1970, EARLIEST), (after_2262, LATEST), (lambda: NOW, NOW)]
+)
+def test_a_capture_begins_at_the_limit_where_the_clock_is_beyond_it(
+    clock: Callable[[], int], start: int, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    chunk = Chunk(5, "host", b"kept")
+    with CaptureWriter(path, start_wall=wall_clock(clock), metadata={}, version="0") as writer:
+        writer.chunk(chunk)
+    capture = open_capture(path)
+    assert (capture.start, list(capture)) == (start, [chunk])

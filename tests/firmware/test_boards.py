@@ -33,13 +33,6 @@ def test_a_board_under_simavr_conforms_asks_nobody_and_brings_its_probe(tmp_path
 
 
 @AVR
-def test_a_board_with_a_bug_does_not_conform() -> None:
-    target = f"emulator:simavr:{built('-DBUG_STOP_KEEPS_PWM')}"
-
-    assert process("conform", target, "--level", "smoke", "--fail-fast").returncode == 1
-
-
-@AVR
 def test_firmware_that_crashes_is_a_silent_board_and_told(tmp_path: Path) -> None:
     file = tmp_path / "empty.elf"  # its headers, and no instruction but "do nothing"
     file.write_bytes(built().read_bytes()[:148].ljust(1 << 16, b"\0"))

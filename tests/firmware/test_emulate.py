@@ -20,9 +20,8 @@ from bilprov.conformance.dut.boards.paced import HELD, PacedBoard
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import process
 from tests.support.firmware import AVR, built, compiled
-from tests.support.robots import PATIENCE, Served, emulate, unwell
+from tests.support.robots import PATIENCE, Served, emulate
 
 pytestmark = pytest.mark.waits
 
@@ -300,15 +299,6 @@ def test_its_probe_tells_what_the_pins_show(robot: Served) -> None:
         port.write(b"\x90")
         assert port.read(1) == b"\x01"
         assert robot.state() == dict(zip(LOOK, (False, "stopped", 5, 0, 0), strict=True))
-
-
-@AVR
-def test_the_suite_passes_it_over_its_pty() -> None:
-    with emulate(built()) as served:
-        words = ("--probe", served.probe, "--level", "smoke", "--yes", "--json", "-")
-        result = process("conform", served.port, *words, timeout=110)
-
-    assert unwell(result) == {"power-on/Forward": "skipped"}  # nobody can switch its power
 
 
 @AVR

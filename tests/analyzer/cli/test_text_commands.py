@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import io
 import json
+import signal
+import sys
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
+from bilprov.analyzer.cli.failures import interrupts_kept
 from bilprov.analyzer.cli.ports import drawn, unseen
 from bilprov.analyzer.transport.machine import Process
 from bilprov.analyzer.transport.ports import PortInfo
+from tests.support import ROOT
 from tests.support.commands import command, process
+from tests.support.grammars import mutated
 
 # explain
 
@@ -66,3 +74,111 @@ def test_ports_fit_80_columns_and_hold_every_fact() -> None:
 def test_ports_say_whose_processes_they_could_not_look_into() -> None:
     assert unseen(PORTS).startswith("3 processes of other users could not be examined")
     assert unseen(PORTS[:1]) == ""
+
+
+# -- spec show -------------------------------------------------------------------------------------
+
+
+TEXT = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+
+
+def test_factors_flags_and_decimal_ids_are_shown(tmp_path: Path) -> None:
+    sets = '"level" / Byte, document="open", effect=Sets(level=From("level", factor=258)),'
+    changes = {
+        '1: "On"': '16: "On"',
+        'document="open", answer=STATUS, effect=Sets(on=1)': (
+            f'{sets} answer=Struct("alarm" / FlagsEnum(Byte, hot=1, slow=4))'
+        ),
+        "Variables(": "Variables(level=Whole(0, 65790), ",
+        " Const,": " Const, FlagsEnum,",
+        " Data,": " Data, From,",
+    }
+    grammar = tmp_path / "mine.py"
+    grammar.write_text(mutated(TEXT, changes), encoding="utf-8")
+
+    shown = command("spec", "show", "--grammar", str(grammar), COLUMNS="200")
+
+    assert shown.returncode == 0, shown.stderr
+    assert b"level = 258 x level" in shown.stdout
+    assert b"alarm=0..5 (hot slow)" in shown.stdout
+    assert b"  16  On " in shown.stdout
+
+
+# -- interrupts that the interpreter would lose ----------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def _heeded() -> Iterator[None]:
+    """SIGINT is heeded, also where the tests were started in the background, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+class Module:
+    """Something that is collected."""
+
+
+def lose(error: type[BaseException]) -> None:
+    """Raise an exception where the interpreter can only ignore it."""
+
+    def ended(_: object) -> None:
+        raise error
+
+    held = Module()
+    watch = weakref.ref(held, ended)
+    del held
+    assert watch() is None
+
+
+@pytest.mark.waits
+def test_an_interrupt_in_a_callback_comes_again() -> None:
+    def wait() -> None:
+        lose(KeyboardInterrupt)
+        for _ in range(1000):
+            signal.sigtimedwait([], 0.01)
+
+    with pytest.raises(KeyboardInterrupt), interrupts_kept():
+        wait()
+
+
+def test_other_exceptions_are_told_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda lost: told.append(lost.exc_type))
+
+    with interrupts_kept():
+        lose(ValueError)
+    lose(KeyError)
+
+    assert told == [ValueError, KeyError]
+
+
+@pytest.mark.waits
+def test_a_command_that_lost_one_while_it_imports_ends() -> None:
+    code = """
+import signal, sys, weakref
+from bilprov import __main__ as front_door
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+class Module: pass
+
+def interrupted(_):
+    raise KeyboardInterrupt
+
+run = front_door._run
+
+def importing(arguments):
+    held = Module()
+    watch = weakref.ref(held, interrupted)
+    del held
+    return run(arguments)
+
+front_door._run = importing
+front_door.main(["simulate"])
+"""
+
+    done = process(code=code)
+
+    assert done.returncode in (0, 130)
+    assert b"ignored" not in done.stderr

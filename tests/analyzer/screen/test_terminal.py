@@ -18,7 +18,7 @@ from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
 from tests.support.commands import process
-from tests.support.screens import PATIENCE, Tmux, terminal
+from tests.support.screens import Tmux, terminal
 
 pytestmark = pytest.mark.waits
 
@@ -157,18 +157,6 @@ def test_every_way_out_leaves_a_sane_terminal_and_a_finished_capture(
     assert not open_capture(path).unfinished
 
 
-def test_a_terminal_that_goes_away_leaves_a_finished_capture(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with tapped() as (host, device):
-        with terminal(tmp_path, (80, 24), "sniff", host.name, device.name, "-w", str(path)) as tmux:
-            tmux.wait("q quit")
-            talk(host, device, tmux, "Speed speed=80")
-        give_up = time.monotonic() + PATIENCE
-        while open_capture(path).unfinished:  # the server is killed by now, its terminals hang up
-            assert time.monotonic() < give_up
-            time.sleep(0.1)
-
-
 def test_an_unplugged_tap_is_told_on_the_screen_and_in_the_last_line(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with (
@@ -209,28 +197,6 @@ def test_a_full_disk_is_told_on_the_screen_which_goes_on_and_in_the_last_line(
         tmux.press("q")
         assert any("bilprov: disk full" in line for line in left(tmux, code=2))
     assert open_capture(path).damage == ()
-
-
-def test_space_plays_a_capture_on_the_screen_which_stays(tmp_path: Path) -> None:
-    with terminal(tmp_path, (80, 24), str(SAMPLE), "--rate", "4") as tmux:
-        tmux.wait("84 rows")
-        tmux.press("Space")
-        tmux.wait("playing ")
-        tmux.wait(" 84 ")
-        tmux.press("q")
-        left(tmux)
-
-
-def test_a_simulated_drive_is_sniffed_on_the_screen_and_saved_as_what_it_is(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "drive.mcap"
-    with terminal(tmp_path, (100, 30), "sniff", "sim", "-w", str(path)) as tmux:
-        tmux.wait("simulated drive")
-        tmux.wait("OK ")
-        tmux.press("q")
-        left(tmux)
-    assert open_capture(path).metadata["port_simulated"] == "drive"
 
 
 def test_plain_means_lines_on_a_terminal(tmp_path: Path) -> None:
@@ -312,11 +278,3 @@ def test_a_screen_that_fails_ends_no_recording(tmp_path: Path, named: bool) -> N
     assert not events.unfinished
     heard = b"".join(e.data for e in events if isinstance(e, Chunk) and e.direction == "host")
     assert heard.endswith(b"\x11\x51" * 3)
-
-
-def test_a_screen_that_fails_at_a_capture_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "sitecustomize.py").write_text(BREAKING)
-    places = f"{ROOT / 'src'}{os.pathsep}{tmp_path}"
-    with terminal(tmp_path, (100, 50), "replay", str(SAMPLE), PYTHONPATH=places) as tmux:
-        shown = left(tmux, code=2)
-        assert any("this is a bug in bilprov" in line for line in shown)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,22 +10,39 @@ import pytest
 from msgspec import structs
 
 from benchmarks.noisy_device import NoisyDevice
-from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
+from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send, drive
 from bilprov.analyzer.taps.relay import Noise
-from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from bilprov.conformance.dut.link import Device
-from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
+from bilprov.captures.schemas import MS, Look
+from bilprov.captures.topics import CarLook
+from bilprov.conformance.dut.link import Device, Observability
+from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.learning.learner import Difference, Learned, learn_target
-from bilprov.conformance.learning.reference import Output, estimated_seconds, output_of, reset
+from bilprov.conformance.learning.learner import (
+    Difference,
+    Learned,
+    NotLearned,
+    System,
+    learn_target,
+)
+from bilprov.conformance.learning.reference import (
+    Output,
+    alphabet,
+    estimated_seconds,
+    output_of,
+    reference_machine,
+    reset,
+)
 from bilprov.conformance.mutation.catalogue import find_fault
+from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
-from tests.support.faults import Condition, silent, twice
-from tests.support.firmware import AVR, built
-from tests.support.robots import BYTE_TIME, Blind
+from tests.support.faults import Condition, is_outcome, made, silent, then, twice, when
+from tests.support.robots import BYTE_TIME, Blind, Timers
 
 
 def learn(protocol: Protocol, device: Any, *, seed: int = 1) -> Learned:
@@ -126,15 +143,6 @@ def test_every_run_gives_the_same(protocol: Protocol) -> None:
 
     assert first == again
     assert first.exit == 1
-
-
-@pytest.mark.sample(0)
-@pytest.mark.slow
-def test_every_seed_gives_the_same_machine(protocol: Protocol) -> None:
-    first, other = (learn(protocol, faulty(protocol, "no-led"), seed=seed) for seed in (1, 7))
-
-    assert first.machine == other.machine
-    assert first.differences == other.differences
 
 
 def test_without_a_probe_answers_alone_are_learned_which_is_no_pass(
@@ -278,29 +286,83 @@ def test_a_line_of_send_names_the_grammar_that_it_needs(horn: Protocol) -> None:
     assert line.endswith("'Horn 3'")
 
 
-@AVR
-@pytest.mark.waits
-def test_a_board_is_the_protocols_machine_by_its_answers(protocol: Protocol) -> None:
-    board = SimavrBoard(built())
-    try:
-        learned = learn(protocol, Blind(board))
-    finally:
-        board.close()
-
-    assert learned.machine is not None
-    assert (len(learned.machine), learned.differences) == (1, ())
+# -- tries that disagree ---------------------------------------------------------------------------
 
 
-@AVR
-@pytest.mark.waits
-@pytest.mark.timeout(500)
-@pytest.mark.sample(0)
-@pytest.mark.parametrize(("bug", "code"), [("", 0), ("-DBUG_STOP_KEEPS_PWM", 1)])
-def test_a_board_is_learned_with_its_probe(protocol: Protocol, bug: str, code: int) -> None:
-    board = SimavrBoard(built(bug))
-    try:
-        learned = learn(protocol, board)
-    finally:
-        board.close()
+WRONG = 0x55
 
-    assert learned.exit == code
+
+def system(protocol: Protocol, device: Simulator, *, looks: bool = False) -> System:
+    config = RunConfig(protocol, Timers(), Observability(looks))
+    run = Run(config, Profile(choices=Choices()))
+    steps = alphabet(protocol)
+    reference = reference_machine(Model(protocol, Choices()), steps)
+    link = VirtualLink(device, BYTE_TIME)
+    return System(run, lambda procedure: drive(procedure, link), steps, reference)
+
+
+def letters(protocol: Protocol, *frames: str) -> bytes:
+    steps = [step.frame for step in alphabet(protocol)]
+    return bytes(steps.index(bytes.fromhex(frame)) for frame in frames)
+
+
+def answering(outcome: Outcome, codes: Sequence[int]) -> React:
+    """Such a frame is answered with these codes, one a time, and with the last of them for ever."""
+
+    def change(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        turn = device.memory[outcome.name] = device.memory.get(outcome.name, -1) + 1
+        return answers(reaction, codes[min(turn, len(codes) - 1)])
+
+    return when(is_outcome(outcome), change)
+
+
+def robot(protocol: Protocol, *reacts: React) -> Simulator:
+    return Simulator(protocol, Fault("x", "test", "", react=then(*reacts)))
+
+
+class AlmostBlind(Simulator):
+    """A robot of which is seen whether it moves, and nothing else."""
+
+    def look(self, now: int) -> Look:
+        return CarLook(t=now, moving=super().look(now).moving)
+
+
+def test_what_is_seen_twice_and_contradicts_what_was_known_is_a_deviation(
+    protocol: Protocol,
+) -> None:
+    asked = system(protocol, robot(protocol, answering(Outcome.UNKNOWN_ID, [1, WRONG])))
+    unused, stop = letters(protocol, "90"), letters(protocol, "00")
+    assert asked.outputs(unused) == (Output((1,)),)
+
+    with pytest.raises(NotLearned, match="one outcome first"):
+        asked.outputs(unused + stop)
+
+    assert asked.deviations == (Difference(unused, Output((1,)), Output((WRONG,))),)
+    assert asked.sent.flaky == 1
+
+
+def test_tries_that_all_disagree_teach_nothing(protocol: Protocol) -> None:
+    asked = system(protocol, robot(protocol, answering(Outcome.BAD_DATA, range(100, 200))))
+
+    with pytest.raises(NotLearned, match="6 different outcomes"):
+        asked.outputs(letters(protocol, "81 08"))
+
+    assert asked.deviations == ()
+    assert asked.sent.flaky == 6
+
+
+def test_a_deviation_is_told_with_the_facets_that_are_seen(protocol: Protocol) -> None:
+    fault = robot(protocol, answering(Outcome.UNKNOWN_ID, [WRONG])).fault
+    asked = system(protocol, AlmostBlind(protocol, fault), looks=True)
+    word = letters(protocol, "90")
+
+    asked.outputs(word)
+
+    due = Output((1,), moving=False)
+    assert asked.deviations == (Difference(word, due, due._replace(codes=(WRONG,))),)
+
+
+def test_a_setting_that_is_never_answered_is_the_devices_way(protocol: Protocol) -> None:
+    asked = system(protocol, Simulator(protocol, made(protocol, "silent", "instruction LED")))
+
+    assert asked.outputs(letters(protocol, "00")) == (Output((0,)),)

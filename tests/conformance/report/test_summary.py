@@ -16,12 +16,14 @@ from bilprov.captures.text import escape_controls
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.verdicts import Axis, Verdict
+from bilprov.conformance.oracle.profile import Figures
+from bilprov.conformance.oracle.verdicts import Axis, Verdict, WireEvent
+from bilprov.conformance.report.html.cases import WireWords
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import as_json, parse_report
 from bilprov.conformance.report.junit import as_junit
 from bilprov.conformance.report.markdown import as_markdown, code, prose
-from bilprov.conformance.report.run_report import Covered, Report, conclusion
+from bilprov.conformance.report.run_report import Covered, Grammar, Report, conclusion
 from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import EVIL, a_case, every_verdict, hostile
@@ -247,3 +249,62 @@ def test_json_keeps_the_causes(report: Report) -> None:
     assert again.causes == report.causes
     assert again.causes[0].log
     assert again.unexplained == 0
+
+
+# -- wire log entries in words ---------------------------------------------------------------------
+
+
+def sent(hex: str, t: int = 0) -> WireEvent:
+    return WireEvent(t / 1e3, "sent", hex)
+
+
+def words(protocol: Protocol, *log: WireEvent, **profile: float) -> list[str]:
+    report = replace(every_verdict(protocol), profile=Figures(**profile))
+    return list(WireWords(protocol, report).of(log))
+
+
+def test_a_frame_that_comes_in_parts_is_one_frame(protocol: Protocol) -> None:
+    assert words(protocol, sent("11"), sent("05", 49), sent("20", 50)) == [
+        "Speed, 0 of 1 data byte so far",
+        "(goes on), Speed speed=5",
+        "Forward",
+    ]
+
+
+def test_after_the_time_out_a_byte_is_a_header_again(protocol: Protocol) -> None:
+    log = (sent("11"), sent("20", 30))
+
+    assert words(protocol, *log)[1] == "(goes on), Speed speed=32"
+    assert words(protocol, *log, truncation_timeout_ms=25.0)[1] == "Forward"
+    assert words(protocol, sent("11"), sent("20", 60))[1] == "Forward"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("odd", [None, 0])
+def test_a_measured_time_out_that_is_none_is_passed_over(protocol: Protocol, odd: object) -> None:
+    log = (sent("11"), sent("20", 30))
+
+    assert words(protocol, *log, truncation_timeout_ms=odd)[1] == "(goes on), Speed speed=32"
+
+
+def test_answers_looks_and_gaps_are_told(protocol: Protocol) -> None:
+    log = (
+        WireEvent(0, "received", "00 00 04 2a"),
+        WireEvent(1e-9, "look", look="moving forward"),
+        WireEvent(2e-9, "clipped", look="7 entries are left out here"),
+    )
+
+    assert words(protocol, *log) == [
+        "2 × 00 OK, 04 TOO_FEW_DATA, 2a unused",
+        "moving forward",
+        "7 entries are left out here",
+    ]
+
+
+def test_another_grammar_has_its_own_words_and_foreign_bytes_have_none(
+    protocol: Protocol, horn: Protocol
+) -> None:
+    report = replace(every_verdict(protocol), grammar=Grammar("horn", "1", horn.sha256, ""))
+
+    assert list(WireWords(horn, report).of([sent("91 02")])) == ["Horn sound=2"]
+    assert list(WireWords(protocol, report).of([sent("91 02")])) == [""]

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import msgspec
 import pytest
 
-from bilprov.analyzer.client.operations import Ended, Listen, Observation, Observe, Received, Send
+from bilprov.analyzer.client.operations import (
+    Ended,
+    Listen,
+    Observation,
+    Observe,
+    Procedure,
+    Received,
+    Send,
+    drive,
+    listen,
+)
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
@@ -18,11 +28,22 @@ from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
-from bilprov.conformance.runner.retry import LONGEST_MINIMISED
+from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code
+from bilprov.conformance.runner.retry import LONGEST_MINIMISED, Confirmed, confirm
+from bilprov.conformance.runner.run import Run, RunConfig, StrayAnswers
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import answers_with, drives_on
-from tests.support.robots import BYTE_TIME, MS, CountingLink, at_rest, case_of, cases_of, run_over
+from tests.support.robots import (
+    ALL_SEEING,
+    BYTE_TIME,
+    MS,
+    CountingLink,
+    Timers,
+    at_rest,
+    case_of,
+    cases_of,
+    run_over,
+)
 from tests.support.walking import RESPONSES, SAFETY, burst, hand_made
 
 INCONCLUSIVE, FAIL, PASS = Verdict.INCONCLUSIVE, Verdict.FAIL, Verdict.PASS
@@ -349,3 +370,132 @@ def test_only_a_few_walks_are_shortened_in_a_run_and_each_says_where(protocol: P
         burst = 1 if number < LONGEST_MINIMISED else 3  # in the sequence as it was shortened
         assert found[case.id].axes["stop"].reason.startswith(f"burst {burst}, frame 92 00 00: ")
         assert found[case.id].clause == SAFETY
+
+
+# -- when a failure is confirmed -------------------------------------------------------------------
+
+
+def run_of(protocol: Protocol, *, lossless: bool = False) -> Run:
+    return Run(RunConfig(protocol, Timers(), ALL_SEEING, lossless=lossless))
+
+
+def confirmed(run: Run, outcomes: str) -> Confirmed:
+    """What is found where the tries fail (x) or not (.) in this order."""
+    left: Iterator[str] = iter(outcomes)
+
+    def fails() -> Procedure[bool]:
+        yield from listen(None, 0)
+        return next(left) == "x"
+
+    found: list[Confirmed] = []
+
+    def procedure() -> Procedure[None]:
+        found.append((yield from confirm(run, 20, fails)))
+
+    drive(procedure(), CountingLink(Simulator(run.protocol)), lambda: False)
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "expected"),
+    [
+        ("xxx", Confirmed(True, 3, 3)),
+        ("xx.x", Confirmed(True, 4, 3)),
+        ("...", Confirmed(False, 3, 0)),
+        ("x..", Confirmed(False, 3, 1)),
+        ("xx..", Confirmed(False, 4, 2)),
+    ],
+)
+def test_a_trial_is_repeated_until_its_failures_are_no_noise_or_few(
+    protocol: Protocol, outcomes: str, expected: Confirmed
+) -> None:
+    assert confirmed(run_of(protocol), outcomes) == expected
+
+
+def test_on_a_line_that_was_flaky_before_more_failures_are_needed(protocol: Protocol) -> None:
+    run = run_of(protocol)
+    run.counters.flaky, run.answers = 20, 2000
+
+    assert confirmed(run, "xxxxxx") == Confirmed(True, 6, 6)
+
+
+# -- stray answers ---------------------------------------------------------------------------------
+
+
+FAIL, INCONCLUSIVE = Verdict.FAIL, Verdict.INCONCLUSIVE
+
+
+class Told:
+    """Stray answers, and what was published of them: ids, verdicts and reasons."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self.results: list[tuple[str, Verdict]] = []
+        self.reasons: list[str] = []
+        self.state = StrayAnswers(protocol, self._conclude)
+
+    def _conclude(self, case: Case, axes: dict[str, Axis], *_: object, **__: object) -> None:
+        self.results.append((case.id, axes["answer"].verdict))
+        self.reasons.append(axes["answer"].reason)
+
+
+@pytest.fixture
+def told(protocol: Protocol) -> Told:
+    return Told(protocol)
+
+
+def test_nothing_happened_and_nothing_is_told(told: Told) -> None:
+    told.state.close(keeps_all=True)
+
+    assert told.results == []
+
+
+@pytest.mark.parametrize(("times", "words"), [(1, "once"), (2, "2 times")])
+def test_a_byte_or_two_may_be_the_lines(told: Told, times: int, words: str) -> None:
+    for number in range(times):
+        told.state.unexpected([(number, 0)], "came although nothing was sent")
+    assert told.results == []  # not before the run is over: more may come
+
+    told.state.close(keeps_all=True)
+
+    assert told.results == [("line/unsolicited", INCONCLUSIVE)]
+    assert words in told.reasons[0]
+
+
+@pytest.mark.parametrize("came", [[1] * 5, [3], [1, 5], [1] * 9])
+def test_three_bytes_at_once_or_five_in_all_are_the_devices_and_are_told_once(
+    told: Told, came: list[int]
+) -> None:
+    for count in came:
+        told.state.unexpected([(number, 0) for number in range(count)], "came")
+
+    assert told.results == [("line/unsolicited", FAIL)]
+    told.state.close(keeps_all=True)
+    assert told.results == [("line/unsolicited", FAIL)]
+
+
+def test_what_was_lost_is_told_of_a_device_that_loses_nothing(told: Told) -> None:
+    told.state.missing(1)
+    told.state.missing(0)
+    told.state.missing(15)
+
+    told.state.close(keeps_all=True)
+
+    assert told.results == [("line/lost", INCONCLUSIVE)]
+    assert "16 times" in told.reasons[0]
+
+
+def test_a_device_that_may_lose_what_follows_a_fault_is_not_blamed(told: Told) -> None:
+    told.state.missing(3)
+
+    told.state.close(keeps_all=False)
+
+    assert told.results == []
+
+
+def test_a_device_that_stopped_answering_fails_and_that_is_all(told: Told) -> None:
+    told.state.missing(3)
+    told.state.silent("the device stopped answering")
+    told.state.close(keeps_all=True)
+
+    assert told.results == [("line/lost", FAIL)]
+    assert told.reasons == ["the device stopped answering"]
