@@ -106,10 +106,9 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
     def length() -> Column:
         if protocol.plain:
             return _part_of(protocol, rows, "length")
-        around = protocol.layout.head + protocol.layout.tail
-        return Numbers(np.maximum(rows.size - around, 0), ~garbage)
+        return Numbers(data().size, ~garbage)
 
-    def data() -> Column:
+    def data() -> Octets:
         head, tail = protocol.layout.head, protocol.layout.tail
         size = np.maximum(rows.size - head - np.where(rows.kind == INSTRUCTION, tail, 0), 0)
         return Octets(rows.data, rows.offset + head, np.where(garbage, -1, size))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -15,7 +16,10 @@ from bilprov.analyzer.filters.fields import Kind, fields_of
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.row_columns import Column, bytes_fields, columns_of
 from bilprov.captures.events import Events
+from bilprov.captures.schemas import MS, Chunk
+from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.replies import build_reply
 from tests.support.decoding import decoded
 from tests.support.framed_traffic import FRAMED, odd_traffic
 
@@ -31,9 +35,21 @@ def any_protocol(request: pytest.FixtureRequest, protocol: Protocol) -> Protocol
     return protocol if request.param == "car" else load(FRAMED[request.param])
 
 
+def out_of_range(protocol: Protocol) -> Iterator[Chunk]:
+    """Requests with the highest data that there can be, and their answers."""
+    t = 1000_000 * MS
+    for spec in protocol.instructions:
+        parts = {"id": spec.id} | {p.name: p.low for p in protocol.layout.parts if p.low}
+        frame = protocol.layout.build(parts, b"\xff" * spec.length)
+        yield Chunk(t, "host", frame)
+        with suppress(OverflowError):  # more is asked for than an answer can hold
+            yield Chunk(t + MS, "device", build_reply(protocol, judge(protocol, frame)))
+        t += 20_000 * MS
+
+
 def both_forms(protocol: Protocol) -> Iterator[tuple[Batch, list[JsonLine | None]]]:
     """Odd and regular traffic as it is decoded one by one, and as arrays, with its lines."""
-    events = odd_traffic(protocol, count=60)
+    events = [*odd_traffic(protocol, count=60), *out_of_range(protocol)]
     decoder = StreamDecoder(protocol)
     for batch in (
         Records(decoded(Session(protocol), events)),
