@@ -152,7 +152,7 @@ class Reports(Subconstruct):  # type: ignore[misc]  # construct ships no types
     """A field of an answer that tells the variable `variable` of the state.
 
     It holds the variable's value times `factor` plus `plus`; of a Word the value of that name of an
-    Enum.
+    Enum. What it reports is predicted from then on.
     """
 
     def __init__(self, variable: str, subcon: Construct, factor: int = 1, plus: int = 0) -> None:

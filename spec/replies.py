@@ -25,6 +25,7 @@ from bilprov.spec.protocol import (
     Protocol,
     ResponseSpec,
 )
+from bilprov.spec.state import Assigned, VariableSpec
 
 GIVES_UP = 5
 """The part of an answer's deadline after which a host that sends another request has given up."""
@@ -222,6 +223,31 @@ def build_reply(
     if response.code >= 0:
         told |= {part.name: response.code for part in way.layout.parts if part.role == "code"}
     return way.layout.build(told, data, covered(protocol, asked.frame))
+
+
+def reported(protocol: Protocol, reply: Reply) -> Assigned:
+    """The variables that an answer reports, with their values."""
+    if not reply.fields or reply.way is None or reply.way.data is None:
+        return ()
+    values = dict(reply.fields)
+    found = (
+        (spec.name, reported_value(spec, part, values[part.name]))
+        for part in reply.way.data.fields
+        if part.reports
+        for spec in (protocol.variables[part.reports.variable],)
+    )
+    return tuple((name, value) for name, value in found if value is not None)
+
+
+def reported_value(spec: VariableSpec, part: FieldSpec, number: int) -> int | str | None:
+    """The value of a variable that a field with this number reports; None if it cannot have it."""
+    how = part.reports
+    assert how is not None
+    every = spec.words or range(spec.low, spec.high + 1)
+    if spec.words:
+        return next((word for word in every if how.value(word, part.names) == number), None)
+    value, rest = divmod(number - how.plus, how.factor) if how.factor else (0, 1)
+    return value if value in every and not rest else None
 
 
 def agrees(protocol: Protocol, asked: Judgement, reply: Reply) -> bool:

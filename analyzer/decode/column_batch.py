@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, fields
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import repeat
 from typing import Any, Self
 
@@ -19,6 +19,7 @@ from bilprov.analyzer.decode.batch import (
     Batch,
     DeviceRows,
     HostRows,
+    Mask,
     OtherRows,
     Selection,
     StateColumns,
@@ -32,7 +33,7 @@ from bilprov.captures.schemas import Line
 from bilprov.spec.arrays.answers import Answers, AnswerTables
 from bilprov.spec.arrays.layouts import Requests
 from bilprov.spec.arrays.requests import RequestTables
-from bilprov.spec.arrays.states import Known
+from bilprov.spec.arrays.states import Known, Reports
 from bilprov.spec.codec import Judgement, Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_as, usual_way
@@ -65,8 +66,8 @@ class ColumnBatch(Batch):
     first byte came at `t` (ns), is to the frame of row j of `asked`, which has the number
     `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. Where
     nothing is paired, the row is of no frame: it has no verdict, and its number is -1. `before` is
-    the state before the new frames. Before each of the `lines` come `line_after` new frames and
-    `line_heard` answers.
+    the state before the new frames, and `reports` is what answers report of it. Before each of the
+    `lines` come `line_after` new frames and `line_heard` answers.
     """
 
     decoding: Decoding
@@ -83,6 +84,7 @@ class ColumnBatch(Batch):
     t: NDArray[np.int64]
     device_after: NDArray[np.int64]
     before: Known
+    reports: Reports
     lines: Sequence[Line]
     line_after: NDArray[np.int64]
     line_heard: NDArray[np.int64]
@@ -108,7 +110,7 @@ class ColumnBatch(Batch):
             size=self.requests.size,
             verdict=self.requests.verdict,
             sequence=self.first + np.arange(count),
-            states=StateColumns(type(self.before.state), count, alone._host_states),
+            states=self._states_at(slice(self._wide, None, self._wide), count),
             reasons=lambda rows: [one.reason for one in alone._judgements(rows)],
             header=tables.keys.take(self.requests.kind),
             due=tables.due(self.data, self.requests),
@@ -145,9 +147,7 @@ class ColumnBatch(Batch):
             latency=latency,
             agrees=agrees,
             odd=~right | late | (latency < 0),
-            states=StateColumns(
-                type(self.before.state), count, partial(alone._device_states, self.hosts.states)
-            ),
+            states=self._states_at(self._places(self.after, self._answered), count),
             samples=alone._samples,
             sort=sort,
             answers=self._answer_bytes,
@@ -172,7 +172,8 @@ class ColumnBatch(Batch):
     def others(self) -> OtherRows:
         """The other rows."""
         after = self.line_after
-        states = self._states_after(after) if len(after) else []
+        told = np.append(-1, self.sequence)[self.line_heard] + 1 == self.first + after
+        states = self._states_after(after, told) if len(after) else []
         listed = [
             LineRecord(line, False, state, anomalies.of_line(line, lost=False))
             for line, state in zip(self.lines, states, strict=True)
@@ -191,7 +192,8 @@ class ColumnBatch(Batch):
             for places, mask in zip(self.places, chosen or self.places, strict=True)
         )
         made: list[Record] = [*self._host_records(hosts)]
-        made += self._answers(devices, self._states_after(self.after[devices]))
+        states = self._states_after(self.after[devices], self._answered[devices])
+        made += self._answers(devices, states)
         made += [self.others.listed[row] for row in others.tolist()]
         rows = (hosts, devices, others)
         places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
@@ -292,23 +294,46 @@ class ColumnBatch(Batch):
             steps[frame].judgement for frame in sliced(self.data, requests.offset, requests.end)
         ]
 
-    def _host_states(self, variable: str) -> NDArray[Any]:
-        tables = self.decoding.requests.states
-        return tables.column(variable, self.data, self.requests, self.before)
+    @cached_property
+    def _timelines(self) -> StateColumns:
+        """The variables before the new frames and after each, as `StateTables.timeline`."""
+        count = self._wide * (len(self.start) + 1)
+        return StateColumns(type(self.before.state), count, self._alone._timeline)
 
-    def _device_states(self, hosts: StateColumns, variable: str) -> NDArray[Any]:
-        column, before = hosts[variable], self.before.state
-        first = before.code(variable, getattr(before, variable))
-        return np.append(np.array([first], column.dtype), column).take(self.after)
+    @property
+    def _wide(self) -> int:
+        """How many places of the timelines each frame has."""
+        return 2 if self.reports.variables else 1
+
+    def _timeline(self, variable: str) -> NDArray[Any]:
+        tables = self.decoding.requests.states
+        found = tables.timeline(variable, self.data, self.requests, self.before, self.reports)
+        return found.reshape(-1)
+
+    def _states_at(self, places: NDArray[np.int64] | slice, count: int) -> StateColumns:
+        """The states of so many rows, which are at these places of the timelines."""
+        timelines = self._timelines
+        return StateColumns(timelines.kind, count, lambda name: timelines[name][places])
+
+    def _places(self, after: NDArray[np.int64], answered: Mask | bool = False) -> NDArray[np.int64]:
+        """The places in the timelines after so many frames, or the answer to the last of them."""
+        return 2 * after + answered if self._wide > 1 else after
+
+    @property
+    def _answered(self) -> Mask:
+        """At which of the device's rows the newest frame is answered."""
+        newest = self.first + self.after - 1 if self._wide > 1 else np.int64(-2)
+        return np.asarray(self.sequence == newest)
 
     @cached_property
     def _states(self) -> NDArray[np.object_]:
-        """The state before the new frames, and after each of them."""
-        states = [self.before.state, *self.hosts.states.states()]
+        """The states of the timelines."""
+        states = self._timelines.states()
         return np.fromiter(states, object, len(states))
 
-    def _states_after(self, after: NDArray[np.int64]) -> list[State]:
-        states: list[State] = self._states.take(after).tolist()
+    def _states_after(self, after: NDArray[np.int64], answered: Mask | bool = False) -> list[State]:
+        """The states after so many frames, or the answer to the last of them."""
+        states: list[State] = self._states.take(self._places(after, answered)).tolist()
         return states
 
 

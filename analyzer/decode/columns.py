@@ -25,10 +25,10 @@ from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.pairing import MOST
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.spec.arrays.answers import answer_tables
-from bilprov.spec.arrays.layouts import Mask, Places, Requests
+from bilprov.spec.arrays.answers import Answers, answer_tables
+from bilprov.spec.arrays.layouts import Mask, Places, Requests, part_values
 from bilprov.spec.arrays.requests import request_tables
-from bilprov.spec.arrays.states import Known
+from bilprov.spec.arrays.states import NO_REPORTS, Known, Reports
 from bilprov.spec.codec import Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import GIVES_UP
@@ -330,6 +330,14 @@ class ColumnDecoder:
         begun, low = int(taken[cut]), int(heard[cut])
         new = requests.rows(slice(count))
         known = self._known(rest)
+        reports = self._reports(
+            host.data,
+            asked.rows(slice(replies)),
+            sequence[:replies] - rest.sequence,
+            device.data,
+            answers.rows(slice(replies)),
+            after[:replies],
+        )
         line_event = line_event[line_event < cut]
         batch = ColumnBatch(
             decoding=self._decoding,
@@ -346,6 +354,7 @@ class ColumnDecoder:
             t=answer_t[:replies],
             device_after=after[:replies],
             before=known,
+            reports=reports,
             lines=[
                 replace(line, t=int(t[at]))
                 for line, at in zip(events.lines, line_event.tolist(), strict=False)
@@ -358,7 +367,7 @@ class ColumnDecoder:
 
         # What is left.
         if self._requests.states.has_effects:
-            known = self._requests.states.last(host.data, new, known)
+            known = self._requests.states.last(host.data, new, known, reports)
             rest = replace(rest, state=known.state)
             if known.by_address is not None:
                 rest = replace(rest, by_address=tuple(sorted(known.by_address.items())))
@@ -377,6 +386,27 @@ class ColumnDecoder:
                 rest=replace(rest, time=int(t[cut - 1]), sequence=rest.sequence + count),
             ),
         )
+
+    def _reports(
+        self,
+        data: NDArray[np.uint8],
+        asked: Requests,
+        place: Places,
+        heard: NDArray[np.uint8],
+        answers: Answers,
+        after: Places,
+    ) -> Reports:
+        """What the answers report that come while their request, at `place`, is the newest one."""
+        found = self._answers.reported(asked, heard, answers, place + 1 == after)
+        if not found:
+            return NO_REPORTS
+        variables = {name: (place[rows], codes) for name, (rows, codes) in found.items()}
+        carried = np.flatnonzero((place == -1) & (after == 0))
+        part = self._decoding.protocol.layout.part("address")
+        if part is None or not len(carried):
+            return Reports(variables)
+        last = asked.rows(carried)
+        return Reports(variables, int(part_values(part, data, last.offset, last.end)[0]))
 
     def _due(self, data: NDArray[np.uint8], requests: Requests) -> slice | Mask:
         """The requests that wait for an answer."""

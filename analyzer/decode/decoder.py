@@ -35,6 +35,7 @@ from bilprov.spec.codec import FRAMING_FAULTS, Judgement, Steps
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind, frame_size
 from bilprov.spec.protocol import NO_ANSWER, Protocol
+from bilprov.spec.replies import reported
 from bilprov.spec.state import OTHERS, Assigned, State, after
 
 # Line events after which bytes are known to be missing.
@@ -381,10 +382,14 @@ class Decoder:
         """Pair an answer of several bytes with the oldest request that waits, if there is one."""
         held = Held.of_reply(heard.start, heard.reply)
         if self._paired and self._pairing.waiting:
-            self._pair(held, self._pairing.waiting.popleft(), out)
+            waiting = self._pairing.waiting.popleft()
+            if waiting.sequence == self._sequence - 1:  # else a newer request may have changed it
+                self._set(waiting.judgement.address, reported(self._protocol, heard.reply))
+            self._pair(held, waiting, out)
         elif self._paired:
             self._unsolicited(held, out)
         else:
+            self._set(heard.reply.address, reported(self._protocol, heard.reply))
             self._unpaired(held, anomalies.ALONE, out)
 
     def _framed(self, framed: Framed, out: list[Record]) -> None:
@@ -403,10 +408,7 @@ class Decoder:
         judgement = step.judgement
         sequence = self._sequence
         self._sequence = sequence + 1
-        if judgement.address is None:
-            state = self._state = after(self._state, step.sets)
-        else:
-            state = self._state = self._bus.after(judgement.address, step.sets)
+        state = self._set(judgement.address, step.sets)
         note = self._note(kind, judgement) if judgement.framed else ""
         out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state, note))
         if self._paired and judgement.response is not NO_ANSWER:
@@ -420,6 +422,14 @@ class Decoder:
                     early = anomalies.unanswered(oldest, known, pairing.most)
                     out.append(FaultRecord(early, state))
                 pairing.waiting.append(waiting)
+
+    def _set(self, address: int | None, sets: Assigned) -> State:
+        """Predict what these variables are now, of the device at an address; returns its state."""
+        if address is None:
+            self._state = after(self._state, sets)
+        else:
+            self._state = self._bus.after(address, sets)
+        return self._state
 
     def _note(self, kind: Kind, judgement: Judgement) -> str:
         """Why a frame is uncertain, in words; "" if it is not."""

@@ -5,7 +5,7 @@ An answer in the layout of errors is not: what it is depends on all the ways to 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ from bilprov.spec.arrays.layouts import (
     checks_hold,
     constants_hold,
     data_sizes,
+    field_values,
     fixed_size,
     frame_sizes,
     part_values,
@@ -34,11 +35,12 @@ from bilprov.spec.arrays.layouts import (
 )
 from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.codec import judge
-from bilprov.spec.data import DataSpec
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.replies import meaning, reply_size, usual_way
+from bilprov.spec.replies import meaning, reply_size, reported_value, usual_way
+from bilprov.spec.state import NOT_KNOWN
 
 NO_CODE = 256
 """The place of the name of answers without a code; that of a code is the code."""
@@ -166,6 +168,34 @@ class AnswerTables:
                 rows = np.flatnonzero(kinds.take(kind))
                 found[rows] = part_values(part, data, answers.offset[rows], answers.end[rows])
         return found
+
+    def reported(
+        self, asked: Requests, data: Bytes, answers: Answers, newest: Mask
+    ) -> Mapping[str, tuple[Places, NDArray[Any]]]:
+        """The variables that the newest answers report: of which answers, and their numbers."""
+        found: dict[str, tuple[Places, NDArray[Any]]] = {}
+        if not any(part.reports for _, spec in self._ways for part in spec.fields):
+            return found
+        at, size = self.fields(asked.kind, answers)
+        for kind, (_, spec) in enumerate(self._ways):
+            rows = np.flatnonzero(newest & (size >= 0) & (asked.kind == kind))
+            for part in spec.fields if len(rows) else ():
+                if part.reports:
+                    name, numbers = part.reports.variable, field_values(part, data, at[rows])
+                    codes = self._codes_of(name, part, numbers)
+                    known = codes != NOT_KNOWN
+                    before = found.get(name, (rows[:0], codes[:0]))
+                    rows_of = np.append(before[0], rows[known])
+                    order = np.argsort(rows_of, kind="stable")
+                    found[name] = rows_of[order], np.append(before[1], codes[known])[order]
+        return found
+
+    def _codes_of(self, name: str, part: FieldSpec, numbers: NDArray[Any]) -> NDArray[Any]:
+        """The numbers of a variable's values that a field reports; NOT_KNOWN for none."""
+        spec, kind = self._protocol.variables[name], self._protocol.state_type
+        distinct, place = np.unique(numbers, return_inverse=True)
+        values = [reported_value(spec, part, number) for number in distinct.tolist()]
+        return np.array([kind.code(name, value) for value in values], np.int64).take(place)
 
     def _is_open(self, rest: bytes, asked: Bytes, request: Requests) -> bool:
         """Whether bytes are the beginning of an answer to a request that is not complete."""

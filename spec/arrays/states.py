@@ -27,6 +27,20 @@ class Known(NamedTuple):
     by_address: Mapping[int, State] | None
 
 
+class Reports(NamedTuple):
+    """What answers report of the state.
+
+    For each variable that is reported: after which requests (-1: the last one before them), and the
+    numbers of its values. The last request before them was to the address `before`.
+    """
+
+    variables: Mapping[str, tuple[Places, NDArray[Any]]]
+    before: int = OTHERS
+
+
+NO_REPORTS = Reports({})
+
+
 class StateTables:
     """What each kind of requests sets, for so many `kinds`.
 
@@ -49,6 +63,8 @@ class StateTables:
         self._changes: dict[str, tuple[Places, list[Changed]]] = {}
         # Of the variables that are set from a field: by which kind, from which field, and how.
         self._fields: dict[str, list[tuple[int, FieldSpec, From]]] = {}
+        answers = [spec.answer.fields for spec in protocol.instructions if spec.answer]
+        self._reported = any(part.reports for fields in answers for part in fields)
 
     def _type(self, variable: VariableSpec) -> np.dtype[Any]:
         if variable.unknown:
@@ -75,35 +91,64 @@ class StateTables:
 
     @property
     def has_effects(self) -> bool:
-        """Whether any request sets a variable."""
-        return bool(self._sets.any())
+        """Whether any request sets a variable, or an answer reports one."""
+        return self._reported or bool(self._sets.any())
 
     def column(self, variable: str, data: Bytes, requests: Requests, before: Known) -> NDArray[Any]:
         """A variable after each request."""
+        return self.timeline(variable, data, requests, before, NO_REPORTS)[1:, 0]
+
+    def timeline(
+        self, variable: str, data: Bytes, requests: Requests, before: Known, reports: Reports
+    ) -> NDArray[Any]:
+        """A variable before the requests, and after each of them.
+
+        Where there are reports, beside each value that after the answer to the request.
+        """
         if before.by_address is None:
-            return self._column(variable, data, requests, before.state.codes)
-        found = np.zeros(len(requests.kind), self._values[variable].dtype)
+            return self._column(variable, data, requests, before.state.codes, reports)
+        wide = 2 if reports.variables else 1
+        found = np.zeros((len(requests.kind) + 1, wide), self._values[variable].dtype)
+        found[0] = self._state.code(variable, getattr(before.state, variable))
         to = self._to(data, requests)
-        for address in np.unique(to).tolist():
+        for address in {*np.unique(to).tolist(), *([reports.before] if wide > 1 else [])}:
             rows = self._heard_by(address, to)
             codes = self._state_of(address, before.by_address).codes
-            column = self._column(variable, data, requests.rows(rows), codes)
-            own = to[rows] == address
-            found[rows[own]] = column[own]
+            own = self._reports_of(address, reports, to, rows)
+            column = self._column(variable, data, requests.rows(rows), codes, own)
+            mine = to[rows] == address
+            found[1 + rows[mine]] = column[1:][mine]
+            if wide > 1 and address == reports.before:
+                found[0] = column[0]
         return found
 
-    def last(self, data: Bytes, requests: Requests, before: Known) -> Known:
-        """What is known after all of the requests."""
-        if before.by_address is None or not len(requests.kind):
-            codes = self._last(data, requests, before.state.codes)
+    def last(
+        self, data: Bytes, requests: Requests, before: Known, reports: Reports = NO_REPORTS
+    ) -> Known:
+        """What is known after all of the requests and reports."""
+        if before.by_address is None:
+            codes = self._last(data, requests, before.state.codes, reports)
             return before._replace(state=self._state.of_codes(codes))
         to = self._to(data, requests)
+        newest = to[-1:].tolist() or [reports.before] * bool(reports.variables)
+        if not newest:
+            return before
         found = {}
-        for address in {*before.by_address, *(self._known_as(one) for one in np.unique(to))}:
+        for address in {*before.by_address, *map(self._known_as, (*np.unique(to), *newest))}:
             rows = self._heard_by(address, to)
             codes = self._state_of(address, before.by_address).codes
-            found[address] = self._state.of_codes(self._last(data, requests.rows(rows), codes))
-        return Known(found[self._known_as(to[-1])], found)
+            own = self._reports_of(address, reports, to, rows)
+            found[address] = self._state.of_codes(self._last(data, requests.rows(rows), codes, own))
+        return Known(found[self._known_as(newest[0])], found)
+
+    def _reports_of(self, address: int, reports: Reports, to: Places, rows: Places) -> Reports:
+        """The reports of one device, after which of the requests that it hears."""
+        found: dict[str, tuple[Places, NDArray[Any]]] = {}
+        for variable, (behind, codes) in reports.variables.items():
+            mine = np.append(to, reports.before)[behind] == address
+            place = np.where(behind < 0, -1, np.searchsorted(rows, behind))
+            found[variable] = place[mine], codes[mine]
+        return Reports(found)
 
     def _to(self, data: Bytes, requests: Requests) -> Places:
         """Whom each request is for."""
@@ -128,9 +173,14 @@ class StateTables:
         return np.flatnonzero((to == address) | (to == self._broadcast))
 
     def _column(
-        self, variable: str, data: Bytes, requests: Requests, before: Sequence[int]
+        self,
+        variable: str,
+        data: Bytes,
+        requests: Requests,
+        before: Sequence[int],
+        reports: Reports,
     ) -> NDArray[Any]:
-        """A variable after each request to one device; `before` are the values of all variables."""
+        """As `timeline`, of one device; `before` are the values of all variables."""
         place, kind = list(self._values).index(variable), requests.kind
         rows = np.flatnonzero(self._sets.take(kind) & self._sets.dtype.type(1 << place))
         kinds = kind.take(rows)
@@ -139,10 +189,19 @@ class StateTables:
             of_it = np.flatnonzero(kinds == one)
             at = requests.offset.take(rows.take(of_it)) + self._layout.head
             values[of_it] = self._from(variable, source, field_values(part, data, at))
-        if variable in self._changes:
-            values = self._changed(variable, kinds, values, before[place])
-        counts = np.diff(np.append(rows, len(kind)), prepend=0)
-        return np.repeat(np.append(np.array([before[place]], values.dtype), values), counts)
+        places, changes = self._changes.get(variable, (np.zeros(len(self._sets), np.int64), []))
+        change, at, wide = places.take(kinds) if changes else kinds, 1 + rows, 1
+        if reports.variables:
+            behind, codes = reports.variables.get(variable, (rows[:0], values[:0]))
+            at, wide = np.concatenate([2 * at, 2 * behind + 3]), 2
+            order = np.argsort(at)
+            at, values = at[order], np.concatenate([values, codes.astype(values.dtype)])[order]
+            change = np.append(change, np.zeros(len(behind), np.int64))[order]
+        if changes:
+            values = self._changed(variable, change, values, before[place])
+        counts = np.diff(np.append(at, wide * (len(kind) + 1)), prepend=0)
+        found = np.repeat(np.append(np.array([before[place]], values.dtype), values), counts)
+        return found.reshape(-1, wide)
 
     def _from(self, variable: str, source: From, numbers: NDArray[Any]) -> Any:
         """The values of a variable that is set from a field with these numbers."""
@@ -152,25 +211,30 @@ class StateTables:
         return [codes[number] for number in numbers.tolist()]
 
     def _changed(
-        self, variable: str, kinds: Places, values: NDArray[Any], before: int
+        self, variable: str, change: Places, values: NDArray[Any], before: int
     ) -> NDArray[Any]:
-        """The values of a variable, where some requests make the new one of the old one."""
+        """The values of a variable, where the new one may be made of the old one by a change.
+
+        `change` is the place of that, from 1 on, and 0 where a value is new.
+        """
         state = self._state
-        places, changes = self._changes[variable]
+        _, changes = self._changes[variable]
         found: list[int] = []
         value = state.value(variable, before)
-        for place, code in zip(places.take(kinds).tolist(), values.tolist(), strict=True):
+        for place, code in zip(change.tolist(), values.tolist(), strict=True):
             value = changes[place - 1].value(value) if place else state.value(variable, code)
             found.append(state.code(variable, value))
         return np.array(found, values.dtype)
 
-    def _last(self, data: Bytes, requests: Requests, before: Sequence[int]) -> Sequence[int]:
-        """The values of all variables after all requests to one device."""
-        if not self._changes:  # then the last request that sets a variable tells, for each of them
+    def _last(
+        self, data: Bytes, requests: Requests, before: Sequence[int], reports: Reports
+    ) -> Sequence[int]:
+        """The values of all variables after all requests to one device, and reports of it."""
+        if not self._changes and not reports.variables:
+            # Then the last request that sets a variable tells, for each of them.
             requests = requests.rows(self._last_rows(requests.kind))
-        if not len(requests.kind):
-            return before
-        return [int(self._column(name, data, requests, before)[-1]) for name in self._values]
+        columns = (self._column(name, data, requests, before, reports) for name in self._values)
+        return [int(column[-1, -1]) for column in columns]
 
     def _last_rows(self, kind: Places) -> Places:
         """The last request that sets each of the variables, of those that are set."""
