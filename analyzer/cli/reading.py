@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import click
@@ -69,6 +68,8 @@ def split(capture: Capture, protocol: Protocol) -> Capture:
 
     It is kept in a temporary file as long as the command runs. Raises CaptureError and UserError.
     """
+    from tempfile import TemporaryDirectory
+
     from bilprov.analyzer.edit.cut import new_capture, split_metadata, write_split
     from bilprov.captures.reader import open_capture
 

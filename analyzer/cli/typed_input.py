@@ -5,7 +5,6 @@ Recorded bytes are JSON lines like `{"t": 0.5, "dir": "host", "hex": "5556"}`, o
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -250,6 +249,8 @@ class RecordedBytes(msgspec.Struct):
 
 def are_json_lines(path: Path) -> bool:
     """Whether a file begins with a line that is a JSON object."""
+    import json
+
     with path.open("rb") as file:
         line = file.readline(_LINE)
     try:
