@@ -165,3 +165,12 @@ def test_wrong_use_is_told_and_the_file_is_finished(tmp_path: Path) -> None:
     capture.close()
     assert [chunk.data for chunk in chunks(path)] == [b"x"]
     assert not open_capture(path).unfinished
+
+
+def test_after_closing_nothing_is_taken(tmp_path: Path) -> None:
+    capture = writer(tmp_path / "a.mcap")
+    capture.close()
+    capture.close()
+    with pytest.raises(ValueError, match="is closed"):
+        capture.chunk(Chunk(0, "host", b"x"))
+    assert not open_capture(tmp_path / "a.mcap").unfinished

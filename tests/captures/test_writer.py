@@ -133,6 +133,14 @@ def test_a_value_too_large_for_a_message_is_left_out_and_said_in_faults(tmp_path
     assert message.value["timestamp"] == {"sec": START // SECOND, "nsec": 5}
 
 
+def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(CaptureError, match=r"a\.mcap exists .*: choose another name"):
+        writer(path)
+    assert path.read_bytes() == b"precious"
+
+
 def test_metadata_and_channels_are_in_the_file_before_the_first_message(tmp_path: Path) -> None:
     capture = writer(tmp_path / "a.mcap", grammar="robot car", ports="a, b")
     read = open_capture(tmp_path / "a.mcap")
@@ -176,6 +184,15 @@ def test_a_chunk_holds_at_most_2000_messages(tmp_path: Path) -> None:
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.chunk_count == 3
+
+
+def test_closing_twice_is_once_and_writing_after_it_is_wrong_use(tmp_path: Path) -> None:
+    capture = writer(tmp_path / "a.mcap")
+    capture.close()
+    capture.close()
+    with pytest.raises(ValueError, match="is closed"):
+        capture.chunk(Chunk(0, "host", b"x"))
+    assert not open_capture(tmp_path / "a.mcap").unfinished
 
 
 @pytest.mark.parametrize("t", [-START - 1, 1 << 64])
