@@ -77,6 +77,11 @@ class Events:
         """Where in `data` each row's bytes end."""
         return np.cumsum(self.size)
 
+    @cached_property
+    def side_of_byte(self) -> NDArray[np.uint8]:
+        """The side of each byte of `data`."""
+        return np.repeat(self.side, self.size)
+
     def part(self, start: int, stop: int) -> Events:
         """The rows from `start` up to, not including, `stop`."""
         first = int(self.end[start - 1]) if start else 0

@@ -83,9 +83,8 @@ class Reads(NamedTuple):
 
     def and_then(self, events: Events, t: Places, side: int) -> Reads:
         """These and those of a side among the events, which came at `t` (ns)."""
-        of_it = events.side == side
-        event = np.flatnonzero(of_it & (events.size > 0))
-        data = events.data[np.repeat(of_it, events.size)]
+        event = np.flatnonzero((events.side == side) & (events.size > 0))
+        data = events.data.compress(events.side_of_byte == side)  # an index takes 4 times as long
         upto = len(self.data) + np.cumsum(events.size[event])
         return Reads(
             np.concatenate([self.data, data]),
