@@ -61,10 +61,14 @@ class Target(Closing, LinkListener):
         self._homing = self._halted = False
         stopper.before_suspending(self._halt)
 
-    def begin(self) -> None:
-        """Home the device: stopped, at a frame boundary. Raises LinkError if it never answers."""
-        self._home(patient=True)
-        self.require_answer()
+    def begin(self, *, homed: bool = True) -> None:
+        """Home the device: stopped, at a frame boundary. Raises LinkError if it never answers.
+
+        One that is not to be `homed` was just switched on.
+        """
+        if homed:
+            self._home(patient=True)
+            self.require_answer()
         self._start = self._link.now()
 
     def send(self, data: bytes) -> None:

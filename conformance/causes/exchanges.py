@@ -292,7 +292,7 @@ class Exchanges:
                 self._expected = replace(
                     self._expected, unknown=frozenset(self._model.protocol.variables)
                 )
-            if exchange is burst[-1] or not _repeats(exchange):
+            if exchange is burst[-1] or not repeats(exchange):
                 self.all.append(exchange)
         if guilty and len(burst) > 1:
             for exchange in burst:
@@ -453,7 +453,7 @@ class Exchanges:
         self._expected = ExpectedState(state.but(**values), unknown, pending)
 
 
-def _repeats(exchange: Exchange) -> bool:
+def repeats(exchange: Exchange) -> bool:
     """Whether a right exchange repeats the one before it, as stops that home a device do."""
     previous = exchange.previous
     if previous is None or exchange.deviations or previous.deviations:

@@ -12,7 +12,7 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.causes.exchanges import ANSWER, MOTION, Exchanges, Timing
 from bilprov.conformance.causes.features import Literal, Rule, features, matches
 from bilprov.conformance.causes.relations import Effect
-from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, shows
+from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, shown_in
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.oracle.judge import code_words
 from bilprov.conformance.oracle.state_model import Model
@@ -83,6 +83,8 @@ class Explainer:
         begun = self._trace.now
         for explanation in [] if self._run.gave_up else self._explained_once()[:_TRIED]:
             for line in explanation.lines:
+                if line.unhomed and not self._run.config.power:
+                    continue
                 if self._trace.now - begun > _WHILE:
                     return
                 try:
@@ -102,24 +104,25 @@ class Explainer:
             line = line.half
 
     def _shows(self, explanation: _Explanation, line: Line) -> Procedure[bool]:
-        """Bring the device to rest and send the line; return whether the cause shows.
+        """Switch the device on or bring it to rest, and send the line; return whether it shows.
 
         A line that does becomes that of the explanation.
         """
         run, trace, log, found = self._run, Trace(), WireLog(), explanation.found
         if run.config.power:
-            yield from power_cycle()
+            yield from followed(power_cycle(), trace)
             yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
-        yield from followed(self._home(), trace)
+        if not line.unhomed:
+            yield from followed(self._home(), trace)
         trace.begin("")
         sent = shown_by(line, self.timing, found.watched, looks=run.config.observable)
         log.begin("")
         yield from followed(sent, trace, log)
         yield from self._home()
-        shown = shows(found, Exchanges(run.model, trace.events, self.timing))
-        if shown:
-            explanation.lines, explanation.log = [line], log.of("")
-        return shown
+        shown = shown_in(found, line, Exchanges(run.model, trace.events, self.timing))
+        if shown is not None:
+            explanation.lines, explanation.log = [shown], log.of("")
+        return shown is not None
 
     def _home(self) -> Procedure[None]:
         """Home the device; what it sends late is no result of the run any more."""
@@ -149,7 +152,7 @@ class Explainer:
         found = find_causes(features(run.protocol), exchanges.all, exchanges.bags, failed)
         found = [cause for cause in found if not failed.isdisjoint(cause.cases)]
         found.sort(key=lambda cause: (_rank(cause), -len(cause.cases)))
-        finder = Finder(run.protocol, self.timing)
+        finder = Finder(run.model, self.timing)
         return [_Explanation(cause, finder.lines(cause)) for cause in found]
 
     def _cause(self, explanation: _Explanation, failed: dict[str, str], judged: int) -> Cause:

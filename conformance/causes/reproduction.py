@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
-from bilprov.analyzer.client.operations import Procedure, drive, followed, listen, observe, send
+from bilprov.analyzer.client.operations import (
+    Procedure,
+    drive,
+    followed,
+    listen,
+    observe,
+    power_cycle,
+    send,
+)
 from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS
-from bilprov.conformance.causes.exchanges import Exchange, Exchanges, Timing
+from bilprov.conformance.causes.exchanges import Exchange, Exchanges, Timing, repeats
 from bilprov.conformance.causes.features import Feature, matches
 from bilprov.conformance.causes.relations import Effect
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.spec.by_effect import frames_to
-from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.conformance.causes.causes import Cause
@@ -30,7 +37,7 @@ _TRIES = 300
 _LONGEST = 160
 """Frames of a line at most."""
 _COUNTED = 400
-"""Frames that only count, at most."""
+"""Frames that only count, or came before it in the run, at most."""
 _SETTLED = 20 * MS
 """How long (ns) a device has for a change after its last answer, before it is looked at again."""
 _DELIVERY = {"ahead", "sent ahead", "split", "pause", "gap"}
@@ -45,11 +52,15 @@ class Chunk(NamedTuple):
 
 
 class Line(NamedTuple):
-    """Frames to send. With `together` their answers are not waited for."""
+    """Frames to send. With `together` their answers are not waited for.
+
+    `unhomed` is for a device that was just switched on: it is not homed first.
+    """
 
     chunks: tuple[Chunk, ...]
     frames: int
     together: bool = False
+    unhomed: bool = False
 
     @property
     def half(self) -> Line:
@@ -57,10 +68,29 @@ class Line(NamedTuple):
         kept = self.chunks[len(self.chunks) // 2 :]
         return Line(kept, len(kept), self.together)
 
+    def without_last(self, number: int) -> Line:
+        """This line without its last frames; one that is sent together stays as it is."""
+        if self.together:
+            return self
+        return self._replace(chunks=self.chunks[:-number], frames=self.frames - number)
+
+    def then(self, other: Line, timing: Timing) -> Line:
+        """This line and another one behind it."""
+        first = other.chunks[0]._replace(pause=timing.timeout if self.together else 0)
+        chunks, frames = (*self.chunks, first, *other.chunks[1:]), self.frames + other.frames
+        return self._replace(chunks=chunks, frames=frames)
+
+    def times(self, number: int, timing: Timing) -> Line:
+        """This line so often."""
+        line = self
+        for _ in range(number - 1):
+            line = line.then(self, timing)
+        return line
+
     @property
     def words(self) -> tuple[str, ...]:
         """The arguments of `bilprov send PORT`."""
-        words = ["--together"] if self.together else []
+        words = ["--unhomed"] * self.unhomed + ["--together"] * self.together
         for chunk in self.chunks:
             words += [f"pause={-(-chunk.pause // MS)}"] if chunk.pause else []
             words.append(chunk.data.hex(" "))
@@ -91,11 +121,14 @@ def shown_by(line: Line, timing: Timing, watched: int = 0, *, looks: bool) -> Pr
 def exchanged(
     line: Line, timing: Timing, model: Model, device: Device, watched: int = 0
 ) -> Exchanges:
-    """Home a device object, send it a line and look at it as `shown_by` does."""
+    """Home a device object, or switch it on, send it a line and look at it as `shown_by` does."""
     trace = Trace()
 
     def attempt() -> Procedure[None]:
-        yield from home_once(model.protocol)
+        if line.unhomed:
+            yield from power_cycle()
+        else:
+            yield from home_once(model.protocol)
         trace.begin("")
         yield from shown_by(line, timing, watched, looks=True)
 
@@ -106,54 +139,59 @@ def exchanged(
 class Finder:
     """Finds the line for a cause; a conforming simulator shows what each line would bring about."""
 
-    def __init__(self, protocol: Protocol, timing: Timing) -> None:
-        self._protocol = protocol
+    def __init__(self, model: Model, timing: Timing) -> None:
+        self._model = model
+        self._protocol = model.protocol
         self._timing = timing
 
     def lines(self, cause: Cause) -> list[Line]:
         """Return lines to try, in this order, until one shows the cause.
 
         The first is the shortest at whose last frame the cause would show by all that is known of
-        it. The others come nearer to where it showed in the run.
+        it, but for what it counts. The others come nearer to where it showed in the run.
         """
         clear = [e for e in cause.exchanges if not e.before.unknown and cause.foresees(e)]
         simplest = _simplest(clear or cause.exchanges)[0]
-        counted = self._counted(cause, simplest)
-        return list(dict.fromkeys((self._shortest(cause), *counted, self._as_met(simplest))))
+        shortest = self._shortest(cause)
+        met = (self._as_met(simplest, anywhere=anywhere) for anywhere in (False, True))
+        return list(dict.fromkeys((shortest, *self._counted(cause, shortest, simplest), *met)))
 
-    def _as_met(self, last: Exchange) -> Line:
-        """The frames of the case up to one at which it showed, by the times of the run."""
-        chain = [last]
-        while len(chain) < _LONGEST and chain[0].previous and chain[0].previous.case == last.case:
-            chain.insert(0, chain[0].previous)
-        return _line(chain, (), self._timing, together=any(one.ahead for one in chain))
+    def _as_met(self, last: Exchange, *, anywhere: bool) -> Line:
+        """The frames of the case, or from `anywhere`, up to one at which it showed.
 
-    def _counted(self, cause: Cause, last: Exchange) -> Iterator[Line]:
+        Where frames of the case were sent ahead, they are sent by the times of the run.
+        """
+        chain = [e for e in _chain(last) if anywhere or e.case == last.case]
+        ahead = any(one.ahead for one in chain if one.case == last.case)
+        return _line(chain, (), self._timing, together=ahead)
+
+    def _counted(self, cause: Cause, line: Line, last: Exchange) -> Iterator[Line]:
         """As many frames before it as the cause counts; then it is also sent again and again.
 
         Where it shows from some number on, it is not certain what the device counts: it may be all
-        frames, or how often this one came so far.
+        frames, or how often this one came so far. Nor is it that a cause counts which does not.
         """
         counted = [literal for literal in cause.rule if literal.feature.counts]
-        way = () if last.before.unknown else frames_to(self._protocol, last.before.state)
-        once = _line([last], way, self._timing, together=False).chunks
-        for times in (1, _LONGEST // len(once)) if counted else ():
-            chunks = once * times
+        often = line.times(max(1, _LONGEST // line.frames), self._timing)
+        for once in (line, often) if counted else (often,):
+            longer = once
             for literal in counted:
-                missing, sent = last.history.frames, self._last(Line(chunks, len(chunks)))
+                missing, sent = last.history.frames, self._last(longer)
                 if literal.operator == "every" and sent:
                     missing = literal.missing(sent)
-                counting = Chunk(0, _counting(literal.feature, last))
-                chunks = (counting,) * min(missing, _COUNTED) + chunks
-            yield Line(chunks, len(chunks))
+                counting = Line((Chunk(0, _counting(literal.feature, last)),), 1, line.together)
+                if missing:
+                    before = counting.times(min(missing, _COUNTED), self._timing)
+                    longer = before.then(longer, self._timing)
+            yield longer
 
     def _shortest(self, cause: Cause) -> Line:
-        """The shortest line at whose last frame the cause would show.
+        """The shortest line at whose last frame the cause would show, but for what it counts.
 
         Where there is none (the cause depends on more than a line can hold), it is the shortest of
         those that end in a frame of the cause.
         """
-        lines = sorted(self._lines(cause), key=lambda one: (one.frames, len(one.chunks)))
+        lines = sorted(self._lines(cause), key=lambda e: (e.unhomed, e.frames, len(e.chunks)))
         effects = tuple(cause.effects)
         worst = tuple(effect for effect in effects if effect.keeps_moving) or effects[:1]
         partly: Line | None = None
@@ -171,14 +209,12 @@ class Finder:
             for chain in _endings(last):
                 before = chain[0].before
                 way = () if before.unknown else frames_to(self._protocol, before.state)
-                yield _line(chain, (), self._timing, together=together)
-                if way:
-                    yield _line(chain, way, self._timing, together=together)
+                for first in dict.fromkeys(((), way)):
+                    yield _line(chain, first, self._timing, together=together)
 
     def _last(self, line: Line) -> Exchange | None:
         """The last exchange of a line on the simulator."""
-        model, device = Model(self._protocol, Choices()), Simulator(self._protocol)
-        sent = exchanged(line, self._timing, model, device).all
+        sent = exchanged(line, self._timing, self._model, Simulator(self._protocol)).all
         return sent[-1] if sent else None
 
     def _shortened(self, cause: Cause, shown: Sequence[Effect], line: Line) -> Line:
@@ -197,21 +233,31 @@ class Finder:
         return line
 
 
-def shows(cause: Cause, exchanges: Exchanges) -> bool:
-    """Return whether the last of these exchanges deviates as the cause says."""
-    return bool(exchanges.all) and any(
-        bag.deviation.facet == effect.relation.facet
-        and exchanges.all[-1] in bag.exchanges
-        and effect.relation.explains(bag)
-        for bag in exchanges.bags
-        for effect in cause.effects
-    )
+def shown_in(cause: Cause, line: Line, exchanges: Exchanges) -> Line | None:
+    """Return a line up to the frame at which it has shown the cause, None where it has not.
+
+    That is its last frame, or one before at which the cause would show.
+    """
+    if not exchanges.all:
+        return None
+    last = exchanges.all[-1]
+    for bag in exchanges.bags:
+        effects = [e for e in cause.effects if e.relation.facet == bag.deviation.facet]
+        explaining = [effect for effect in effects if effect.relation.explains(bag)]
+        for effect, exchange in product(explaining, bag.exchanges):
+            behind = last.history.frames - exchange.history.frames
+            if not behind:
+                return line
+            if behind < line.frames and _shown(cause, [effect], exchange):
+                return line.without_last(behind)
+    return None
 
 
 def _shown(cause: Cause, effects: Sequence[Effect], exchange: Exchange) -> bool:
-    """Whether these effects of a cause would all show at an exchange."""
+    """Whether these effects of a cause would all show at an exchange, but for what it counts."""
     differ = all(effect.relation.differs(exchange) for effect in effects)
-    return differ and matches(cause.rule, exchange)
+    rule = tuple(literal for literal in cause.rule if not literal.feature.counts)
+    return differ and matches(rule, exchange)
 
 
 def _counting(feature: Feature, exchange: Exchange) -> bytes:
@@ -231,16 +277,22 @@ def _simplest(exchanges: Sequence[Exchange]) -> list[Exchange]:
     return [exchange for frames in by_kind.values() for exchange in frames.values()]
 
 
+def _chain(last: Exchange) -> list[Exchange]:
+    """An exchange behind those before it since power-on; of other cases none that repeats one."""
+    chain, before = [last], last.previous
+    while len(chain) < _COUNTED and before:
+        chain += [before] * (before.case == last.case or not repeats(before))
+        before = before.previous
+    return chain[::-1]
+
+
 def _endings(last: Exchange) -> Iterator[list[Exchange]]:
-    """The exchange alone, and after more and more of the frames before it since power-on."""
-    chain, size = [last], 1
-    while True:
-        while len(chain) < size and chain[0].previous is not None:
-            chain.insert(0, chain[0].previous)
-        yield list(chain)
-        if chain[0].previous is None or size >= _LONGEST:
-            return
+    """The exchange alone, and behind more and more of the frames before it."""
+    chain, size = _chain(last)[-_LONGEST:], 1
+    while size < len(chain):
+        yield chain[-size:]
         size += max(1, size // 4)
+    yield chain
 
 
 def _line(
@@ -249,10 +301,12 @@ def _line(
     chunks = [Chunk(timing.timeout if together else 0, frame) for frame in way]
     for exchange in chain:
         waited = together and not exchange.ahead
-        first = max(exchange.gap or 0, timing.timeout) if waited else 0
+        gap = max(exchange.gap or 0, timing.timeout) if waited else 0
         data = exchange.step.frame
-        cuts = [(0, first), *(exchange.pauses if together else ())]
+        cuts = [(0, gap), *(exchange.pauses if together else ())]
         ends = [at for at, _ in cuts[1:]] + [len(data)]
         chunks += [Chunk(pause, data[at:end]) for (at, pause), end in zip(cuts, ends, strict=True)]
     chunks[0] = chunks[0]._replace(pause=0)
-    return Line(tuple(chunks), len(chain) + len(way), together)
+    first = chain[0]
+    unhomed = not way and first.previous is None and not first.before.unknown
+    return Line(tuple(chunks), len(chain) + len(way), together, unhomed)

@@ -30,7 +30,7 @@ def send(options: SendOptions) -> int:
 
     Each ITEM is an instruction (Forward, "Speed 255", "LED rgb=5", "ReadCoils 0 8 address=17"),
     bytes in hex ("93 00"), or pause=MS; they are sent one after the other. The device is homed
-    first, and again however the command ends. sim is the built-in simulator.
+    first (not with --unhomed), and again however the command ends. sim is the built-in simulator.
 
     Without ITEMs you type them, and see each answer and the state. A line holds ITEMs or words
     (help lists them), with ; between them. Tab completes, the arrows recall earlier lines. Ctrl-C
@@ -49,7 +49,8 @@ def send(options: SendOptions) -> int:
     protocol, target, items = protocol_in_use(), options.target, options.items
     settings = options.line.settings(protocol)
     timeout = above_latency(timeout_in_ns(protocol, options.truncation_timeout), target)
-    for name in filter(asked_here, () if items else ("together", "expectations", "wait")):
+    only_for_items = () if items else ("together", "unhomed", "expectations", "wait")
+    for name in filter(asked_here, only_for_items):
         spelling = "expect" if name == "expectations" else name
         raise click.UsageError(f"--{spelling} is only for ITEMs")
     if target.startswith(BOARD):

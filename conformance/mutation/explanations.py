@@ -13,7 +13,7 @@ from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.causes.causes import Cause
 from bilprov.conformance.causes.exchanges import Exchange, Exchanges
 from bilprov.conformance.causes.explained import Explainer
-from bilprov.conformance.causes.reproduction import exchanged, shows
+from bilprov.conformance.causes.reproduction import exchanged, shown_in
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import device_target
@@ -176,7 +176,7 @@ def _shows_on(protocol: Protocol, fault: Fault, explainer: Explainer) -> bool:
     """Whether the first cause's line shows it on a fresh device."""
     cause, line, device = explainer.found[0], explainer.lines[0], Simulator(protocol, fault)
     sent = exchanged(line, explainer.timing, explainer.model, device, cause.watched)
-    return shows(cause, sent)
+    return shown_in(cause, line, sent) is not None
 
 
 def both(one: Fault, other: Fault) -> Fault:

@@ -109,7 +109,7 @@ def send_items(
 
         place, gaps = Place(port), list[str]()
         with Target(protocol, opened, timeout, stopper, heard, options.max_drive) as target:
-            target.begin()
+            target.begin(homed=not options.unhomed)
             actions: list[Callable[[], object]] = []
             for what in steps:
                 actions += [partial(done, what)] + [look] * (not together)

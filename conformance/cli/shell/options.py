@@ -26,6 +26,10 @@ class SendOptions:
     target: str = argument(metavar="PORT|sim", type=PortName())
     items: tuple[str, ...] = argument(nargs=-1, metavar="[ITEM]...")
     together: bool = flag("Send the ITEMs without waiting for the answers.")
+    unhomed: bool = flag(
+        "Do not home the device first: what is sent is the first that it gets since it was "
+        "switched on."
+    )
     expectations: tuple[str, ...] = option(
         "--expect",
         multiple=True,

@@ -39,6 +39,19 @@ def test_the_robot_is_left_at_rest_although_it_was_sent_forward() -> None:
     assert "Forward" in result.stdout.decode()
 
 
+def test_what_a_device_does_once_after_power_on_shows_where_it_is_not_homed_first(
+    protocol: Protocol,
+) -> None:
+    fault = fault_bank(protocol)["first-frame-answered-twice"]
+    answers = []
+    for more in (["--unhomed"], []):
+        with served_here(Simulator(protocol, fault)) as (port, _):
+            result = process("send", port, "00", "--yes", *more)
+        answers.append((result.returncode, result.stdout.count("← 00".encode())))
+
+    assert answers == [(1, 2), (0, 1)]
+
+
 def test_ctrl_c_ends_a_pause_and_what_was_not_sent_is_told(protocol: Protocol) -> None:
     device = Simulator(protocol)
     with (

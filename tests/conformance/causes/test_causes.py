@@ -13,7 +13,7 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes
 from bilprov.conformance.causes.exchanges import Exchanges, Timing
 from bilprov.conformance.causes.features import features, matches
-from bilprov.conformance.causes.reproduction import Finder, shown_by, shows
+from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
@@ -173,6 +173,24 @@ def test_what_a_cause_counts_is_in_its_line(protocol: Protocol, name: str) -> No
     assert (found.causes, found.named, found.shown) == (1, 1, True)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("first-frame-answered-twice", ("--unhomed", "20")),
+        ("second-frame-unanswered", ("--unhomed", "11 7f", "90")),
+        ("mixture:R-drain-known=flushed:after-12", ("40",) * 14),
+        ("mixture:R-drive-steering=straight:by-id", ("41 ff", "30")),
+    ],
+)
+def test_its_line_shows_what_depends_on_more_than_a_rule_says(
+    protocol: Protocol, name: str, line: tuple[str, ...]
+) -> None:
+    [cause] = report_of(protocol, find_fault(protocol, name)).causes
+    assert cause.send == line
+    assert "tried again: the same" in cause.sentence
+
+
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["no-stop-on-bad-data", "speed-bit-0-lost", "double-answer"])
 def test_its_line_shows_it_on_a_fresh_device_and_not_on_a_right_one(
@@ -181,7 +199,7 @@ def test_its_line_shows_it_on_a_fresh_device_and_not_on_a_right_one(
     fault = fault_bank(protocol)[name]
     recorded = Recorded(protocol, fault)
     cause = recorded.causes[0]
-    line = Finder(protocol, recorded.timing).lines(cause)[0]
+    line = Finder(Model(protocol, Choices()), recorded.timing).lines(cause)[0]
 
     def shown_on(device: Simulator) -> bool:
         trace = Trace()
@@ -192,7 +210,7 @@ def test_its_line_shows_it_on_a_fresh_device_and_not_on_a_right_one(
 
         drive(attempt(), VirtualLink(device, recorded.timing.byte_time))
         exchanges = Exchanges(Model(protocol, Choices()), trace.events, recorded.timing)
-        return shows(cause, exchanges)
+        return shown_in(cause, line, exchanges) is not None
 
     assert shown_on(Simulator(protocol, fault))
     assert not shown_on(Simulator(protocol))
