@@ -91,10 +91,17 @@ def _marked(fault: Fault) -> tuple[Fault, Acted]:
 
     def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         changed = inner(device, event, reaction)
-        acted[event.now] = event.before, changed != reaction
+        acted[event.now] = event.before, _done(changed) != _done(reaction)
         return changed
 
     return replace(fault, react=react), acted
+
+
+def _done(reaction: Reaction) -> Reaction:
+    """What a reaction comes to: without the states in it that follow on the same state."""
+    states = (reaction.state, *(state for _, state in reaction.later))
+    later = (new for new, old in zip(reaction.later, states, strict=False) if new[1] != old)
+    return replace(reaction, later=tuple(later))
 
 
 def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -> Explained:

@@ -167,6 +167,13 @@ def test_what_a_cause_does_not_foresee_is_another_cause(protocol: Protocol) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["stops-late", "restarts-by-itself"])
+def test_a_fault_acts_where_something_changes_by_it(protocol: Protocol, name: str) -> None:
+    found = explained(protocol, [name], "smoke", 1)
+    assert (found.causes, found.named, found.of) == (1, 1, 1)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["every-100th-fault-missed", "no-stop-after-100-faults"])
 def test_what_a_cause_counts_is_in_its_line(protocol: Protocol, name: str) -> None:
     found = explained(protocol, [name], "smoke", 1)
