@@ -135,28 +135,6 @@ def _can_be(protocol: Protocol, state: State) -> bool:
     )
 
 
-def shifted(state: DecoderState, by: int) -> DecoderState:
-    """The same state in a recording in which everything comes `by` ns later."""
-
-    def later(t: int | None) -> int | None:
-        return None if t is None else t + by
-
-    return replace(
-        state,
-        time=state.time + by,
-        frame_start=state.frame_start + by if state.frame else 0,
-        frame_end=state.frame_end + by if state.frame else 0,
-        waiting=tuple(
-            replace(group, end=group.end + by, expires=group.expires + by)
-            for group in state.waiting
-        ),
-        held=tuple((t + by, byte) for t, byte in state.held),
-        out_of_step=later(state.out_of_step),
-        lost_at=later(state.lost_at),
-        unsynced_since=later(state.unsynced_since),
-    )
-
-
 def encoded(state: DecoderState) -> str:
     """The state as JSON text."""
     return msgspec.json.encode(state).decode()

@@ -100,17 +100,6 @@ def batched(values: Iterator[Timed], most: int = BATCH_VALUES) -> Iterator[list[
         yield batch
 
 
-def parted(batches: Iterator[list[Timed]]) -> Iterator[list[Timed]]:
-    """Yield the batches in such parts that each Resumption is the first of one."""
-    for batch in batches:
-        begin = 0
-        for place, one in enumerate(batch):
-            if place > begin and isinstance(one.value, Resumption):
-                yield batch[begin:place]
-                begin = place
-        yield batch[begin:]
-
-
 def events_in(batch: list[Timed]) -> list[Chunk | Line]:
     """The chunks and line events of a batch."""
     return [one.value for one in batch if isinstance(one.value, Chunk | Line)]

@@ -4,8 +4,8 @@ A direction may be in several of them, but not at the same time. Where a capture
 first one, a `gap` says so on its taps: what came before was not recorded there. If it is a part
 that was cut off the one before it, there is none, and decoding goes on as in the whole.
 
-Decoded by the new times and in the new order, checkpoints are made anew; those from which decoding
-has to go on stay, as far as they can be used.
+Decoded by the new times and in the new order, checkpoints are made anew. Those with which a part
+begins that was cut out are left out: after a gap decoding begins anew.
 """
 
 from __future__ import annotations
@@ -18,23 +18,11 @@ from typing import Literal, NamedTuple, TypeAlias
 
 from msgspec.structs import replace
 
-from bilprov.analyzer.decode import checkpoint
-from bilprov.analyzer.decode.checkpoint import DecoderState
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.edit.cut import (
-    Copy,
-    Timed,
-    batched,
-    parted,
-    said_of,
-    timed,
-)
+from bilprov.analyzer.edit.cut import CUT_THROUGH, Copy, Timed, batched, said_of, timed
 from bilprov.analyzer.replay.capture_decoding import capture_settings
-from bilprov.analyzer.replay.recorder import (
-    decoding_metadata,
-    grammar_metadata,
-)
+from bilprov.analyzer.replay.recorder import decoding_metadata, grammar_metadata
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
@@ -122,11 +110,7 @@ def write_joined(joined: Joined, copy: Copy) -> None:
     decoder = StreamDecoder(protocol, **joined.settings)
     streams = [_values(joined, place, protocol) for place in range(len(joined.sources))]
     merged = (one.value for one in heapq.merge(*streams, key=lambda one: one.now))
-    for batch in parted(batched(timed(merged, 0))):
-        first = batch[0].value
-        if isinstance(first, Resumption):
-            numbered = _numbered(first, decoder.saved(), protocol)
-            batch[0] = Timed(batch[0].now, numbered)
+    for batch in batched(timed(merged, 0)):
         copy.take(batch, decoder)
 
 
@@ -134,22 +118,15 @@ def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:
     """Yield what a capture holds, at the times of the new one, and where it begins."""
     source = joined.sources[place]
     by = source.capture.start - joined.start
-    begins: Line | None = None
     if place and not _continues(joined.sources[place - 1], source):
         said = f"{said_of(source.capture.path)} begins here"
-        begins = Line(source.first - joined.start, "gap", source.tap, said)
-    fits = source.settings == joined.settings | {"attached": source.settings["attached"]}
+        begin = source.first - joined.start
+        yield Timed(begin, Line(begin, "gap", source.tap, said))
+    goes_on = any(_continues(source, after) for after in joined.sources[place + 1 : place + 2])
     for one in timed(source.capture.recorded(looks=look_class(protocol.state_type)), 0):
-        value = one.value
-        if isinstance(value, Checkpoint):
-            continue
-        moved = _moved(value, by, protocol if fits else None, source.tap)
-        if begins and isinstance(moved, Resumption):
-            moved = replace(moved, detail=begins.detail, silent=False)
-        elif begins:
-            yield Timed(begins.t, begins)
-        begins = None
-        yield Timed(one.now + by, moved)
+        cut_through = isinstance(one.value, Line) and one.value.detail == CUT_THROUGH
+        if not (_restarts(one.value) or (goes_on and cut_through)):
+            yield Timed(one.now + by, _moved(one.value, by, source.tap))
 
 
 def _begin(capture: Capture) -> int:
@@ -171,31 +148,18 @@ def _part(capture: Capture) -> float:
     return nan if number is None else number
 
 
-def _moved(value: Recorded, by: int, protocol: Protocol | None, tap: Tap) -> Recorded:
-    """A value `by` ns later. A Resumption that the `protocol` cannot use becomes a gap on `tap`."""
+def _moved(value: Recorded, by: int, tap: Tap) -> Recorded:
+    """A value `by` ns later. Where bytes are left out, a gap on `tap`."""
+    if isinstance(value, Resumption):
+        return Line(value.t + by, "gap", tap, value.detail)
     if isinstance(value, Asked) and value.begun is not None:
         return replace(value, t=value.t + by, begun=value.begun + by)
-    if not isinstance(value, Resumption):
-        return replace(value, t=value.t + by)
-    found = value.checkpoint
-    state = None
-    if protocol and found.grammar == protocol.sha256 and found.whole:
-        state = checkpoint.decoded(found.decoder, protocol)
-    if protocol is None or state is None:
-        return Line(value.t + by, "gap", tap, value.detail)
-    text = checkpoint.encoded(checkpoint.shifted(state, by))
-    later = Checkpoint.of(found.t + by, protocol.sha256, text, resumes=True)
-    return replace(value, t=value.t + by, checkpoint=later)
+    return replace(value, t=value.t + by)
 
 
-def _numbered(value: Resumption, before: DecoderState | None, protocol: Protocol) -> Resumption:
-    """A Resumption whose next instruction has no number that was given before."""
-    found = value.checkpoint
-    state = checkpoint.decoded(found.decoder, protocol)
-    if state is None or before is None or before.sequence <= state.sequence:
-        return value
-    text = checkpoint.encoded(replace(state, sequence=before.sequence))
-    return replace(value, checkpoint=Checkpoint.of(found.t, found.grammar, text, resumes=True))
+def _restarts(value: Recorded) -> bool:
+    """Whether a value only tells how decoding goes on, which is by the times of one capture."""
+    return isinstance(value, Checkpoint) or (isinstance(value, Resumption) and value.silent)
 
 
 def _settings(sources: Sequence[_Source]) -> SessionSettings:

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from bilprov.analyzer.api import read_capture
-from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.decode.records import LineRecord, Record, is_frame
+from bilprov.analyzer.decode.records import is_frame
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Direction, Line
@@ -112,26 +111,24 @@ def test_parts_that_were_cut_apart_are_decoded_as_the_whole_again(tmp_path: Path
     joined(*parts)
     both = [record for record in read_capture(tmp_path / "joined.mcap") if is_frame(record)]
     assert both == [record for record in read_capture(SAMPLE) if is_frame(record)]
-    gaps = [
-        [
-            e
-            for e in open_capture(path).events()
-            if isinstance(e, Line) and e.event == "gap" and not getattr(e, "silent", False)
-        ]
-        for path in (tmp_path / "joined.mcap", *parts)
-    ]
-    assert len(gaps[0]) == len(gaps[1]) + len(gaps[2])  # none between them
+    joined_gaps, gaps = (
+        [event for event in open_capture(path).events() if isinstance(event, Line)]
+        for path in (tmp_path / "joined.mcap", SAMPLE)
+    )
+    assert joined_gaps == gaps  # none between the parts
 
 
-def test_parts_of_different_hours_number_their_instructions_on(tmp_path: Path) -> None:
-    early, late, later = (tmp_path / name for name in ("1.mcap", "2.mcap", "3.mcap"))
+def test_parts_that_do_not_follow_each_other_are_decoded_anew_behind_a_gap(tmp_path: Path) -> None:
+    early, late = tmp_path / "1.mcap", tmp_path / "2.mcap"
     command("capture", "cut", str(SAMPLE), str(early), "--start", "0.2", "--end", "0.4")
-    command("capture", "cut", str(SAMPLE), str(late), "--start", "0.5", "--end", "0.6")
-    command("capture", "cut", str(SAMPLE), str(later), "--start", "5")
-    joined(later, early, late)
+    command("capture", "cut", str(SAMPLE), str(late), "--start", "5")
+    joined(late, early)
     frames = [r for r in read_capture(tmp_path / "joined.mcap") if is_frame(r)]
     whole = [r for r in read_capture(SAMPLE) if is_frame(r)]
-    assert frames == [r for r in whole if 2e8 <= r.t < 4e8 or 5e8 <= r.t < 6e8 or r.t >= 5e9]
+    kept = [r for r in whole if 2e8 <= r.t < 4e8 or r.t >= 5e9]
+    assert [(r.t, r.data) for r in frames] == [(r.t, r.data) for r in kept]
+    gaps = [e for e in open_capture(tmp_path / "joined.mcap").events() if isinstance(e, Line)]
+    assert "2.mcap begins here" in [gap.detail for gap in gaps]
 
 
 def test_the_same_direction_at_the_same_time_is_refused_with_what_to_do(
@@ -168,33 +165,3 @@ def test_attachments_of_all_are_kept(tmp_path: Path) -> None:
         ("a.txt", b"a.mcap"),
         ("b.txt", b"b.mcap"),
     ]
-
-
-@pytest.mark.parametrize("at", [10.5, 20.5, 31.5, 1040])
-def test_a_part_that_comes_later_goes_on_from_its_state_at_its_new_time(
-    protocol: Protocol, tmp_path: Path, at: float
-) -> None:
-    said = [Chunk(10 * MS, "host", b"\x11"), Chunk(20 * MS, "host", b"\x50\x90")]
-    said += [Chunk(30 * MS, "device", b"\0"), Chunk(32 * MS, "device", b"\1")]
-    said += [Chunk(35 * MS, "host", b"\x20"), Chunk(2_000 * MS, "host", b"\x20")]
-    later = 7_000 * MS
-    whole = written(tmp_path / "whole.mcap", protocol, said, start=START, attached="no")
-    part, early = tmp_path / "part.mcap", tmp_path / "early.mcap"
-    command("capture", "cut", str(whole), str(part), "--start", str(at / 1000))
-    written(early, protocol, [Chunk(-later, "host", b"\x30")], start=START - later)
-    joined(part, early)
-    out = [r for r in read_capture(tmp_path / "joined.mcap", protocol) if r.t > later]
-    alone = list(read_capture(part, protocol))
-    assert [replaced(r) for r in out if not isinstance(r, LineRecord)] == [
-        replaced(r, later) for r in alone if not isinstance(r, LineRecord)
-    ]
-
-
-def replaced(record: Record, by: int = 0) -> tuple[Any, ...]:
-    """What is told of a record, at a time that is `by` ns later; numbers go on from another one."""
-    line = json_line(record)
-    assert line is not None
-    return (record.t + by, *(getattr(line, name) for name in TOLD))
-
-
-TOLD = ("kind", "hex", "name", "judgement", "latency", "state", "agrees", "faults")
