@@ -268,8 +268,7 @@ def sniff(options: SniffOptions) -> int:
                 broken, name = error, new_name()
             lost = feed.join()
             if name and isinstance(recorder, Spool):
-                recorder.keep(Path(name))
-                kept = name
+                kept = said_of_parts(recorder.keep(Path(name)))
         else:
             queue = stack.enter_context(TextQueue(sys.stdout))
             output = opened_output(style, protocol, rows, source.start_wall, queue.write)

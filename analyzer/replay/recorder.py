@@ -1,6 +1,6 @@
 """Records a session into a capture: the raw bytes, and the records decoded from them.
 
-It may be kept in parts, or in temporary parts of bounded size, which can be kept as one capture.
+It may be kept in parts, or in temporary parts of bounded size, which can be kept under a name.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from decimal import Decimal
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -22,8 +23,7 @@ from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.parts import part_path, require_new
-from bilprov.captures.reader import open_capture
+from bilprov.captures.parts import part_path, part_paths, require_new
 from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Log, Resumption, Time
 from bilprov.captures.storage.records import STRING_BYTES
 from bilprov.captures.text import printable
@@ -472,7 +472,6 @@ class Spool(Recorder):
         most: int = MOST_BYTES,
         shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
-        self._shapes = shapes
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         rotation = Rotation(size=most // PARTS, keep=PARTS)
         try:
@@ -490,27 +489,32 @@ class Spool(Recorder):
         why = self._writer.failure
         return f"the session cannot be saved: {printable(why)}" if why else ""
 
-    def keep(self, path: Path) -> None:
-        """Keep the finished recording as a new capture.
+    def keep(self, path: Path) -> tuple[Path, ...]:
+        """Keep the finished recording under a new name, in its parts if it has several; its files.
 
-        Raises CaptureError if there is a file of this name, or if it cannot be written; then the
-        temporary files stay, and the sentence says where.
+        Raises CaptureError if there is a recording of this name, or if it cannot be written; then
+        the temporary files stay, and the sentence says where.
         """
         if self.failure:
             raise CaptureError(self.failure)
+        parts = part_paths(self._name)
+        kept = [part_path(path, number) for number in parts] if max(parts) > 1 else [path]
         try:
-            if self.oldest or len(self.paths) > 1:
-                self._join(path)
-            else:
-                self._copy(self.path, path)
+            require_new(path)
+            with ExitStack() as written:
+                for part, file in zip(parts.values(), kept, strict=True):
+                    self._copy(part, file)
+                    written.callback(file.unlink)
+                written.pop_all()
         except (CaptureError, OSError) as error:
-            kept = Path(tempfile.mkdtemp(prefix="bilprov-kept-"))
+            folder = Path(tempfile.mkdtemp(prefix="bilprov-kept-"))
             for part in self.paths:
-                shutil.move(part, kept)
+                shutil.move(part, folder)
             why = printable(_why(error))
             raise CaptureError(
-                f"{printable(path)} was not written ({why}); the capture is in {kept}"
+                f"{printable(path)} was not written ({why}); the capture is in {folder}"
             ) from error
+        return tuple(kept)
 
     def close(self) -> None:
         """Delete the temporary files; further calls do nothing."""
@@ -520,24 +524,12 @@ class Spool(Recorder):
 
     @staticmethod
     def _copy(part: Path, path: Path) -> None:
-        with path.open("xb") as file, part.open("rb") as source:
+        with part.open("rb") as source, path.open("xb") as file:
             try:
                 shutil.copyfileobj(source, file, 1 << 20)
             except BaseException:
                 path.unlink(missing_ok=True)
                 raise
-
-    def _join(self, path: Path) -> None:
-        """Write all parts into one capture; what was decoded from the bytes is left out."""
-        with RecordWriter(path, self._start, self._metadata, self._shapes) as writer:
-            if self.oldest:
-                gone = f"what came before {self.oldest / 1e9:.3f} s was dropped: no room"
-                writer.event(Line(self.oldest, "gap", "", gone))
-            for event in open_capture(self._name).recorded():
-                if isinstance(event, Chunk | Line):
-                    writer.event(event)
-                elif isinstance(event, Checkpoint):
-                    writer.write(event, event.t)
 
 
 def _why(error: CaptureError | OSError) -> object:

@@ -13,6 +13,7 @@ from bilprov.analyzer.replay.recorder import PARTS, Spool, session_metadata
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.topics import CUT_START
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS
 from tests.support.robots import until
@@ -56,7 +57,7 @@ def test_a_short_session_is_kept_whole_and_the_temporary_files_go(
 
 
 @pytest.mark.waits
-def test_the_oldest_goes_and_the_rest_is_kept_as_one_capture(
+def test_the_oldest_goes_and_the_rest_is_kept_in_its_parts(
     tmp_path: Path, own_folder: Path, metadata: dict[str, str]
 ) -> None:
     kept, random, said = tmp_path / "kept.mcap", Random(1), b""
@@ -74,11 +75,12 @@ def test_the_oldest_goes_and_the_rest_is_kept_as_one_capture(
         assert len(files) == PARTS
         assert spool.bytes == len(said)
         spool.finish()
-        spool.keep(kept)
+        names = spool.keep(kept)
 
-    gap, *_ = open_capture(kept)
-    assert isinstance(gap, Line)
-    assert (gap.event, gap.t) == ("gap", spool.oldest)
+    assert len(names) == PARTS
+    assert not kept.exists()
+    capture = open_capture(kept)
+    assert (capture.in_parts, capture.number(CUT_START)) == (True, spool.oldest)
     rest = bytes_of(kept)
     assert 0 < len(rest) < len(said)
     assert said.endswith(rest)
@@ -98,6 +100,26 @@ def test_a_file_is_never_overwritten_and_the_session_is_not_lost(
     assert there.read_bytes() == b"precious"
     (kept,) = own_folder.rglob("*.mcap")
     assert bytes_of(kept) == b"\x20"
+
+
+def test_what_cannot_be_kept_whole_leaves_nothing_under_the_name(
+    tmp_path: Path, own_folder: Path, metadata: dict[str, str]
+) -> None:
+    kept = tmp_path / "kept.mcap"
+    with Spool(START, metadata, most=PARTS * 1024) as spool:
+        for number in (1, 2):
+            spool.events([Chunk(number * MS, "host", Random(number).randbytes(5_000))])
+            first = next(own_folder.rglob("*.mcap"))
+            until(lambda part=first: part.stat().st_size >= 5_000)
+            spool.checkpoint(number * MS, lambda: None)
+        spool.finish()
+        spool.paths[-1].chmod(0)
+        spool.paths[-1].rename(spool.paths[-1].with_name("away"))
+        spool.paths[-1].symlink_to("nowhere.mcap")
+        with pytest.raises(CaptureError, match="the capture is in"):
+            spool.keep(kept)
+
+    assert list(tmp_path.glob("kept*")) == []
 
 
 def test_where_nothing_can_be_written_the_session_goes_on(
