@@ -8,8 +8,9 @@ The judge uses no port and no clock.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
+from typing import Any
 
 import msgspec
 
@@ -49,100 +50,91 @@ class Coverage:
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        self._valid: dict[int, set[bytes]] = {spec.id: set() for spec in protocol.instructions}
-        self._headers: set[int] = set()
-        self._bad_data: set[bytes] = set()
-        self._cuts: set[bytes] = set()
-        self._unused: set[int] = set()
-        self._wrong: set[int] = set()
-        self._wheels = protocol.wheels
-        self._moving: set[tuple[Outcome | None, str]] = set()
-        self._names: set[str] = set()
+        # What was met, by what is counted: `headers`, say, or the ID whose data are counted.
+        self._met: defaultdict[str | int, set[Any]] = defaultdict(set)
 
     def frame(self, judgement: Judgement, state: State) -> None:
         """Count a frame; `state` is the predicted state of the device before the frame."""
-        motion = getattr(state, self._wheels.by) if self._wheels else ""
-        frame = judgement.frame
+        protocol, frame = self._protocol, judgement.frame
+        self._meet("headers", frame[0])
         if judgement.valid:
-            met, tail = self._valid[judgement.id], self._protocol.layout.tail
-            data = frame[judgement.head : len(frame) - tail]
-            if data not in met and len(met) < _KEPT:
-                met.add(data)
-                self._headers.add(frame[0])
+            data = frame[judgement.head : len(frame) - protocol.layout.tail]
+            self._meet(judgement.id, data)
             return
-        self._headers.add(frame[0])
-        if judgement.truncated:
+        outcome = None if judgement.truncated else judgement.outcome
+        if protocol.wheels:
+            self._meet("faults", (outcome, getattr(state, protocol.wheels.by)))
+        if outcome is None:
             # A truncated frame is counted by its header and length; its data do not matter.
-            self._cuts.add(bytes((frame[0], len(frame))))
-            self._moving.add((None, motion))
-            return
-        self._moving.add((judgement.outcome, motion))
-        if judgement.outcome is Outcome.UNKNOWN_ID:
-            self._unused.add(frame[0])
-        elif judgement.outcome is not Outcome.BAD_DATA:
-            self._wrong.add(frame[0])
-        elif len(self._bad_data) < _KEPT:
-            self._bad_data.add(frame)
+            self._meet("cut", (frame[0], len(frame)))
+        elif outcome is Outcome.UNKNOWN_ID:
+            self._meet("unused", frame[0])
+        elif outcome is Outcome.BAD_DATA:
+            self._meet("bad", frame)
+        else:
+            self._meet("wrong", frame[0])
 
     def answer(self, record: DeviceRecord) -> None:
         """Count the names of an answer's codes."""
-        self._names.update(record.reply.names if record.reply else {record.name or ""})
+        self._met["answers"].update(record.reply.names if record.reply else {record.name or ""})
+
+    def _meet(self, what: str | int, value: object) -> None:
+        if len(met := self._met[what]) < _KEPT:
+            met.add(value)
 
     def covered(self) -> Iterator[Covered]:
         """Every count, in the order of the document's clauses.
 
         Where frames have other parts besides the header and data, only those of what is said.
         """
-        if self._protocol.plain:
-            yield from self._of_headers()
-            return
-        yield self._instructions()
-        for spec in self._protocol.instructions:
-            if 1 < spec.valid_count <= _COUNTED:
-                yield self._data(spec)
-        if self._protocol.codes:
-            yield self._answers()
-
-    def _instructions(self) -> Covered:
-        met = sum(1 for frames in self._valid.values() if frames)
-        clause = self._protocol.clauses.instructions
-        return Covered(clause, "instructions", met, len(self._protocol.instructions))
-
-    def _data(self, spec: InstructionSpec) -> Covered:
-        clause, met = self._protocol.clauses.instructions, len(self._valid[spec.id])
-        return Covered(clause, f"data of {spec.name}", met, spec.valid_count)
-
-    def _answers(self) -> Covered:
-        protocol = self._protocol
-        met = len(self._names & {code.name for code in protocol.responses})
-        return Covered(protocol.clauses.responses, "response codes", met, len(protocol.codes))
-
-    def _of_headers(self) -> Iterator[Covered]:
         protocol, clauses = self._protocol, self._protocol.clauses
         specs = protocol.instructions
-        yield Covered(clauses.header, "headers", len(self._headers), len(protocol.headers))
-        yield self._instructions()
+        used = sum(1 for spec in specs if self._met[spec.id])
+        instructions = Covered(clauses.instructions, "instructions", used, len(specs))
+        if protocol.plain:
+            yield from self._of_headers(instructions)
+            return
+        yield instructions
+        for spec in specs:
+            if 1 < spec.valid_count <= _COUNTED:
+                yield self._data(spec)
+        if protocol.codes:
+            yield self._answers()
+
+    def _of_headers(self, instructions: Covered) -> Iterator[Covered]:
+        protocol, clauses = self._protocol, self._protocol.clauses
+        specs, lengths = protocol.instructions, len(protocol.data_lengths)
+        yield self._count(clauses.header, "headers", "headers", len(protocol.headers))
+        yield instructions
         of = sum(spec.valid_count for spec in specs)
-        done = sum(len(frames) for frames in self._valid.values())
+        done = sum(len(self._met[spec.id]) for spec in specs)
         yield Covered(clauses.instructions, "valid frames", done, of)
         yield from (self._data(spec) for spec in specs if spec.fields)
-        unused = len(protocol.unused_ids) * len(protocol.data_lengths)
-        yield Covered(clauses.instructions, "headers with an unused ID", len(self._unused), unused)
+        unused = len(protocol.unused_ids) * lengths
+        yield self._count(clauses.instructions, "headers with an unused ID", "unused", unused)
         bad = sum(spec.bad_data_count for spec in specs)
-        yield Covered(clauses.instructions, "data out of range", len(self._bad_data), bad)
-        wrong = len(specs) * (len(protocol.data_lengths) - 1)
-        yield Covered(clauses.responses, "headers with a wrong length", len(self._wrong), wrong)
-        cuts = sum(protocol.lengths)
-        yield Covered(clauses.responses, "frames cut short", len(self._cuts), cuts)
+        yield self._count(clauses.instructions, "data out of range", "bad", bad)
+        wrong = len(specs) * (lengths - 1)
+        yield self._count(clauses.responses, "headers with a wrong length", "wrong", wrong)
+        yield self._count(clauses.responses, "frames cut short", "cut", sum(protocol.lengths))
         yield self._answers()
-        if self._wheels:
-            turns = self._wheels.turns
-            yield Covered(
-                clauses.safety,
-                "classes of fault x kinds of motion",
-                len({key for key in self._moving if key[1] in turns}),
-                self._classes() * len(turns),
-            )
+        if protocol.wheels:
+            turns = protocol.wheels.turns
+            done = sum(1 for _, motion in self._met["faults"] if motion in turns)
+            of = self._classes() * len(turns)
+            yield Covered(clauses.safety, "classes of fault x kinds of motion", done, of)
+
+    def _data(self, spec: InstructionSpec) -> Covered:
+        clause = self._protocol.clauses.instructions
+        return self._count(clause, f"data of {spec.name}", spec.id, spec.valid_count)
+
+    def _answers(self) -> Covered:
+        known = self._met["answers"] & {code.name for code in self._protocol.responses}
+        clause = self._protocol.clauses.responses
+        return Covered(clause, "response codes", len(known), len(self._protocol.codes))
+
+    def _count(self, clause: str, what: str, key: str | int, of: int) -> Covered:
+        return Covered(clause, what, len(self._met[key]), of)
 
     def _classes(self) -> int:
         """How many classes of faulty frame the protocol has; truncated is one of them."""
