@@ -105,17 +105,6 @@ def _holder(port: Subject) -> Finding:
     return Finding("holder", Grade.FINE, "nobody else holds it")
 
 
-def _lock_file(port: Subject) -> Finding | None:
-    lock = port.machine.lock_file(port.name)
-    if lock is None or port.machine.is_running(lock[1]):
-        return None
-    sentence = (
-        f"{lock[0]} was left by a program that has ended (pid {lock[1]}), and makes some others "
-        "believe that the port is in use"
-    )
-    return Finding("lock file", Grade.ADVICE, sentence, f"sudo rm {quote(lock[0])}")
-
-
 def _pty(port: Subject) -> Finding | None:
     if not port.machine.is_pty(port.name):
         return None
@@ -180,7 +169,6 @@ CHECKS = (
     _pty,
     _permission,
     _holder,
-    _lock_file,
     _modem_manager,
     _brltty,
     _latency_timer,

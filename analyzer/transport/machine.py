@@ -170,19 +170,6 @@ class Machine:
         except OSError:
             return False
 
-    def lock_file(self, name: str) -> tuple[str, int] | None:
-        """The lock file that terminal programs leave for a port, and the process it names."""
-        for folder in ("/run/lock", "/var/lock", "/var/spool/lock"):
-            path = f"{folder}/LCK..{self.title(name)}"
-            words = self._read(path).split()
-            if words and (pid := _number(words[0])) is not None:
-                return path, pid
-        return None
-
-    def is_running(self, pid: int) -> bool:
-        """Whether a process of that id runs."""
-        return self.file(f"/proc/{pid}").exists()
-
     # Permission
 
     def owner(self, name: str) -> Owner | None:

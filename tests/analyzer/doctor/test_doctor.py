@@ -110,28 +110,18 @@ SET_LATENCY = "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_tim
 
 
 @pytest.mark.parametrize(
-    ("check", "options", "file", "text", "mends"),
+    ("check", "options", "mends"),
     [
-        ("lock file", {}, "/run/lock/LCK..ttyUSB0", "42", "sudo rm /run/lock/LCK..ttyUSB0"),
-        ("brltty", {"usb_udev": BRAILLE}, "", "", NO_BRAILLE),
-        ("latency timer", {"latency": 16}, "", "", SET_LATENCY),
+        ("brltty", {"usb_udev": BRAILLE}, NO_BRAILLE),
+        ("latency timer", {"latency": 16}, SET_LATENCY),
     ],
 )
 def test_what_is_worth_a_word_is_found_alone_with_the_command_that_mends_it(
-    machine: FakeMachine, check: str, options: dict[str, Any], file: str, text: str, mends: str
+    machine: FakeMachine, check: str, options: dict[str, Any], mends: str
 ) -> None:
     port = machine.adapter(**({"latency": 1} | options))
-    if file:
-        machine.write(file, text)
     (found,) = [one for one in findings(machine, port).values() if one.grade is not Grade.FINE]
     assert (found.check, found.grade, found.command) == (check, Grade.ADVICE, mends)
-
-
-def test_a_lock_file_of_a_program_that_runs_is_no_trouble(machine: FakeMachine) -> None:
-    port = machine.adapter()
-    machine.write("/run/lock/LCK..ttyUSB0", "42\n")
-    machine.run(42, "minicom")
-    assert "lock file" not in findings(machine, port)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to another group")

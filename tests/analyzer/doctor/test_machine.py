@@ -90,7 +90,7 @@ def test_a_name_without_a_chip_behind_it_is_told_from_a_port(machine: FakeMachin
 def test_where_a_system_has_no_such_files_nothing_is_known(tmp_path: Path) -> None:
     bare = Machine(tmp_path)
     port = "/dev/cu.usbserial-1"
-    assert bare.usb(port) is bare.latency_timer(port) is bare.lock_file(port) is None
+    assert bare.usb(port) is bare.latency_timer(port) is None
     assert bare.driver(port) == bare.by_id(port) == ""
     assert bare.properties(port) == {}
     assert bare.taken_for_braille() == []
@@ -109,14 +109,6 @@ def test_holders_of_several_ports_are_found_at_once(machine: FakeMachine) -> Non
     held = machine.held("/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyUSB2")
     assert [[one.pid for one in held[name].holders] for name in held] == [[42, 43], [43], []]
     assert str(held["/dev/ttyUSB0"].holders[0]) == "minicom -D /dev/ttyUSB0 (pid 42)"
-
-
-def test_a_lock_file_names_its_process(machine: FakeMachine) -> None:
-    machine.write("/run/lock/LCK..ttyUSB0", "      4242\n")
-    machine.write("/run/lock/LCK..ttyUSB1", "minicom\n")
-    assert machine.lock_file("/dev/ttyUSB0") == ("/run/lock/LCK..ttyUSB0", 4242)
-    assert machine.lock_file("/dev/ttyUSB1") is None
-    assert not machine.is_running(4242)
 
 
 @pytest.mark.waits
