@@ -59,7 +59,7 @@ from bilprov.spec.by_effect import effect_words
 
 if TYPE_CHECKING:
     from bilprov.analyzer.decode.batch import Batch
-    from bilprov.analyzer.replay.comparison import ReplayRun
+    from bilprov.analyzer.replay.comparison import Exchanges
     from bilprov.analyzer.replay.target import Target
 
 
@@ -268,12 +268,12 @@ class _Replay:
 
     def send_again(self, port: str, pipeline: Pipeline, stopper: Stopper) -> int:
         """Send the host bytes of the window, compare the answers, and return the exit code."""
-        from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS, ReplayRun
+        from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS, Exchanges
         from bilprov.analyzer.replay.target import Target, scaled_timeout
         from bilprov.analyzer.transport.ports import open_port
 
         protocol, options = self.protocol, self.options
-        recorded, now = ReplayRun(), ReplayRun()
+        recorded, now = Exchanges(), Exchanges()
         pause = capture_timeout(self.capture, protocol, self.timeout)
         pause = scaled_timeout(pause, options.rate)
         opened = open_port(port, options.line.settings(protocol))
@@ -291,7 +291,7 @@ class _Replay:
         note(UNANSWERED_STOPS)
         return code or 1
 
-    def send(self, target: Target, pipeline: Pipeline, recorded: ReplayRun) -> None:
+    def send(self, target: Target, pipeline: Pipeline, recorded: Exchanges) -> None:
         """Send what the host sent, at its times; at the rate 0 each frame by itself."""
         rate, window = self.options.rate, self.window
 
@@ -315,27 +315,30 @@ class _Replay:
         handle(pipeline.finish())
 
     def compare(
-        self, recorded: ReplayRun, now: ReplayRun, pipeline: Pipeline, stopper: Stopper
+        self, recorded: Exchanges, now: Exchanges, pipeline: Pipeline, stopper: Stopper
     ) -> int:
         """Show what was answered otherwise than in the recording, and return the exit code."""
         from bilprov.analyzer.decode.batch import Records
         from bilprov.analyzer.replay.comparison import differences
 
+        sent = recorded.instructions()
         if stopper.stopped:
             note_suspension(stopper)
-            note(f"stopped after {quantity(len(now.frames), 'instruction')}, nothing was compared")
+            count = quantity(len(now.instructions()), "instruction")
+            note(f"stopped after {count}, nothing was compared")
             return 0
-        if not recorded.answers:
+        if not any(one.answer for one in sent.values()):
             note("the recording holds no answers: there is nothing to compare with")
             return 3
         found = list(differences(self.protocol, recorded, now))
         for difference in found:
             about = difference.instruction
-            t = 0 if about is None else recorded.frames[about].t
+            frame = None if about is None else sent[about].frame
+            t = frame.t if frame else 0
             fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
             pipeline.shown.output.show(Records([FaultRecord(fault, self.protocol.power_on)]))
-        sent = quantity(len(recorded.frames), "instruction")
-        note(f"{sent} sent, {quantity(len(found), 'difference')}")
+        count = quantity(len(sent), "instruction")
+        note(f"{count} sent, {quantity(len(found), 'difference')}")
         return 1 if found else 0
 
 

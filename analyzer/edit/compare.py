@@ -29,7 +29,7 @@ capture:
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
@@ -39,17 +39,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from rich.console import RenderableType
 from rich.text import Text
 
-from bilprov.analyzer.decode.records import (
-    DeviceRecord,
-    FaultRecord,
-    HostRecord,
-    LineRecord,
-    Record,
-)
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.capture_stats import grammar_json, spread_json
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.analyzer.replay.capture_decoding import Progress, heard, opened_whole
+from bilprov.analyzer.replay.comparison import Exchange, Exchanges
 from bilprov.analyzer.totals.totals import Spread, Totals
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS
@@ -58,39 +52,13 @@ from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.decode.records import HostRecord
-    from bilprov.analyzer.totals.totals import Spread
-
-
-@dataclass(slots=True, eq=False)
-class Exchange:
-    """A frame of the host and its answer. The first one of a capture has no frame.
-
-    `missing` tells that no answer came; without it and without an answer it is not known if one
-    would have come. `unasked` are device bytes behind it that answer no instruction.
-    """
-
-    frame: HostRecord | None
-    answer: DeviceRecord | None = None
-    missing: bool = False
-    unasked: bytearray = field(default_factory=bytearray)
-    settled: bool = True
-
-    @property
-    def key(self) -> tuple[str, bytes]:
-        """What has to be the same in two captures for them to be compared."""
-        return (self.frame.kind, self.frame.data) if self.frame else ("", b"")
-
-    @property
-    def told(self) -> bool:
-        """Whether it is known what was answered."""
-        return self.missing or self.answer is not None
 
 
 def _exchanges(
     capture: Capture, protocol: Protocol, progress: Progress, totals: Totals
 ) -> Iterator[Exchange]:
     """Yield the exchanges of a capture in order, and add all to its totals."""
-    pairs = _Pairs(paired=heard(capture) >= BOTH)
+    pairs = Exchanges(paired=heard(capture) >= BOTH)
     for batch in opened_whole(capture, protocol).decoded(progress):
         totals.add(batch)
         for record in batch.records():
@@ -98,45 +66,6 @@ def _exchanges(
         yield from pairs.settled()
     pairs.give_up()
     yield from pairs.rest
-
-
-class _Pairs:
-    """Puts the records of a recording together; `rest` are exchanges that are not handed out."""
-
-    def __init__(self, *, paired: bool) -> None:
-        self.rest: deque[Exchange] = deque([Exchange(None)])
-        self._paired = paired
-        self._waiting: dict[int, Exchange] = {}
-
-    def record(self, record: Record) -> None:
-        """Add the next record."""
-        if isinstance(record, HostRecord):
-            waits = self._paired and record.sequence is not None
-            self.rest.append(Exchange(record, settled=not waits))
-            if waits and record.sequence is not None:
-                self._waiting[record.sequence] = self.rest[-1]
-        elif isinstance(record, DeviceRecord):
-            if record.instruction is None:
-                self.rest[-1].unasked += record.data
-            elif (exchange := self._waiting.pop(record.instruction, None)) is not None:
-                exchange.answer, exchange.settled = record, True
-        elif isinstance(record, FaultRecord):
-            number = record.fault.instruction
-            if number is not None and (exchange := self._waiting.pop(number, None)) is not None:
-                exchange.missing, exchange.settled = True, True
-        elif isinstance(record, LineRecord) and record.lost:
-            self.give_up()
-
-    def give_up(self) -> None:
-        """No more will be known of those that wait."""
-        for exchange in self._waiting.values():
-            exchange.settled = True
-        self._waiting.clear()
-
-    def settled(self) -> Iterator[Exchange]:
-        """Yield those of which all is known; the last one may still get unasked bytes."""
-        while len(self.rest) > 1 and self.rest[0].settled:
-            yield self.rest.popleft()
 
 
 RUN: Final = 16  # frames that are the same, after which two streams count as aligned

@@ -7,6 +7,7 @@ listed reading of the document allows to this instruction.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -15,6 +16,7 @@ from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
     HostRecord,
+    LineRecord,
     Record,
     Severity,
     severity_of,
@@ -26,37 +28,95 @@ from bilprov.spec.protocol import PLAIN_ANSWER, Protocol
 DAMAGED = -2
 """Stands for the code of an answer that is damaged."""
 
-_KEPT = 16  # unpaired device bytes
+_MOST_UNASKED = 1 << 16  # bytes kept behind one frame: a flood must not fill the memory
+_SHOWN = 16  # unasked bytes that a sentence lists
 
 
-@dataclass(slots=True)
-class ReplayRun:
-    """The instructions of a run and their answers, by sequence, and the unpaired device bytes.
+@dataclass(slots=True, eq=False)
+class Exchange:
+    """A frame of the host and its answer. The first one of a capture has no frame.
 
-    Of these the first ones are kept, so that a device that floods does not fill the memory, and all
-    are counted.
+    `missing` tells that no answer came; without it and without an answer it is not known if one
+    would have come. `unasked` are device bytes behind it that answer no instruction.
     """
 
-    frames: dict[int, HostRecord] = field(default_factory=dict)
-    answers: dict[int, DeviceRecord] = field(default_factory=dict)
-    unanswered: set[int] = field(default_factory=set)
-    unpaired: list[DeviceRecord] = field(default_factory=list)
-    unpaired_count: int = 0
+    frame: HostRecord | None
+    answer: DeviceRecord | None = None
+    missing: bool = False
+    unasked: bytearray = field(default_factory=bytearray)
+    settled: bool = True
+
+    @property
+    def code(self) -> int | None:
+        """The code of the answer, DAMAGED where it is not whole or wrong; None is no answer."""
+        if self.answer is None:
+            return None
+        return DAMAGED if self.answer.reply and self.answer.reply.reason else self.answer.byte
+
+    @property
+    def key(self) -> tuple[str, bytes]:
+        """What has to be the same in two captures for them to be compared."""
+        return (self.frame.kind, self.frame.data) if self.frame else ("", b"")
+
+    @property
+    def told(self) -> bool:
+        """Whether it is known what was answered."""
+        return self.missing or self.answer is not None
+
+
+class Exchanges:
+    """Puts the records of a run together; `rest` are the exchanges that are not handed out.
+
+    Without `paired` only one side was heard, and no answers are waited for.
+    """
+
+    def __init__(self, *, paired: bool = True) -> None:
+        self.rest: deque[Exchange] = deque([Exchange(None)])
+        self._paired = paired
+        self._waiting: dict[int, Exchange] = {}
 
     def record(self, record: Record) -> None:
-        """Add a record of the run."""
-        if isinstance(record, HostRecord) and record.sequence is not None:
-            self.frames[record.sequence] = record
+        """Add the next record."""
+        if isinstance(record, HostRecord):
+            waits = self._paired and record.sequence is not None
+            self.rest.append(Exchange(record, settled=not waits))
+            if waits and record.sequence is not None:
+                self._waiting[record.sequence] = self.rest[-1]
         elif isinstance(record, DeviceRecord):
-            sequence = record.instruction
-            if sequence is None:
-                self.unpaired_count += 1
-                if len(self.unpaired) < _KEPT:
-                    self.unpaired.append(record)
-            else:
-                self.answers[sequence] = record
-        elif isinstance(record, FaultRecord) and record.fault.instruction is not None:
-            self.unanswered.add(record.fault.instruction)
+            if record.instruction is None:
+                unasked = self.rest[-1].unasked
+                unasked += record.data[: _MOST_UNASKED - len(unasked)]
+            elif (exchange := self._waiting.pop(record.instruction, None)) is not None:
+                exchange.answer, exchange.settled = record, True
+        elif isinstance(record, FaultRecord):
+            number = record.fault.instruction
+            if number is not None and (exchange := self._waiting.pop(number, None)) is not None:
+                exchange.missing, exchange.settled = True, True
+        elif isinstance(record, LineRecord) and record.lost:
+            self.give_up()
+
+    def give_up(self) -> None:
+        """No more will be known of those that wait."""
+        for exchange in self._waiting.values():
+            exchange.settled = True
+        self._waiting.clear()
+
+    def settled(self) -> Iterator[Exchange]:
+        """Yield those of which all is known; the last one may still get unasked bytes."""
+        while len(self.rest) > 1 and self.rest[0].settled:
+            yield self.rest.popleft()
+
+    def instructions(self) -> dict[int, Exchange]:
+        """Those of instructions, by sequence."""
+        frames = ((one.frame, one) for one in self.rest)
+        return {
+            frame.sequence: one for frame, one in frames if frame and frame.sequence is not None
+        }
+
+    @property
+    def unasked(self) -> bytes:
+        """The device bytes that answer no instruction."""
+        return b"".join(one.unasked for one in self.rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,52 +127,43 @@ class Difference:
     reason: str
 
 
-def differences(protocol: Protocol, recorded: ReplayRun, now: ReplayRun) -> Iterator[Difference]:
+def differences(protocol: Protocol, recorded: Exchanges, now: Exchanges) -> Iterator[Difference]:
     """Yield the instructions that were answered differently than in the recording.
 
     An instruction is skipped if the recording ends before its answer.
     """
-    for sequence, frame in recorded.frames.items():
-        again = now.frames.get(sequence)
-        words = f"instruction {sequence}, {_described(frame)}"
-        if again is None:
+    sent = now.instructions()
+    for sequence, was in recorded.instructions().items():
+        assert was.frame is not None
+        again = sent.get(sequence)
+        words = f"instruction {sequence}, {_described(was.frame)}"
+        if again is None or again.frame is None:
             yield Difference(sequence, f"{words}: it was not sent")
             return
-        if again.data != frame.data:
+        if again.key != was.key:
             yield Difference(
                 sequence,
-                f"{words}: its bytes reached the device in other pieces ({spaced(again.data)}); "
-                "what follows cannot be compared",
+                f"{words}: its bytes reached the device in other pieces "
+                f"({spaced(again.frame.data)}); what follows cannot be compared",
             )
             return
-        was, is_now = recorded.answers.get(sequence), now.answers.get(sequence)
-        if was is None and sequence not in recorded.unanswered:
-            continue
-        code, code_now = code_of(was), code_of(is_now)
-        if code != code_now:
+        if was.told and was.code != again.code:
             yield Difference(
                 sequence,
-                f"{words}: recorded {answer_words(protocol, code)}, "
-                f"now {answer_words(protocol, code_now)}",
+                f"{words}: recorded {answer_words(protocol, was.code)}, "
+                f"now {answer_words(protocol, again.code)}",
             )
-    if now.unpaired_count not in (0, recorded.unpaired_count):
-        said = " ".join(record.hex for record in now.unpaired)
+    before, unasked = len(recorded.unasked), now.unasked
+    if len(unasked) not in (0, before):
+        said = unasked[:_SHOWN].hex(" ")
         yield Difference(
             None,
-            f"bytes that answer no instruction: recorded {recorded.unpaired_count}, "
-            f"now {now.unpaired_count} ({said})",
+            f"bytes that answer no instruction: recorded {before}, now {len(unasked)} ({said})",
         )
 
 
 def _described(frame: HostRecord) -> str:
     return f"{frame.words} ({frame.hex})"
-
-
-def code_of(answer: DeviceRecord | None) -> int | None:
-    """The code of an answer, DAMAGED where it is not whole or wrong; None is no answer."""
-    if answer is None:
-        return None
-    return DAMAGED if answer.reply and answer.reply.reason else answer.byte
 
 
 def answer_words(protocol: Protocol, code: int | None) -> str:
@@ -196,21 +247,19 @@ class AnswerCheck:
         return f"no answer came to {missing} of {quantity(self.due, 'instruction')}"
 
 
-def first_difference(protocol: Protocol, run: ReplayRun, expected: Sequence[int | None]) -> str:
+def first_difference(protocol: Protocol, run: Exchanges, expected: Sequence[int | None]) -> str:
     """Tell where the answers of a run first differ from the expected codes; "" if nowhere.
 
     None is expected where no answer should come.
     """
-    frames = list(run.frames.items())
-    for place, ((sequence, frame), code) in enumerate(zip(frames, expected, strict=False), start=1):
-        record = run.answers.get(sequence)
-        came = code_of(record)
-        if came != code:
+    sent = list(run.instructions().values())
+    for place, (one, code) in enumerate(zip(sent, expected, strict=False), start=1):
+        if one.frame and one.code != code:
             return (
-                f"instruction {place} of {len(expected)}, {frame.words} ({frame.hex}): expected "
-                f"{answer_words(protocol, code)}, got {answer_words(protocol, came)}"
+                f"instruction {place} of {len(expected)}, {_described(one.frame)}: expected "
+                f"{answer_words(protocol, code)}, got {answer_words(protocol, one.code)}"
             )
-    if len(frames) != len(expected):
-        sent = quantity(len(frames), "instruction")
-        return f"{quantity(len(expected), 'answer')} expected, but {sent} sent"
+    if len(sent) != len(expected):
+        count = quantity(len(sent), "instruction")
+        return f"{quantity(len(expected), 'answer')} expected, but {count} sent"
     return ""

@@ -21,7 +21,7 @@ from bilprov.analyzer.replay.comparison import (
     FLOOD_WORDS,
     UNANSWERED_STOPS,
     AnswerCheck,
-    ReplayRun,
+    Exchanges,
     first_difference,
 )
 from bilprov.analyzer.replay.target import Target
@@ -69,7 +69,7 @@ def send_items(
                 f"--expect names {len(expected)} and {planned} should be answered: name one for "
                 f"each instruction, {_NO_ANSWER} where no answer should come"
             )
-    output, run, check = stream_output(style, protocol), ReplayRun(), AnswerCheck()
+    output, run, check = stream_output(style, protocol), Exchanges(), AnswerCheck()
     pauses = [what for what in steps if isinstance(what, float)]  # those that are to come
     opened = _opened(port, settings, wait=wait)
     if opened is None:

@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.records import HostRecord
-from bilprov.analyzer.edit.compare import FAR, RUN, Exchange, aligned
+from bilprov.analyzer.edit.compare import FAR, RUN, aligned
+from bilprov.analyzer.replay.comparison import Exchange
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
