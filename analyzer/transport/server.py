@@ -1,7 +1,7 @@
 """Serves one simulated device on a pty, on TCP and with a probe, in one thread with one loop.
 
-It serves one host over TCP and a few probe clients. No peer makes the device or another peer wait:
-a host that does not read is kept 64 KiB; the rest is dropped silently, as on a serial line.
+It serves one host over TCP and any probe clients. No peer makes the device or another peer wait:
+one that does not read is kept 64 KiB; the rest is dropped silently, as on a serial line.
 """
 
 from __future__ import annotations
@@ -137,13 +137,7 @@ class Listener(Closing):
         self._socket.close()
 
 
-PROBE_LIMIT = 8
-"""Most probe clients at a time."""
-REQUEST_LIMIT = 1024
-"""Most bytes in a probe client's request line."""
-UNREAD_LIMIT = 1 << 15
-"""Most bytes of answers kept for a probe client that does not read them."""
-
+_LONGEST = 1024  # bytes of a request of a probe client: one that sends a longer one is closed
 _DIGITS = 15  # of the number of a question
 _LINGER = 3_000_000_000  # ns after the last byte: so long a host that ended its sending is answered
 
@@ -266,13 +260,8 @@ class Server(Closing):
                 self.reset(self.clock())
 
     def take_probe(self, stream: Stream) -> None:
-        """Take a client of the probe; one too many gets a sentence and is closed."""
-        if len(self.probes) < PROBE_LIMIT:
-            self.probes[stream] = b""
-            return
-        stream.give(_error(f"closed: there are {PROBE_LIMIT} probe clients, which is the limit"))
-        stream.take()  # unread bytes would turn the close into a reset, and lose the sentence
-        stream.close()
+        """Take a client of the probe."""
+        self.probes[stream] = b""
 
     def close(self) -> None:
         """Close every connection; the pty and the listeners belong to `serve`."""
@@ -316,11 +305,9 @@ class Server(Closing):
 
     def _requests(self, probe: Stream) -> Iterator[bytes]:
         """Yield the request lines that a probe client has completed."""
-        *lines, self.probes[probe] = (self.probes[probe] + probe.take()).split(b"\n")
-        if any(len(line) > REQUEST_LIMIT for line in (*lines, self.probes[probe])):
-            probe.give(_error(f"closed: a request line is longer than {REQUEST_LIMIT} bytes"))
-            probe.lost = True
-            return
+        *lines, rest = (self.probes[probe] + probe.take()).split(b"\n")
+        self.probes[probe] = rest
+        probe.lost = probe.lost or len(rest) > _LONGEST
         yield from lines
 
     def _answer(self, request: bytes, now: int) -> bytes:
@@ -340,8 +327,7 @@ class Server(Closing):
             if client.lost or (client.ended and not client.backlog and quiet):
                 self._drop_client()
         for probe in list(self.probes):
-            unread = len(probe.backlog)
-            if probe.lost or unread > UNREAD_LIMIT or (probe.ended and not unread):
+            if probe.lost or (probe.ended and not probe.backlog):
                 probe.close()
                 del self.probes[probe]
 

@@ -88,10 +88,8 @@ def simulate(options: SimulateOptions) -> int:
     does not answer, and the exit code is 2 if it ends so.
 
     One host at a time is served over TCP; a second is closed. A host that does not read loses what
-    exceeds 64 KiB. 8 probe clients are served, each with lines of at most 1024 bytes; one more, and
-    one with a longer line, is closed with a line of JSON that explains it, and one that leaves
-    32 KiB unread is closed. 127.0.0.1 is this machine alone; an address that others reach comes
-    with a warning.
+    exceeds 64 KiB, and so does a client of the probe. 127.0.0.1 is this machine alone; an address
+    that others reach comes with a warning.
 
     Exit code: 0 after Ctrl-C or SIGTERM.
     """

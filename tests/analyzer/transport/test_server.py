@@ -15,9 +15,6 @@ import pytest
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.server import (
-    PROBE_LIMIT,
-    REQUEST_LIMIT,
-    UNREAD_LIMIT,
     Listener,
     parse_address,
     serve,
@@ -258,7 +255,6 @@ UNKNOWN = "the request is {}, allowed is 'state', or 'state 7' with any number"
         (b"state\n", 0),
         (b" state 0 \r\n", 0),
         (b"state 999999999999999\n", 999999999999999),
-        (b"state".ljust(REQUEST_LIMIT) + b"\n", 0),
         (b"state x\n", UNKNOWN.format("'state x'")),
         (b"state -1\n", UNKNOWN.format("'state -1'")),
         (b"state 1 2\n", UNKNOWN.format("'state 1 2'")),
@@ -279,40 +275,18 @@ def test_requests_of_a_probe_and_their_answers(
         assert until_closed(probe).count(b"\n") == 2
 
 
-def test_one_probe_client_too_many_is_refused_and_one_that_goes_frees_its_place(
-    served: Start,
-) -> None:
-    room = served(Echo(), pty=True, probe=ANY)
-    with ExitStack() as stack:
-        probes = [stack.enter_context(room.connected()) for _ in range(PROBE_LIMIT)]
-        assert all(ask(probe)["moving"] is False for probe in [*probes, *probes])
-        with room.connected() as refused:
-            refused.sendall(b"state\n")
-            assert json.loads(until_closed(refused)) == {
-                "error": f"closed: there are {PROBE_LIMIT} probe clients, which is the limit"
-            }
-        probes[3].shutdown(socket.SHUT_WR)
-        assert until_closed(probes[3]) == b""
-        with room.connected() as next_one:
-            assert ask(next_one)["moving"] is False
-
-
-@pytest.mark.parametrize("end", [b"", b"\nstate\n"], ids=["open", "ended"])
-def test_a_request_line_that_is_too_long_is_named_and_closed(served: Start, end: bytes) -> None:
-    with served(Echo(), pty=True, probe=ANY).connected() as probe:
-        probe.sendall(b"x" * REQUEST_LIMIT)
-        probe.sendall(b"x" + end)
-        assert json.loads(until_closed(probe)) == {
-            "error": f"closed: a request line is longer than {REQUEST_LIMIT} bytes"
-        }
-
-
-def test_who_does_not_read_its_answers_is_closed_and_delays_nobody(served: Start) -> None:
-    room = served(Echo(filler=UNREAD_LIMIT // 8), pty=True, probe=ANY)
-    with room.connected() as silent, room.connected() as probe, suppress(ConnectionError):
-        while True:
+def test_who_does_not_read_its_answers_delays_nobody(served: Start) -> None:
+    room = served(Echo(filler=4096), pty=True, probe=ANY)
+    with room.connected() as silent, room.connected() as probe:
+        for _ in range(10):
             silent.sendall(b"state\n" * 100)
             assert ask(probe)["moving"] is False
+
+
+def test_a_request_without_an_end_is_closed(served: Start) -> None:
+    with served(Echo(), pty=True, probe=ANY).connected() as probe, suppress(ConnectionError):
+        probe.sendall(b"x" * 2000)
+        assert until_closed(probe) == b""
 
 
 # Addresses
