@@ -11,7 +11,7 @@ from threading import RLock, get_ident
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bilprov.analyzer.client.operations import Heard, Link, Procedure, done, listen, send
-from bilprov.analyzer.client.rest import rest_of
+from bilprov.analyzer.client.rest import nobody_words, rest_of
 from bilprov.captures.schemas import MS
 from bilprov.spec.codec import build, judge, spaced
 from bilprov.spec.fields import Outcome
@@ -120,6 +120,8 @@ class InstructionMethods(ABC):
     instruction and its answer are by themselves.
     """
 
+    _port_name = ""
+
     def __init__(self, protocol: Protocol, link: Link, timeout: float | None = None) -> None:
         self.protocol = protocol
         self._link = link
@@ -213,10 +215,8 @@ class InstructionMethods(ABC):
             raise RobotError(f"{self._names(heard)} came without an instruction")
 
     def _nobody(self) -> NoAnswer:
-        return NoAnswer(
-            f"nobody answers; is the {self.protocol.device} on, and is it the right port?",
-            b"".join(self._rest.frames()),
-        )
+        words = nobody_words(self.protocol, self._port_name)
+        return NoAnswer(words, b"".join(self._rest.frames()))
 
     def _refused(
         self, spec: InstructionSpec, frame: bytes, code: int, name: str, said: str

@@ -17,7 +17,7 @@ from os import PathLike
 from types import FrameType
 from typing import Self
 
-from bilprov.analyzer.client.driver import Driver, InstructionMethods, NoAnswer, RobotError, Turns
+from bilprov.analyzer.client.driver import Driver, InstructionMethods, RobotError, Turns
 from bilprov.analyzer.client.operations import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.rest import Rest
@@ -197,6 +197,7 @@ class OnPort(InstructionMethods):
         self._port = open_port(
             os.fspath(url), line_settings(grammar, baud, parity, stopbits, echo=echo)
         )
+        self._port_name = self._port.name
         self._open = True
         self._signals = ExitStack()
         try:
@@ -274,13 +275,6 @@ class OnPort(InstructionMethods):
                 if self._held.why:
                     raise RobotError(self._held.why)
             yield
-
-    def _nobody(self) -> NoAnswer:
-        return NoAnswer(
-            f"nobody answers at {self._port.name}; is the {self.protocol.device} on, and is it the "
-            "right port?",
-            b"".join(self._rest.frames()),
-        )
 
 
 class PortDriver(OnPort, Driver):

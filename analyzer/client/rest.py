@@ -30,6 +30,12 @@ def stops(protocol: Protocol) -> bytes:
     return bytes([protocol.pad_byte]) * protocol.longest_frame
 
 
+def nobody_words(protocol: Protocol, port: str = "") -> str:
+    """The sentence for a device that does not answer, at a port where it has one."""
+    where = f" at {port}" if port else ""
+    return f"nobody answers{where}; is the {protocol.device} on, and is it the right port?"
+
+
 def halt(protocol: Protocol, port: Port) -> None:
     """Send the stops, as far as the line allows, and wait for nothing."""
     with suppress(LinkError):

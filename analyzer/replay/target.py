@@ -10,7 +10,7 @@ import msgspec
 
 from bilprov.analyzer.client.operations import LinkListener, done, send
 from bilprov.analyzer.client.port_link import PortLink
-from bilprov.analyzer.client.rest import rest_of
+from bilprov.analyzer.client.rest import nobody_words, rest_of
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.transport.errors import LinkError
@@ -195,10 +195,7 @@ class Target(Closing, LinkListener):
     def require_answer(self) -> None:
         """Raise LinkError if the device did not answer the last homing, unless that was stopped."""
         if not self.answered_stops and not self._stopper.stopped:
-            raise LinkError(
-                f"nobody answers at {self._port.name}; is the {self._protocol.device} on, and is "
-                "it the right port?"
-            )
+            raise LinkError(nobody_words(self._protocol, self._port.name))
 
     def _halt(self) -> None:
         self._halted = True

@@ -13,6 +13,7 @@ from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
+from bilprov.spec.errors import UserError
 
 T = TypeVar("T")
 
@@ -146,17 +147,18 @@ def opened_when_there(
     stopped: Callable[[], bool],
     tell: Callable[[str], object] = lambda sentence: None,
     seconds: float = math.inf,
+    absent: tuple[type[UserError], ...] = (LinkError,),
 ) -> T | None:
-    """What `opened` gives once it raises no LinkError; None if `stopped`, or `seconds` are over.
+    """What `opened` gives once it is not `absent`; None if `stopped`, or `seconds` are over.
 
-    `tell` is told why it is waited for, each reason once.
+    `absent` are the errors that say so. `tell` is told why it is waited for, each reason once.
     """
     said = ""
     until = time.monotonic() + seconds
     while not stopped() and time.monotonic() < until:
         try:
             return opened()
-        except LinkError as error:
+        except absent as error:
             if str(error) != said:
                 said = str(error)
                 tell(f"{said}; waiting")

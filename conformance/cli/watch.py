@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
@@ -16,7 +17,13 @@ from bilprov.analyzer.transport.ending import ending_requested
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.ports import wait_readable
-from bilprov.analyzer.transport.replug import LOOK_AGAIN, ConnectionWatch, PathWatch, Place
+from bilprov.analyzer.transport.replug import (
+    LOOK_AGAIN,
+    ConnectionWatch,
+    PathWatch,
+    Place,
+    opened_when_there,
+)
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.last_run import LastRun, Run, failed_cases
@@ -26,6 +33,7 @@ from bilprov.conformance.dut.target import PORT, SIM, TargetName
 _NEW = "new failures"
 _NAMED = 3  # cases in a line
 _NETWORK = ("socket://", "rfc2217://")
+_ABSENT = (LinkError, ProbeError, EmulatorError)  # of a device that cannot be opened yet
 
 Again: TypeAlias = Callable[[TargetName, LastRun], Run]
 """Runs the suite on the device of that name, after the last run.
@@ -127,27 +135,14 @@ def watch(first: Run, again: Again, comeback: Comeback, console: Console) -> int
                 note(f"waiting for {comeback.words}; Ctrl-C ends")
                 comeback.wait(stopper)
                 comeback.end()
-                next_run = _opened(again, comeback.name, run.after, stopper)
+                open_it = partial(again, comeback.name, run.after)
+                next_run = opened_when_there(open_it, lambda: stopper.stopped, note, absent=_ABSENT)
                 if next_run is None:
                     break
                 number, run = number + 1, next_run
         finally:
             comeback.end()
     return run.report.exit
-
-
-def _opened(again: Again, name: TargetName, last: LastRun, stopper: Stopper) -> Run | None:
-    """Run once the device can be opened; None if `stopper` is to stop before."""
-    told = ""
-    while not stopper.stopped:
-        try:
-            return again(name, last)
-        except (LinkError, ProbeError, EmulatorError) as error:
-            if str(error) != told:
-                told = str(error)
-                note(f"{told}; waiting")
-        wait_readable([], LOOK_AGAIN, [stopper.fileno()])
-    return None
 
 
 def change_words(number: int, run: Run) -> list[str]:
