@@ -1,7 +1,7 @@
 """The robot's instructions as methods, for type checkers and editors.
 
 Generated from the grammar (robot-car 1.1), not edited by hand. To renew it:
-`python -m bilprov.analyzer.client.write_stub`.
+`bilprov spec emit stub -o analyzer/client/robot.pyi`.
 """
 
 from bilprov.analyzer.client.driver import Answer, Driver

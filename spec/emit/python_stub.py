@@ -20,7 +20,7 @@ from bilprov.spec.python_names import (
     told_type,
 )
 
-RENEW = "python -m bilprov.analyzer.client.write_stub"
+RENEW = "bilprov spec emit stub -o analyzer/client/robot.pyi"
 """The command that regenerates the stub of the kit's own grammar."""
 
 _WIDTH = 100

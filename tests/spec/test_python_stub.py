@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.client.write_stub import STUB
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.emit.python_stub import RENEW, python_stub
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import method_names, parameter_names, snake_case
 from tests.support import ROOT
+
+STUB = ROOT / "analyzer" / "client" / "robot.pyi"
 
 
 def test_the_committed_stub_is_what_the_grammar_gives(protocol: Protocol) -> None:
