@@ -39,10 +39,11 @@ is where only silence tells the end, and before it is clear where frames begin; 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 from msgspec import UNSET, UnsetType
+from msgspec.structs import replace
 
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
@@ -98,30 +99,9 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
     add = lines.append
     for record in records:  # in one loop: a call for each record would take a third more time
         if isinstance(record, HostRecord):
-            text, name, fields, judgement, reason, faults, outcome, address, uncertain = (
-                _frame_values(record)
-            )
-            add(
-                JsonLine(
-                    record.t / 1e9,
-                    "host",
-                    record.kind,
-                    text,
-                    name,
-                    fields,
-                    judgement,
-                    reason,
-                    None,
-                    record.state,
-                    record.sequence,
-                    None,
-                    None,
-                    faults,
-                    outcome,
-                    address,
-                    uncertain,
-                )
-            )
+            line, kind = _frame_line(record), record.kind
+            t, state, sequence = record.t / 1e9, record.state, record.sequence
+            add(replace(line, t=t, kind=kind, state=state, sequence=sequence))
         elif isinstance(record, DeviceRecord):
             answered, latency, reply = record.answered, record.latency, record.reply
             add(
@@ -174,34 +154,29 @@ def _kinds(record: Record) -> tuple[str, ...]:
     return tuple(fault.kind for fault in serious_faults(record))
 
 
-class _FrameValues(NamedTuple):
-    """What a line says of a frame wherever it comes."""
-
-    hex: str
-    name: str | None
-    fields: dict[str, Any]
-    judgement: str | None
-    reason: str
-    faults: tuple[str, ...]
-    outcome: str | UnsetType
-    address: int | UnsetType
-    uncertain: bool | UnsetType
-
-
 @PerFrame
-def _frame_values(record: HostRecord) -> _FrameValues:
+def _frame_line(record: HostRecord) -> JsonLine:
+    """The line of a frame, which is the same wherever it comes but for its time and its place."""
     judgement = record.judgement
     spec = judgement.instruction if judgement else None
-    return _FrameValues(
-        record.hex,
-        spec.name if spec else None,
-        plain_values(judgement.values) if judgement else NO_FIELDS,
-        judgement.expected if judgement else None,
-        record.reason,
-        _kinds(record),
-        outcome_word(judgement) if judgement and judgement.framed else UNSET,
-        unset_if_none(judgement.address) if judgement else UNSET,
-        record.uncertain or UNSET,
+    return JsonLine(
+        t=0.0,
+        direction="host",
+        kind=record.kind,
+        hex=record.hex,
+        name=spec.name if spec else None,
+        fields=plain_values(judgement.values) if judgement else NO_FIELDS,
+        judgement=judgement.expected if judgement else None,
+        reason=record.reason,
+        latency=None,
+        state=record.state,
+        sequence=None,
+        answers=None,
+        agrees=None,
+        faults=_kinds(record),
+        outcome=outcome_word(judgement) if judgement and judgement.framed else UNSET,
+        address=unset_if_none(judgement.address) if judgement else UNSET,
+        uncertain=record.uncertain or UNSET,
     )
 
 

@@ -173,22 +173,19 @@ class AnswerTables:
         self, asked: Requests, data: Bytes, answers: Answers, newest: Mask
     ) -> Mapping[str, tuple[Places, NDArray[Any]]]:
         """The variables that the newest answers report: of which answers, and their numbers."""
-        found: dict[str, tuple[Places, NDArray[Any]]] = {}
         if not any(part.reports for _, spec in self._ways for part in spec.fields):
-            return found
+            return {}
         at, size = self.fields(asked.kind, answers)
+        every: dict[str, NDArray[np.int64]] = {}
         for kind, (_, spec) in enumerate(self._ways):
             rows = np.flatnonzero(newest & (size >= 0) & (asked.kind == kind))
-            for part in spec.fields if len(rows) else ():
+            for part in spec.fields:
                 if part.reports:
                     name, numbers = part.reports.variable, field_values(part, data, at[rows])
-                    codes = self._codes_of(name, part, numbers)
-                    known = codes != NOT_KNOWN
-                    before = found.get(name, (rows[:0], codes[:0]))
-                    rows_of = np.append(before[0], rows[known])
-                    order = np.argsort(rows_of, kind="stable")
-                    found[name] = rows_of[order], np.append(before[1], codes[known])[order]
-        return found
+                    codes = every.setdefault(name, np.full(len(size), NOT_KNOWN))
+                    codes[rows] = self._codes_of(name, part, numbers)
+        told = {name: np.flatnonzero(codes != NOT_KNOWN) for name, codes in every.items()}
+        return {name: (rows, every[name][rows]) for name, rows in told.items() if len(rows)}
 
     def _codes_of(self, name: str, part: FieldSpec, numbers: NDArray[Any]) -> NDArray[Any]:
         """The numbers of a variable's values that a field reports; NOT_KNOWN for none."""
