@@ -6,7 +6,7 @@ warning is what a host does wrong or what a reading leaves open, and info marks 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import UNCERTAIN, Anomaly, Severity
@@ -43,11 +43,8 @@ class Cause(NamedTuple):
     reason: str
 
 
-class AnswerCheck(NamedTuple):
-    """Whether an answer is the expected one (None: nothing is expected), and its anomalies."""
-
-    agrees: bool | None
-    faults: tuple[Anomaly, ...]
+AnswerCheck: TypeAlias = tuple[bool | None, tuple[Anomaly, ...]]
+"""Whether an answer is the expected one (None: nothing is expected), and its anomalies."""
 
 
 KINDS = (
@@ -93,7 +90,7 @@ def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> An
         severity = Severity.INFO if -latency <= skew else Severity.WARNING
         found.append(Cause("early", severity, reason))
     faults = tuple(Anomaly(held.t, *why, waiting.sequence) for why in found)
-    return AnswerCheck(agree, faults)
+    return agree, faults
 
 
 def _of_itself(protocol: Protocol, held: Held, asked: Judgement) -> tuple[bool, list[Cause]]:
@@ -130,12 +127,10 @@ def of_unpaired(protocol: Protocol, held: Held, why: Cause) -> AnswerCheck:
     found = [*([why] if why.kind else []), *_open_end(held)]
     if held.reply and held.reply.reason and not why.kind:
         found.insert(0, Cause("damaged answer", Severity.ERROR, held.reply.reason))
-    if held.reply:
-        return AnswerCheck(None, tuple(Anomaly(held.t, *one) for one in found))
-    unused = held.byte not in protocol.codes
+    unused = not held.reply and held.byte not in protocol.codes
     if unused:
         found.append(_unused_code(protocol, held.byte))
-    return AnswerCheck(False if unused else None, tuple(Anomaly(held.t, *one) for one in found))
+    return False if unused else None, tuple(Anomaly(held.t, *one) for one in found)
 
 
 def _open_end(held: Held) -> list[Cause]:

@@ -26,7 +26,7 @@ from bilprov.analyzer.decode.batch import (
     repeated,
     sliced,
 )
-from bilprov.analyzer.decode.decoder import paired_record, unpaired_record
+from bilprov.analyzer.decode.decoder import answer_record
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.schemas import Line
@@ -233,7 +233,7 @@ class ColumnBatch(Batch):
         code = self.answers.code[rows]
         if not tables.paired:
             return [
-                unpaired_record(tables.protocol, Held(t, byte), anomalies.ALONE, state)
+                answer_record(tables.protocol, Held(t, byte), state)
                 for t, byte, state in zip(objects(self.t[rows]), code.tolist(), states, strict=True)
             ]
         judged = self._asked_judgements(rows)
@@ -258,7 +258,7 @@ class ColumnBatch(Batch):
             assert one.instruction is not None
             waiting = Waiting(one.instruction, int(end[at]), int(end[at]), one.answered)
             held = Held(one.t, one.byte, one.reply)
-            made[at] = paired_record(tables.protocol, held, waiting, tables.skew, one.state)
+            made[at] = answer_record(tables.protocol, held, one.state, waiting, skew=tables.skew)
         return made
 
     def _replies(self, rows: NDArray[np.int64], judged: Sequence[Judgement]) -> Iterator[Reply]:

@@ -467,7 +467,7 @@ class Decoder:
         self._pair(held, pairing.waiting.popleft(), out)
 
     def _pair(self, held: Held, waiting: Waiting, out: list[Record]) -> None:
-        record = paired_record(self._protocol, held, waiting, self._skew, self._state)
+        record = answer_record(self._protocol, held, self._state, waiting, skew=self._skew)
         if record.agrees and waiting.judgement.valid:
             self._in_doubt = False
         out.append(record)
@@ -477,32 +477,26 @@ class Decoder:
         self._unpaired(held, anomalies.unsolicited_because(self._sequence, near_loss), out)
 
     def _unpaired(self, held: Held, why: anomalies.Cause, out: list[Record]) -> None:
-        out.append(unpaired_record(self._protocol, held, why, self._state))
+        out.append(answer_record(self._protocol, held, self._state, why=why))
 
 
-def paired_record(
-    protocol: Protocol, held: Held, waiting: Waiting, skew: int, state: State
-) -> DeviceRecord:
-    """The record of an answer to the instruction that waits for it; `skew` is as in Session."""
-    checked = anomalies.of_answer(protocol, held, waiting, skew)
-    return _record(protocol, held, waiting, checked, state)
-
-
-def unpaired_record(
-    protocol: Protocol, held: Held, why: anomalies.Cause, state: State
-) -> DeviceRecord:
-    """The record of an answer to no instruction that is known, for this cause."""
-    checked = anomalies.of_unpaired(protocol, held, why)
-    return _record(protocol, held, None, checked, state)
-
-
-def _record(
+def answer_record(
     protocol: Protocol,
     held: Held,
-    waiting: Waiting | None,
-    checked: anomalies.AnswerCheck,
     state: State,
+    waiting: Waiting | None = None,
+    *,
+    skew: int = 0,
+    why: anomalies.Cause = anomalies.ALONE,
 ) -> DeviceRecord:
+    """The record of an answer to the instruction that waits for it; `skew` is as in Session.
+
+    Where none is known, `why` is the cause.
+    """
+    if waiting:
+        agrees, faults = anomalies.of_answer(protocol, held, waiting, skew)
+    else:
+        agrees, faults = anomalies.of_unpaired(protocol, held, why)
     return DeviceRecord(
         t=held.t,
         byte=held.byte,
@@ -510,9 +504,9 @@ def _record(
         answered=waiting.judgement if waiting else None,
         instruction=waiting.sequence if waiting else None,
         latency=held.t - waiting.end if waiting else None,
-        agrees=checked.agrees,
+        agrees=agrees,
         state=state,
-        faults=checked.faults,
+        faults=faults,
         reply=held.reply,
     )
 

@@ -29,6 +29,7 @@ from bilprov.spec.arrays.layouts import (
     field_values,
     fixed_size,
     frame_sizes,
+    leading,
     part_values,
     require_arrays,
     require_narrow,
@@ -128,7 +129,7 @@ class AnswerTables:
         end, code = int(bounds[-1]), np.full(len(bounds) - 1, NO_CODE)
         found = Answers(bounds[:-1], np.diff(bounds), code)
         good = self._right(asked, requests.rows(slice(len(code))), data, found)
-        rows = len(good) if good.all() else int(np.argmin(good))
+        rows = leading(good)
         regular = rows == len(good)
         if regular and end < len(data) and rows < len(requests.kind):
             left = requests.rows(slice(rows, rows + 1))
@@ -218,7 +219,7 @@ class AnswerTables:
         bounds = np.append(0, reads[: len(requests.kind)])
         begun = requests.rows(slice(len(bounds) - 1))
         whole = self._sizes(asked, begun, data, bounds[:-1]) == np.diff(bounds)
-        return bounds[: 1 + (len(whole) if whole.all() else int(np.argmin(whole)))]
+        return bounds[: 1 + leading(whole)]
 
     def _walk(self, asked: Bytes, requests: Requests, data: Bytes, first: int) -> list[int]:
         """Where the answers from byte `first` on begin that are whole, and where the next one does.

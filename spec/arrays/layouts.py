@@ -78,6 +78,11 @@ class Cut(NamedTuple, Generic[Rows]):
     regular: bool
 
 
+def leading(good: Mask) -> int:
+    """How many are good before the first that is not."""
+    return len(good) if good.all() else int(np.argmin(good))
+
+
 def field_values(part: FieldSpec, data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[Any]:
     """The value of a field in each of the data that begin `at` some places and carry it."""
     at = at + part.offset

@@ -26,6 +26,7 @@ from bilprov.spec.arrays.layouts import (
     fixed_size,
     frame_sizes,
     in_range,
+    leading,
     number_values,
     part_values,
     require_arrays,
@@ -122,7 +123,7 @@ class RequestTables:
         offset, size = bounds[:-1], np.diff(bounds)
         kind = self._kinds(data, offset)
         good = self._valid(data, offset, bounds[1:], kind)
-        rows = len(good) if good.all() else int(np.argmin(good))
+        rows = leading(good)
         regular = rows == len(good) and is_open(self._protocol, data[bounds[-1] :].tobytes())
         found = Requests(offset, size, kind, np.zeros(len(kind), np.uint8)).rows(slice(rows))
         return Cut(found, int(bounds[rows]), regular)
@@ -186,7 +187,7 @@ class RequestTables:
         """Where the frames begin of which each is one read, and where the next one begins."""
         bounds = np.append(begun, reads[np.searchsorted(reads, begun, "right") :])
         whole = self._sizes_at(data, bounds[:-1]) == np.diff(bounds)
-        return bounds[: 1 + (len(whole) if whole.all() else int(np.argmin(whole)))]
+        return bounds[: 1 + leading(whole)]
 
     def _sizes_at(self, data: Bytes, offset: Places) -> Places:
         """The sizes of the frames at these places, 0 for none; see `frame_sizes`."""
