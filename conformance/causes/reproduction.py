@@ -74,25 +74,21 @@ class Line(NamedTuple):
             return self
         return self._replace(chunks=self.chunks[:-number], frames=self.frames - number)
 
-    def then(self, other: Line, timing: Timing) -> Line:
-        """This line and another one behind it."""
-        first = other.chunks[0]._replace(pause=timing.timeout if self.together else 0)
-        chunks, frames = (*self.chunks, first, *other.chunks[1:]), self.frames + other.frames
-        return self._replace(chunks=chunks, frames=frames)
-
-    def times(self, number: int, timing: Timing) -> Line:
+    def times(self, number: int) -> Line:
         """This line so often."""
-        line = self
-        for _ in range(number - 1):
-            line = line.then(self, timing)
-        return line
+        return self._replace(chunks=self.chunks * number, frames=self.frames * number)
+
+    def behind(self, frame: bytes, number: int) -> Line:
+        """This line behind so many of these frames."""
+        counting = (Chunk(self.chunks[0].pause, frame),) * number
+        return self._replace(chunks=(*counting, *self.chunks), frames=self.frames + number)
 
     @property
     def words(self) -> tuple[str, ...]:
         """The arguments of `bilprov send PORT`."""
         words = ["--unhomed"] * self.unhomed + ["--together"] * self.together
-        for chunk in self.chunks:
-            words += [f"pause={-(-chunk.pause // MS)}"] if chunk.pause else []
+        for number, chunk in enumerate(self.chunks):
+            words += [f"pause={-(-chunk.pause // MS)}"] if number and chunk.pause else []
             words.append(chunk.data.hex(" "))
         return tuple(words)
 
@@ -125,10 +121,7 @@ def exchanged(
     trace = Trace()
 
     def attempt() -> Procedure[None]:
-        if line.unhomed:
-            yield from power_cycle()
-        else:
-            yield from home_once(model.protocol)
+        yield from power_cycle() if line.unhomed else home_once(model.protocol)
         trace.begin("")
         yield from shown_by(line, timing, watched, looks=True)
 
@@ -148,22 +141,17 @@ class Finder:
         """Return lines to try, in this order, until one shows the cause.
 
         The first is the shortest at whose last frame the cause would show by all that is known of
-        it, but for what it counts. The others come nearer to where it showed in the run.
+        it, but for what it counts. The last are the frames of the case in which it showed, and all
+        before it. Where some of the case were sent ahead, they are sent by the times of the run.
         """
         clear = [e for e in cause.exchanges if not e.before.unknown and cause.foresees(e)]
         simplest = _simplest(clear or cause.exchanges)[0]
         shortest = self._shortest(cause)
-        met = (self._as_met(simplest, anywhere=anywhere) for anywhere in (False, True))
+        chain = _chain(simplest)
+        case = [exchange for exchange in chain if exchange.case == simplest.case]
+        ahead = any(exchange.ahead for exchange in case)
+        met = (_line(one, (), self._timing, together=ahead) for one in (case, chain))
         return list(dict.fromkeys((shortest, *self._counted(cause, shortest, simplest), *met)))
-
-    def _as_met(self, last: Exchange, *, anywhere: bool) -> Line:
-        """The frames of the case, or from `anywhere`, up to one at which it showed.
-
-        Where frames of the case were sent ahead, they are sent by the times of the run.
-        """
-        chain = [e for e in _chain(last) if anywhere or e.case == last.case]
-        ahead = any(one.ahead for one in chain if one.case == last.case)
-        return _line(chain, (), self._timing, together=ahead)
 
     def _counted(self, cause: Cause, line: Line, last: Exchange) -> Iterator[Line]:
         """As many frames before it as the cause counts; then it is also sent again and again.
@@ -172,17 +160,14 @@ class Finder:
         frames, or how often this one came so far. Nor is it that a cause counts which does not.
         """
         counted = [literal for literal in cause.rule if literal.feature.counts]
-        often = line.times(max(1, _LONGEST // line.frames), self._timing)
-        for once in (line, often) if counted else (often,):
-            longer = once
+        often = line.times(max(1, _LONGEST // line.frames))
+        for longer in (line, often) if counted else (often,):
             for literal in counted:
                 missing, sent = last.history.frames, self._last(longer)
                 if literal.operator == "every" and sent:
                     missing = literal.missing(sent)
-                counting = Line((Chunk(0, _counting(literal.feature, last)),), 1, line.together)
-                if missing:
-                    before = counting.times(min(missing, _COUNTED), self._timing)
-                    longer = before.then(longer, self._timing)
+                counting = _counting(literal.feature, last)
+                longer = longer.behind(counting, min(missing, _COUNTED))
             yield longer
 
     def _shortest(self, cause: Cause) -> Line:
@@ -244,7 +229,7 @@ def shown_in(cause: Cause, line: Line, exchanges: Exchanges) -> Line | None:
     for bag in exchanges.bags:
         effects = [e for e in cause.effects if e.relation.facet == bag.deviation.facet]
         explaining = [effect for effect in effects if effect.relation.explains(bag)]
-        for effect, exchange in product(explaining, bag.exchanges):
+        for effect, exchange in product(explaining, reversed(bag.exchanges)):
             behind = last.history.frames - exchange.history.frames
             if not behind:
                 return line
@@ -306,7 +291,7 @@ def _line(
         cuts = [(0, gap), *(exchange.pauses if together else ())]
         ends = [at for at, _ in cuts[1:]] + [len(data)]
         chunks += [Chunk(pause, data[at:end]) for (at, pause), end in zip(cuts, ends, strict=True)]
-    chunks[0] = chunks[0]._replace(pause=0)
+    chunks[0] = chunks[0]._replace(pause=timing.timeout if together else 0)
     first = chain[0]
     unhomed = not way and first.previous is None and not first.before.unknown
     return Line(tuple(chunks), len(chain) + len(way), together, unhomed)
