@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from bilprov.conformance.cases.case import steps_to
 from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.sequence import Burst, SequenceCase
+from bilprov.conformance.cases.sequence import Burst, SequenceCase, leading
 from bilprov.conformance.cases.steps import Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, setting
 from bilprov.spec.protocol import Protocol
@@ -368,7 +368,7 @@ class Combinations:
                 yield Burst((*before, step))
                 continue
             *lead, last = before
-            yield from (Burst((one,), looks=False) for one in lead)
+            yield from leading(lead)
             yield Burst((last,))
             split = self._way == SPLIT
             yield Burst((step,), (self._draw.randrange(1, len(step.frame)),) if split else ())

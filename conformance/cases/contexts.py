@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from itertools import count, cycle, product
+from itertools import chain, count, cycle, product
 from math import ceil
 from typing import Any, NamedTuple
 
 from bilprov.conformance.cases.case import state_after, steps_to
 from bilprov.conformance.cases.combinations import MARKED, state_classes
 from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks
+from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks, leading
 from bilprov.conformance.cases.steps import FrameClass, Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.protocol import Protocol
@@ -27,6 +27,7 @@ AFTER, CUT, ALONE = "combined/after", "combined/cut", "sequence/left-alone"
 """The groups of complete frames, of truncated ones, and of those that are followed by silence."""
 
 _CONTEXTS, _CUTS, _ALONE = 48, 24, 11  # of a sequence
+_WAITED = 12  # sequences of contexts of which one is not pipelined
 _ONE_AFTER_ANOTHER = 5  # truncated frames of which one comes right after another
 _ARRIVE = (0, *4 * (1,), *4 * (2,), *3 * (3,), 5)  # data bytes of the cut frames of each ID
 _SETS_ALL = 0.4  # share of the contexts that set the whole state, not the motion alone
@@ -63,7 +64,8 @@ class _Silence(NamedTuple):
 def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
     """The sequences of complete frames in context, `turns` times with other states and data.
 
-    Every second one is pipelined: each frame under test with those that lead to it.
+    Most are pipelined: each frame under test with those that lead to it. In one of `_WAITED` it
+    and the frame before it are sent once the answer before has come.
     """
     numbers = count(1)
     for turn in range(turns):
@@ -75,12 +77,12 @@ def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[Seque
             walk.begin()
             bursts: list[Burst] = []
             for context in some:
-                steps = (*walk.lead(context.before), walk.took(context.step))
-                if number % 2:
-                    unseen = len(steps) - 2
-                    bursts += (Burst((s,), looks=at >= unseen) for at, s in enumerate(steps))
+                *lead, before = walk.lead(context.before)
+                step = walk.took(context.step)
+                if number % _WAITED:
+                    bursts.append(Burst((*lead, before, step)))
                 else:
-                    bursts.append(Burst(steps))
+                    bursts += (*leading(lead), Burst((before,)), Burst((step,)))
             what = "each frame is answered right after each kind of frame, whatever its data"
             yield _sequence(protocol, f"{AFTER}/{number:03}", what, bursts)
 
@@ -106,7 +108,7 @@ def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceC
             for place, cut in enumerate(some, 1):
                 if place % _ONE_AFTER_ANOTHER:
                     first, second = next(pairs)
-                    bursts += (Burst((step,), looks=False) for step in walk.lead(first))
+                    bursts += leading(walk.lead(first))
                     bursts.append(Burst((walk.took(walk.inputs.next(second)),)))
                 bursts.append(Burst((walk.took(cut),)))
                 if (place + 1) % _ONE_AFTER_ANOTHER or place == len(some):
@@ -143,7 +145,7 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
             bursts: list[Burst] = []
             for one in some:
                 *lead, last = walk.lead(one.first)
-                bursts += (Burst((step,), looks=False) for step in lead)
+                bursts += leading(lead)
                 step = walk.took(inputs.next(one.second))
                 if not one.ahead:
                     bursts.append(Burst((last,), looks=one.rest > 0, idle_ms=one.rest))
@@ -244,13 +246,14 @@ def _cut(protocol: Protocol, draw: random.Random) -> Iterator[Step]:
 
 
 def _after_cuts(protocol: Protocol, draw: random.Random) -> list[Step]:
-    """The frames that follow truncated ones: each marked valid one, then each faulty header."""
-    valid = list(filter(_is_marked, frames_of(protocol, FrameClass.VALID)))
+    """The frames that follow truncated ones: each marked one of its length, each faulty header."""
+    both = (frames_of(protocol, kind) for kind in (FrameClass.VALID, FrameClass.BAD_DATA))
+    fitting = list(filter(_is_marked, chain.from_iterable(both)))
     faulty = [
         framed(protocol, identity, length, _marked(length, identity + length))
         for identity, length in _faulty_headers(protocol)
     ]
-    return [*draw.sample(valid, len(valid)), *draw.sample(faulty, len(faulty))]
+    return [*draw.sample(fitting, len(fitting)), *draw.sample(faulty, len(faulty))]
 
 
 def _faulty_headers(protocol: Protocol) -> list[tuple[int, int]]:

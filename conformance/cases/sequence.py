@@ -7,7 +7,7 @@ has shown.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import TypeVar
@@ -85,14 +85,20 @@ class SequenceCase:
 
     @property
     def pipelined(self) -> bool:
-        """Whether it sends instructions before the last one was answered."""
-        return any(len(burst.steps) > 1 for burst in self.bursts)
+        """Whether it observes what instructions do that are sent ahead of an answer."""
+        return any(burst.looks and len(burst.steps) > 1 for burst in self.bursts)
 
     @property
     def steps(self) -> Iterator[Step]:
         """Every step in order."""
         for burst in self.bursts:
             yield from burst.steps
+
+
+def leading(steps: Sequence[Step]) -> Iterator[Burst]:
+    """Yield the burst of the frames that lead to a state, sent ahead and not observed, if any."""
+    if steps:
+        yield Burst(tuple(steps), looks=False)
 
 
 def chunks(values: Iterable[T], size: int) -> Iterator[tuple[T, ...]]:

@@ -108,22 +108,24 @@ class _SequenceRun:
     def _parts(self, burst: Burst, chosen: list[Step]) -> Iterator[Burst]:
         """Split a burst where a device that loses frames or lags may react in more than one way.
 
+        One that takes no instruction ahead gets each by itself, on the way to what is observed.
         One that discards what follows a fault until the line is idle may or may not do so at a
         pause; one that stops late has not stopped yet when the next frame comes. A slow one may
         stop by itself while its answers are waited for, in a longer silence than was tried.
         """
         profile = self._run.profile
+        alone = "pipelining" in profile.choices.allowed
         apart = profile.stop_latency or (burst.pauses and profile.flushes)
         tried = profile.watchdog or self._run.timers.idle
         most = max(1, tried // (2 * profile.pace)) if profile.pace else len(chosen)
         whole = replace(burst, steps=tuple(chosen))
-        if len(chosen) == 1 or not (apart or len(chosen) > most):
+        if len(chosen) == 1 or not (alone or apart or len(chosen) > most):
             yield whole if whole.steps != burst.steps else burst
             return
         steps: list[Step] = []
         for left, step in zip(reversed(range(len(chosen))), chosen, strict=True):
             steps.append(step)
-            ends = apart and self._stops(step)
+            ends = alone or (apart and self._stops(step))
             if not left:
                 yield Burst(tuple(steps), looks=burst.looks, idle_ms=burst.idle_ms)
             elif ends or len(steps) >= most:

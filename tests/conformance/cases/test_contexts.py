@@ -67,6 +67,19 @@ def test_marked_values_stand_at_each_place_after_each_kind_and_all_values_at_eac
     assert min(len(lengths[FrameClass.UNUSED_ID, length, "first"]) for length in range(1, 16)) > 250
 
 
+def test_frames_under_test_come_ahead_of_answers_and_after_them_and_what_leads_to_them_ahead(
+    protocol: Protocol,
+) -> None:
+    cases = list(after_each_kind(protocol, 1, 1))
+    waited = [case for case in cases if not case.pipelined]
+
+    assert len(cases) / 14 < len(waited) < len(cases) / 10
+    for case in waited:
+        observed = [len(burst.steps) for burst in case.bursts if burst.looks]
+        assert set(observed) == {1}
+        assert max(len(burst.steps) for burst in case.bursts) > 1
+
+
 @pytest.mark.sample(1)
 @pytest.mark.slow
 def test_every_setting_and_motion_comes_after_each_kind(each_protocol: Protocol) -> None:
@@ -108,8 +121,9 @@ def test_cuts_hold_marked_values_and_stand_before_and_after_what_they_should(
     kinds = Inputs(protocol, 1).kinds
     assert before == {(first, second) for first in kinds for second in kinds}
     assert {(known, length) for known in (True, False) for length in (1, 2, 3)} <= one_after_another
-    valid = frames_of(protocol, FrameClass.VALID)
-    assert {step.frame for step in valid if set(step.frame[1:]) <= set(MARKED)} <= after
+    for kind in (FrameClass.VALID, FrameClass.BAD_DATA):
+        steps = frames_of(protocol, kind)
+        assert {step.frame for step in steps if set(step.frame[1:]) <= set(MARKED)} <= after
     for (_, size, _), found in values.items():
         assert size == 6 or set(MARKED) <= found
 

@@ -14,6 +14,7 @@ from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Fault, React, Simulator, answers
 from bilprov.conformance.mutation.catalogue import find_variant
+from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.motion import Motion
@@ -545,6 +546,18 @@ def test_two_choices_of_an_answer_in_one_walk_fail_at_the_second(protocol: Proto
     assert (found.mismatch.burst, found.mismatch.axis.reading) == (2, "R-unused-length")
 
 
+def test_a_device_that_takes_nothing_ahead_is_led_one_frame_at_a_time(protocol: Protocol) -> None:
+    variant = variants(protocol)["R-pipelining=no"]
+    case = hand_made(protocol, burst(protocol, "11 C8", "81 05", looks=False), "20")
+
+    profile = Profile(truncation_timeout=50 * MS, one_by_one=True)
+    led = run_over_device(protocol, variant.fault, case, profile=profile)
+    assert led.mismatch is not None
+    profile.choices.allowed["pipelining"] = "no"
+    led = run_over_device(protocol, variant.fault, case, profile=profile)
+    assert led.mismatch is None
+
+
 def test_a_burst_says_how_it_is_delivered(protocol: Protocol) -> None:
     made: list[tuple[Burst, str]] = [
         (burst(protocol, "20"), "waited"),
@@ -557,3 +570,4 @@ def test_a_burst_says_how_it_is_delivered(protocol: Protocol) -> None:
     assert [one.delivery for one, _ in made] == [word for _, word in made]
     assert hand_made(protocol, made[1][0]).pipelined
     assert not hand_made(protocol, made[0][0], made[2][0]).pipelined
+    assert not hand_made(protocol, burst(protocol, "20", "30", looks=False)).pipelined
