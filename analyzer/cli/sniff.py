@@ -68,7 +68,7 @@ from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
-PATIENCE = 50_000_000  # ns; the screen is drawn less often than that
+PATIENCE = 100_000_000  # ns; the screen is not drawn more often than that
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
