@@ -100,6 +100,7 @@ class ColumnBatch(Batch):
     def hosts(self) -> HostRows:
         """The host's rows."""
         count, alone, tables = len(self.start), self._alone, self.decoding.requests
+        timelines, wide = self._timelines, self._wide
         return HostRows(
             t=self.start,
             end=self.end,
@@ -110,7 +111,7 @@ class ColumnBatch(Batch):
             size=self.requests.size,
             verdict=self.requests.verdict,
             sequence=self.first + np.arange(count),
-            states=self._states_at(slice(self._wide, None, self._wide), count),
+            states=StateColumns(timelines.kind, count, lambda name: timelines[name][wide::wide]),
             reasons=lambda rows: [one.reason for one in alone._judgements(rows)],
             header=tables.keys.take(self.requests.kind),
             due=tables.due(self.data, self.requests),
@@ -147,7 +148,7 @@ class ColumnBatch(Batch):
             latency=latency,
             agrees=agrees,
             odd=~right | late | (latency < 0),
-            states=self._states_at(self._places(self.after, self._answered), count),
+            states=self._states_at(self._places(self.after, self._answered)),
             samples=alone._samples,
             sort=sort,
             answers=self._answer_bytes,
@@ -310,10 +311,10 @@ class ColumnBatch(Batch):
         found = tables.timeline(variable, self.data, self.requests, self.before, self.reports)
         return found.reshape(-1)
 
-    def _states_at(self, places: NDArray[np.int64] | slice, count: int) -> StateColumns:
-        """The states of so many rows, which are at these places of the timelines."""
+    def _states_at(self, places: NDArray[np.int64]) -> StateColumns:
+        """The states of some rows, which are at these places of the timelines."""
         timelines = self._timelines
-        return StateColumns(timelines.kind, count, lambda name: timelines[name][places])
+        return StateColumns(timelines.kind, len(places), lambda name: timelines[name].take(places))
 
     def _places(self, after: NDArray[np.int64], answered: Mask | bool = False) -> NDArray[np.int64]:
         """The places in the timelines after so many frames, or the answer to the last of them."""

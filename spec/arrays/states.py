@@ -189,15 +189,15 @@ class StateTables:
             of_it = np.flatnonzero(kinds == one)
             at = requests.offset.take(rows.take(of_it)) + self._layout.head
             values[of_it] = self._from(variable, source, field_values(part, data, at))
-        places, changes = self._changes.get(variable, (np.zeros(len(self._sets), np.int64), []))
-        change, at, wide = places.take(kinds) if changes else kinds, 1 + rows, 1
+        changed = self._changes.get(variable)
+        change, at, wide = changed[0].take(kinds) if changed else rows, 1 + rows, 1
         if reports.variables:
             behind, codes = reports.variables.get(variable, (rows[:0], values[:0]))
             at, wide = np.concatenate([2 * at, 2 * behind + 3]), 2
             order = np.argsort(at)
             at, values = at[order], np.concatenate([values, codes.astype(values.dtype)])[order]
             change = np.append(change, np.zeros(len(behind), np.int64))[order]
-        if changes:
+        if changed:
             values = self._changed(variable, change, values, before[place])
         counts = np.diff(np.append(at, wide * (len(kind) + 1)), prepend=0)
         found = np.repeat(np.append(np.array([before[place]], values.dtype), values), counts)
