@@ -10,6 +10,7 @@ import heapq
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from typing import NamedTuple
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import full_state
@@ -27,6 +28,7 @@ _LOOKS = 3  # at each setting of the wheels' order
 _LOOKS_ONCE, _LOOKS_AT_STOP, _LOOKS_AT_RECOVERY = 2, 5, 3  # in a case of a single frame
 _ANSWERS_BEFORE, _LOOKS_BEFORE = 190, 60  # that are waited for before the first case
 _WATCHED_BEFORE = 1.8  # s for which a probe watches the robot before the first case
+_ANSWERS = 9  # in a case of a single frame, with its homing
 _PAUSES = 2  # after a fault in a case of a single frame, for a setting and a motion
 _RETRIED = 10  # answers that a failed case waits for in vain where it is tried again
 _EXCHANGE = 0.0004  # s for an answer and a look, on a local line
@@ -102,8 +104,9 @@ def group(ident: str) -> str:
 
 def seconds(protocol: Protocol, case: AnyCase, pace: Pace) -> float:
     """About how long (s) a case takes."""
-    waits = answers_in(case) * pace.answer + looks_in(case, few=pace.few_looks) * pace.slow_look
-    return _undelayed(protocol, case, pace.byte_time, pace.timeout) + waits
+    waits = waits_of(case, few=pace.few_looks)
+    slow = waits.answers * pace.answer + waits.looks * pace.slow_look
+    return _undelayed(protocol, case, pace.byte_time, pace.timeout) + slow
 
 
 def _undelayed(protocol: Protocol, case: AnyCase, byte_time: float, timeout: float) -> float:
@@ -131,29 +134,33 @@ def _undelayed(protocol: Protocol, case: AnyCase, byte_time: float, timeout: flo
     return total + (1.1 * timeout if case.truncated else 0.0)
 
 
-def answers_in(case: AnyCase) -> int:
-    """How many times a case waits for an answer before it goes on, homing included."""
-    if isinstance(case, SequenceCase):
-        return len(case.setup) + len(case.bursts) + 2
-    if isinstance(case, OrderCase):
-        return case.frames + 2
-    return 9
+class Waits(NamedTuple):
+    """What a case waits for.
 
-
-def looks_in(case: AnyCase, *, few: bool = False) -> int:
-    """How many times a case waits for a look; with `few` only a thorough one does.
-
-    Looks within a silence do not count: it lasts as long without them.
+    `answers` come before it goes on, homing included, and `looks` outside silences, which last as
+    long without them; `faults` are followed by a pause where a device discards what comes then.
+    `cut` says whether it sends a frame that is cut short.
     """
+
+    answers: int
+    looks: int
+    faults: int = 0
+    cut: bool = False
+
+
+def waits_of(case: AnyCase, *, few: bool = False) -> Waits:
+    """What a case waits for; with `few` only a thorough one is looked at."""
     if isinstance(case, SequenceCase):
-        return 0 if few else 1 + sum(burst.looks for burst in case.bursts)
+        looks = 0 if few else 1 + sum(burst.looks for burst in case.bursts)
+        faults = sum(any(step.faulty for step in burst.steps) for burst in case.bursts)
+        cut = any(step.truncated for step in case.steps)
+        return Waits(len(case.setup) + len(case.bursts) + 2, looks, faults, cut)
     if isinstance(case, OrderCase):
-        return 0 if few else _LOOKS * case.frames
+        return Waits(case.frames + 2, 0 if few else _LOOKS * case.frames)
+    looks = _LOOKS_AT_RECOVERY if case.then else _LOOKS_AT_STOP if case.stop else _LOOKS_ONCE
     if few:
-        return _LOOKS_ONCE * case.thorough
-    if case.then:
-        return _LOOKS_AT_RECOVERY
-    return _LOOKS_AT_STOP if case.stop else _LOOKS_ONCE
+        looks = _LOOKS_ONCE * case.thorough
+    return Waits(_ANSWERS, looks, _PAUSES * case.faulty, case.truncated)
 
 
 def waits_in_vain(cases: Sequence[AnyCase], longest: float, retried: int) -> float:
@@ -162,22 +169,8 @@ def waits_in_vain(cases: Sequence[AnyCase], longest: float, retried: int) -> flo
     Each case with such a frame fails: it waits for answers that do not come, up to `longest` s for
     one, and the first `retried` of them are tried again and made shorter.
     """
-    cut = sum(cuts_short(case) for case in cases)
+    cut = sum(waits_of(case).cut for case in cases)
     return longest * (cut + _RETRIED * min(cut, retried))
-
-
-def pauses_after_faults(case: AnyCase) -> int:
-    """How many pauses a case makes for a device that discards what follows a fault."""
-    if isinstance(case, SequenceCase):
-        return sum(any(step.faulty for step in burst.steps) for burst in case.bursts)
-    return 0 if isinstance(case, OrderCase) else _PAUSES * case.faulty
-
-
-def cuts_short(case: AnyCase) -> bool:
-    """Whether a case sends a frame that is cut short."""
-    if isinstance(case, SequenceCase):
-        return any(step.truncated for step in case.steps)
-    return not isinstance(case, OrderCase) and case.truncated
 
 
 def before_the_cases(pace: Pace) -> float:

@@ -316,7 +316,8 @@ def random_sequences(protocol: Protocol, seed: int, first: int = 1) -> Iterator[
             size = 1 if number % 2 else draw.randint(*_SIZES)
             bursts.append(Burst(tuple(_any_frame(protocol, valid, draw) for _ in range(size))))
         what = "any frame in any state is answered"
-        yield _seeded(protocol, f"{RANDOM}/{number:03}", what, bursts)
+        ident = f"{ARRAY}/{RANDOM}/{number:03}"
+        yield SequenceCase.of(protocol, ident, what, bursts, seeded=True)
 
 
 def _any_frame(protocol: Protocol, valid: Sequence[Sequence[Step]], draw: random.Random) -> Step:
@@ -326,11 +327,6 @@ def _any_frame(protocol: Protocol, valid: Sequence[Sequence[Step]], draw: random
     header = draw.randrange(len(protocol.headers))
     data = bytes(draw.choice(draw.choice(BYTE_CLASSES)) for _ in range(protocol.lengths[header]))
     return step_of(protocol, bytes([header]) + data)
-
-
-def _seeded(protocol: Protocol, name: str, what: str, bursts: list[Burst]) -> SequenceCase:
-    clause = protocol.clauses.instructions
-    return SequenceCase(f"{ARRAY}/{name}", clause, what, (), tuple(bursts), seeded=True)
 
 
 class Combinations:
@@ -353,8 +349,8 @@ class Combinations:
         rows = [row for row in _rows(self._protocol) if row[_WAY] == self._way]
         for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
             what = "each combination of a frame, the state, the outcome before and the delivery"
-            bursts = list(self._bursts(space, rows[start : start + _STIMULI]))
-            yield _seeded(self._protocol, f"{word}/{number:03}", what, bursts)
+            bursts, ident = self._bursts(space, rows[start : start + _STIMULI]), f"{ARRAY}/{word}"
+            yield SequenceCase.of(self._protocol, f"{ident}/{number:03}", what, bursts, seeded=True)
 
     def _bursts(self, space: Space, rows: Iterable[Row]) -> Iterator[Burst]:
         """For each row the frames that lead to its state, and its frame."""

@@ -84,7 +84,8 @@ def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[Seque
                 else:
                     bursts += (*leading(lead), Burst((before,)), Burst((step,)))
             what = "each frame is answered right after each kind of frame, whatever its data"
-            yield _sequence(protocol, f"{AFTER}/{number:03}", what, bursts)
+            ident = f"{AFTER}/{number:03}"
+            yield SequenceCase.of(protocol, ident, what, bursts, seeded=True)
 
 
 def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
@@ -116,7 +117,8 @@ def truncations(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceC
             what = (
                 "a frame that is cut short stops it, whatever came before, and changes nothing else"
             )
-            yield _sequence(protocol, f"{CUT}/{number:03}", what, bursts)
+            ident = f"{CUT}/{number:03}"
+            yield SequenceCase.of(protocol, ident, what, bursts, seeded=True)
 
 
 def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCase]:
@@ -157,7 +159,8 @@ def left_alone(protocol: Protocol, seed: int, turns: int) -> Iterator[SequenceCa
                 dwell = _BRIEF if end in watched else 0
                 bursts.append(Burst((walk.took(inputs.next(end)),), idle_ms=dwell))
             what = "the effect of a frame lasts while nothing else is sent"
-            yield _sequence(protocol, f"{ALONE}/{number:03}", what, bursts)
+            ident = f"{ALONE}/{number:03}"
+            yield SequenceCase.of(protocol, ident, what, bursts, seeded=True)
 
 
 def _silences(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Silence]:
@@ -184,11 +187,6 @@ def _silences(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Silenc
             first, second = pair if place % 2 else pair[::-1]
             dwell = (_PAUSE, _BRIEF)[row % 2]
             yield _Silence(first, second, dwell, end, ahead=place // 2 % 2 == 0)
-
-
-def _sequence(protocol: Protocol, ident: str, what: str, bursts: list[Burst]) -> SequenceCase:
-    clause = protocol.clauses.instructions
-    return SequenceCase(ident, clause, what, (), tuple(bursts), seeded=True)
 
 
 def _complete(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Context]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from itertools import combinations
+from itertools import chain, combinations, islice
 
 from bilprov.conformance.cases.case import state_after
 from bilprov.conformance.cases.combinations import (
@@ -24,11 +24,12 @@ from bilprov.conformance.cases.combinations import (
     total,
 )
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.cases.sequence import DELIVERIES, SequenceCase
+from bilprov.conformance.cases.sequence import DELIVERIES, Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step, kind_of, one_of_each
 from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.state import State
 
 Fact = tuple[str, object]
 
@@ -66,18 +67,26 @@ def _sent(protocol: Protocol, step: Step, motion: str, way: str) -> Iterator[Fac
 
 
 def _run(protocol: Protocol, sequence: SequenceCase) -> Iterator[Fact]:
-    state, last = protocol.power_on, ""
-    for step in sequence.setup:
-        state = state_after(protocol, state, step)
-        last = kind_of(protocol, step)
-    for burst in sequence.bursts:
-        for step in burst.steps:
-            kind, motion = kind_of(protocol, step), visible_motion(state)
-            yield from _sent(protocol, step, motion, burst.delivery)
-            if last:
-                yield PAIRS, (last, kind)
-                yield TRIPLES, (last, kind, motion)
-            state, last = state_after(protocol, state, step), kind
+    for burst, _, step, state, before in islice(
+        _walk(protocol, sequence), len(sequence.setup), None
+    ):
+        motion = visible_motion(state)
+        yield from _sent(protocol, step, motion, burst.delivery)
+        if before:
+            pair = kind_of(protocol, before), kind_of(protocol, step)
+            yield PAIRS, pair
+            yield TRIPLES, (*pair, motion)
+
+
+def _walk(
+    protocol: Protocol, sequence: SequenceCase
+) -> Iterator[tuple[Burst, int, Step, State, Step | None]]:
+    """Each step with its burst and how many of that follow it, the state and the step before it."""
+    state, before = protocol.power_on, None
+    for burst in (*(Burst((step,)) for step in sequence.setup), *sequence.bursts):
+        for left, step in zip(reversed(range(len(burst.steps))), burst.steps, strict=True):
+            yield burst, left, step, state, before
+            state, before = state_after(protocol, state, step), step
 
 
 @lru_cache(maxsize=4)
@@ -143,16 +152,10 @@ def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> dict[str, tu
 def _rows(protocol: Protocol, cases: Iterable[SequenceCase]) -> Iterator[Row]:
     """The rows of the frames after which these cases observe the robot."""
     space = space_of(protocol)
-    for case in cases:
-        state, last = protocol.power_on, ""
-        for burst in case.bursts:
+    for burst, left, step, state, before in chain.from_iterable(_walk(protocol, c) for c in cases):
+        if burst.looks and not left and not step.truncated:
             way = SPLIT if burst.pauses else PIPELINED if len(burst.steps) > 1 else WAITED
-            for left, step in zip(reversed(range(len(burst.steps))), burst.steps, strict=True):
-                if burst.looks and not left and not step.truncated:
-                    row = space.row(state, last, step, way)
-                    if row:
-                        yield row
-                state, last = (
-                    state_after(protocol, state, step),
-                    kind_of(protocol, step) * step.faulty,
-                )
+            fault = kind_of(protocol, before) if before and before.faulty else ""
+            row = space.row(state, fault, step, way)
+            if row:
+                yield row

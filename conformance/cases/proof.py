@@ -146,16 +146,10 @@ def proof_sequences(
     for first in range(0, len(every), _WORDS):
         words = every[first : first + _WORDS]
         bursts = frames.bursts((word, frozenset(told.places(word))) for word in words)
-        yield SequenceCase(
-            id=f"{GROUP}/{proof.name}/{1 + first // _WORDS:04}",
-            clause=protocol.clauses.instructions,
-            requirement="from each state each byte leads where the document requires",
-            setup=(),
-            bursts=tuple(bursts),
-            seeded=True,
-            facets=proof.facets(protocol),
-            proving=True,
-        )
+        ident = f"{GROUP}/{proof.name}/{1 + first // _WORDS:04}"
+        requirement = "from each state each byte leads where the document requires"
+        about = {"seeded": True, "facets": proof.facets(protocol), "proving": True}
+        yield SequenceCase.of(protocol, ident, requirement, bursts, **about)
 
 
 class _Frames:

@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from bilprov.conformance.cases.steps import Step
+from bilprov.spec.protocol import Protocol
 
 T = TypeVar("T")
 
@@ -72,6 +73,14 @@ class SequenceCase:
     seeded: bool = False
     facets: tuple[str, ...] = ()
     proving: bool = False
+
+    @classmethod
+    def of(
+        cls, protocol: Protocol, ident: str, requirement: str, bursts: Iterable[Burst], **more: Any
+    ) -> SequenceCase:
+        """The sequence of these bursts, about what instructions do; `more` are further fields."""
+        fields = {"setup": (), "clause": protocol.clauses.instructions} | more
+        return cls(id=ident, requirement=requirement, bursts=tuple(bursts), **fields)
 
     @property
     def sent(self) -> tuple[bytes, ...]:

@@ -147,4 +147,4 @@ def _sequence(
     protocol: Protocol, name: str, what: str, motion: str, bursts: Sequence[Burst]
 ) -> SequenceCase:
     setup = steps_to(protocol, _state(protocol, motion))
-    return SequenceCase(name, protocol.clauses.instructions, what, setup, tuple(bursts))
+    return SequenceCase.of(protocol, name, what, bursts, setup=setup)

@@ -87,9 +87,8 @@ class Tours:
         return self._sequence(f"split/{name}/{number:03}", setup, made)
 
     def _sequence(self, ident: str, setup: tuple[Step, ...], bursts: list[Burst]) -> SequenceCase:
-        clauses = self._protocol.clauses
         requirement = "each frame is carried out and answered, whatever came before it"
-        return SequenceCase(ident, clauses.instructions, requirement, setup, tuple(bursts))
+        return SequenceCase.of(self._protocol, ident, requirement, bursts, setup=setup)
 
     def _begin(self) -> tuple[tuple[Step, ...], _Where]:
         """A preamble that sets the whole state and makes the robot drive, and where it leads."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -30,6 +33,14 @@ def bar(*columns: ProgressColumn, shown: bool = True) -> Bar:
         transient=True,
         disable=not (shown and console.is_terminal),
     )
+
+
+@contextmanager
+def counted(total: int) -> Iterator[Callable[[str], None]]:
+    """A bar of so many names; what it gives is called with each that is done."""
+    with bar() as shown:
+        task = shown.add_task("", total=total)
+        yield lambda name: shown.update(task, advance=1, description=name[:40].ljust(40))
 
 
 class Progress(Closing, RunListener):

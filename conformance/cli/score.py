@@ -88,7 +88,7 @@ def score(options: ScoreOptions) -> int:
     """
     from rich.console import Console
 
-    from bilprov.conformance.cli.progress import bar
+    from bilprov.conformance.cli.progress import counted
 
     protocol, at, only = family_protocol("lab score"), options.at, options.only
     unknown = [level for level in at if level not in LEVELS]
@@ -105,13 +105,8 @@ def score(options: ScoreOptions) -> int:
     console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)
     if options.causes:
         return _causes(options, protocol, list(faults), outputs, console)
-    with bar() as shown:
-        task = shown.add_task("", total=len(faults) * max(1, len(at)))
-
-        def told(name: str) -> None:
-            shown.update(task, advance=1, description=name[:40].ljust(40))
-
-        jobs = options.jobs or os.cpu_count() or 1
+    jobs = options.jobs or os.cpu_count() or 1
+    with counted(len(faults) * max(1, len(at))) as told:
         found = score_of(protocol, faults, at=at, seed=options.seed, jobs=jobs, progress=told)
     try:
         write_each((output.path, _as_json(found, output.path)) for output in outputs)
@@ -130,17 +125,12 @@ def _causes(
     """Score the causes and show what came out; returns the exit code."""
     from rich.text import Text
 
-    from bilprov.conformance.cli.progress import bar
+    from bilprov.conformance.cli.progress import counted
     from bilprov.conformance.mutation.explanations import cause_score
 
     level = options.at[0] if options.at else Options().level
-    with bar() as shown:
-        task = shown.add_task("", total=len(names) + options.pairs)
-
-        def told(name: str) -> None:
-            shown.update(task, advance=1, description=name[:40].ljust(40))
-
-        jobs = options.jobs or os.cpu_count() or 1
+    jobs = options.jobs or os.cpu_count() or 1
+    with counted(len(names) + options.pairs) as told:
         found = cause_score(
             protocol, names, options.pairs, level, seed=options.seed, jobs=jobs, progress=told
         )

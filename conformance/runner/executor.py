@@ -15,9 +15,9 @@ from bilprov.conformance.cases.budget import (
     Pace,
     before_the_cases,
     group,
-    pauses_after_faults,
     seconds,
     waits_in_vain,
+    waits_of,
     within,
 )
 from bilprov.conformance.cases.levels import AnyCase
@@ -228,7 +228,7 @@ class Runner:
             vain = wasted if most is None else min(wasted, most / 1e9)
             found["never gives up a frame that was cut short"] = vain
         if profile.flushes:
-            pauses = sum(map(pauses_after_faults, self._left)) * run.waiting.idle / 1e9
+            pauses = sum(waits_of(case).faults for case in self._left) * run.waiting.idle / 1e9
             found["discards what follows a fault until the line is idle"] = pauses
         longer = {what: more for what, more in found.items() if more >= _MENTIONED}
         if longer:
