@@ -512,10 +512,8 @@ def check(protocol: Protocol, examples: tuple[Example, ...] = EXAMPLES) -> tuple
     findings = []
     for example in examples:
         sent = bytes(int(bits, 2) for bits in example.bits.split())
-        framer = Framer(protocol, timeout=None)
-        frames = [*framer.feed(sent, 0), *framer.drop(0, "truncated")]
-        first = judge(protocol, frames[0].data)
-        if first.valid and len(frames) == 1:
+        first, *others = judged_frames(protocol, sent)
+        if first.valid and not others:
             continue
         extra = len(sent) - len(first.frame)
         reason = first.reason
