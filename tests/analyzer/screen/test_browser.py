@@ -147,7 +147,7 @@ def test_keys_move_through_the_rows(
         ("y", "no frame to copy"),
         (":soon enter", "give the number of a row like 120"),
         ("/speeed<9 enter", "is not a name here: did you mean speed?"),
-        ("/late", "latency: from the instruction's last byte"),
+        ("/agr", "agrees: whether the answer is the expected one"),
         ("x", "NAME.csv or NAME.jsonl"),
     ],
 )
