@@ -56,11 +56,13 @@ class Coverage:
     def frame(self, judgement: Judgement, state: State) -> None:
         """Count a frame; `state` is the predicted state of the device before the frame."""
         protocol, frame = self._protocol, judgement.frame
-        self._meet("headers", frame[0])
         if judgement.valid:
             data = frame[judgement.head : len(frame) - protocol.layout.tail]
-            self._meet(judgement.id, data)
+            if data not in self._met[judgement.id]:
+                self._meet(judgement.id, data)
+                self._meet("headers", frame[0])
             return
+        self._meet("headers", frame[0])
         outcome = None if judgement.truncated else judgement.outcome
         if protocol.wheels:
             self._meet("faults", (outcome, getattr(state, protocol.wheels.by)))
