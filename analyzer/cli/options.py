@@ -75,7 +75,6 @@ text_format_option = partial(
     default="text",
     help="For people or for programs.",
 )
-plain_option = partial(flag, "Text lines on a terminal too: the same as --format lines.")
 filter_option = partial(option, "--filter", metavar="EXPR", help=_FILTER)
 timeout_option = partial(
     option,
@@ -89,11 +88,6 @@ max_drive_option = partial(
     type=Finite(0),
     default=30.0,
     help="Stop the robot after driving so long without a new instruction; 0 for no limit.",
-)
-judge_option = partial(
-    flag,
-    "Judge the device by the traffic; coverage and violations are shown at the end.",
-    "--judge",
 )
 half_duplex_option = partial(
     flag, "One tap was on a wire with both directions: separate them, as sniff --half-duplex."
@@ -219,18 +213,22 @@ class ShownOptions:
     )
     rows: RowOptions = group(RowOptions)
     count: int | None = option(type=click.IntRange(1), help="End after so many frames were shown.")
+    plain: bool = flag("Text lines on a terminal too: the same as --format lines.")
+    judged: bool = flag(
+        "Judge the device by the traffic; coverage and violations are shown at the end.", "--judge"
+    )
 
-    def style(self, plain: bool, in_lines: str = "") -> Format:
+    def style(self, in_lines: str = "") -> Format:
         """The format that was chosen; `in_lines` is an option that does not go with the screen.
 
-        Raises UsageError for --plain (`plain`) or such an option with another format, or where
-        there is no terminal for a screen.
+        Raises UsageError for --plain or such an option with another format, or where there is no
+        terminal for a screen.
         """
         from bilprov.analyzer.output.outputs import has_terminal
 
         if in_lines and self.format == "live":
             raise click.UsageError(f"{in_lines} is shown in lines: leave out --format live")
-        if plain and self.format not in (None, "lines"):
+        if self.plain and self.format not in (None, "lines"):
             raise click.UsageError(
                 f"--plain is --format lines: give it or --format {self.format}, not both"
             )
@@ -239,7 +237,7 @@ class ShownOptions:
                 "--format live needs a terminal to show a screen on and to take keys from; for a "
                 "pipe use --format lines"
             )
-        return self.format or ("lines" if plain or in_lines or not has_terminal() else "live")
+        return self.format or ("lines" if self.plain or in_lines or not has_terminal() else "live")
 
 
 def asked_here(parameter: str) -> bool:

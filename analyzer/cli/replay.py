@@ -19,13 +19,11 @@ from bilprov.analyzer.cli.options import (
     compiled,
     confirm_effect,
     half_duplex_option,
-    judge_option,
     max_drive_option,
     note,
     note_each,
     note_suspension,
     only_reading_option,
-    plain_option,
     require_reading,
     timeout_option,
 )
@@ -85,8 +83,6 @@ class ReplayOptions:
         type=PortName(),
         help="Also send the host's bytes to a device there and compare its answers.",
     )
-    plain: bool = plain_option()
-    judged: bool = judge_option()
     half_duplex: bool = half_duplex_option()
     yes: bool = flag("With --to: the device may move, do not ask.")
     only_reading: bool = only_reading_option()
@@ -97,7 +93,7 @@ class ReplayOptions:
     @property
     def in_lines(self) -> str:
         """The option that does not go with the screen, "" for none."""
-        return "--to" if self.port is not None else "--judge" if self.judged else ""
+        return "--to" if self.port is not None else "--judge" if self.shown.judged else ""
 
 
 @command(ReplayOptions)
@@ -123,11 +119,11 @@ def replay(options: ReplayOptions) -> int:
     object of kind judgement) shows which parts of the document the traffic covered and what
     contradicts it; exit code 1 if anything does, 2 if not all of it could be shown.
     """
-    if options.judged and options.port is not None:
+    if options.shown.judged and options.port is not None:
         raise click.UsageError("--judge judges the recorded device; for one at --to, use sniff")
     if options.shown.count is not None and options.port is not None:
         raise click.UsageError("--count counts the frames shown; with --to, --duration ends it")
-    if options.judged:
+    if options.shown.judged:
         promise_verdict()
     return _Replay(options).done()
 
@@ -138,7 +134,7 @@ class _Replay:
     def __init__(self, options: ReplayOptions) -> None:
         self.options = options
         self.window = options.span.window(options.duration)
-        self.style = options.shown.style(options.plain, options.in_lines)
+        self.style = options.shown.style(options.in_lines)
         timeout = options.truncation_timeout
         self.timeout = None if timeout is None else round(timeout * MS)
         # All of it is opened for what is compared or judged. For the screen the index is enough, so
@@ -169,7 +165,7 @@ class _Replay:
         if self.options.port is not None:
             self.require_allowed(self.options.port)
         judge = None
-        if self.options.judged:
+        if self.options.shown.judged:
             from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 
             attached = self.capture.metadata.get("attached") != "no"

@@ -14,14 +14,7 @@ from typing import NamedTuple
 
 import click
 
-from bilprov.analyzer.cli.command import (
-    argument,
-    command,
-    flag,
-    group,
-    option,
-    protocol_in_use,
-)
+from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.cli.options import (
     Finite,
@@ -30,11 +23,9 @@ from bilprov.analyzer.cli.options import (
     above_latency,
     asked_here,
     compiled,
-    judge_option,
     note,
     note_each,
     note_hindrances,
-    plain_option,
     timeout_option,
 )
 from bilprov.analyzer.cli.settings import PortName
@@ -108,10 +99,8 @@ class SniffOptions:
     )
     shown: ShownOptions = group(ShownOptions)
     duration: float | None = option(type=Finite(0, min_open=True), help="End after S seconds.")
-    plain: bool = plain_option()
     wait: bool = flag("Wait for a port that is not there yet, and for one that is unplugged.")
     quiet: bool = flag("Show nothing but the totals at the end.")
-    judged: bool = judge_option()
     line: LineOptions = group(LineOptions)
     truncation_timeout: float | None = timeout_option()
     yes: bool = flag("Accepted for scripts; sniff asks nothing.")
@@ -171,7 +160,7 @@ def sniff(options: SniffOptions) -> int:
     does.
     """
     path, quiet = options.path, options.quiet
-    style = options.shown.style(options.plain)
+    style = options.shown.style()
     rotation = options.rotation()
     protocol = protocol_in_use()
     settings = options.line.settings(protocol)
@@ -216,7 +205,7 @@ def sniff(options: SniffOptions) -> int:
             )
         statistics = Statistics()
         judge = None
-        if options.judged:
+        if options.shown.judged:
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
             note(source.served)

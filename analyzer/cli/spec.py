@@ -8,13 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bilprov.analyzer.cli.command import (
-    argument,
-    command,
-    group,
-    option,
-    protocol_in_use,
-)
+from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     half_duplex_option,
     note,
