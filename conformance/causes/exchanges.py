@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from typing import NamedTuple
 
 from bilprov.analyzer.client.operations import Observation, Received, Send
@@ -150,6 +151,7 @@ class Exchanges:
         self.bags: list[Bag] = []
         self._model, self._car = model, model.protocol.car
         self._of_motion = facets_of_motion(model.protocol)
+        self._judged = cache(partial(judge, model.protocol))
         self.timing = timing
         self._timeout, self._byte_time, self._longest = timing
         self._stop_longest = int(model.protocol.timing.stop_longest * MS)
@@ -233,7 +235,7 @@ class Exchanges:
     def _frame(self) -> None:
         protocol, data = self._model.protocol, self._held
         self._held = b""
-        judgement = judge(protocol, data)
+        judgement = self._judged(data)
         step = step_of(protocol, data)
         exchange = Exchange(
             self._case,

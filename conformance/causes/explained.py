@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bilprov.analyzer.client.operations import Procedure, followed, listen, power_cycle
 from bilprov.captures.text import quantity
@@ -220,21 +220,21 @@ def _ranges(literals: Sequence[Literal]) -> Iterator[str]:
             yield _literal(literal)
 
 
+_BESIDE = {
+    "from": "{} or more",
+    "to": "{} or less",
+    "bit": "(bit {} set)",
+    "no bit": "(bit {} clear)",
+}
+"""How a value is named under an operator."""
+
+
 def _literal(literal: Literal) -> str:
-    words, value = literal.feature.words, literal.value
-    if literal.operator == "from":
-        return words.format(f"{value} or more")
-    if literal.operator == "to":
-        return words.format(f"{value} or less")
-    if literal.operator == "bit":
-        return words.format(f"(bit {value} set)")
-    if literal.operator == "no bit":
-        return words.format(f"(bit {value} clear)")
-    if literal.operator == "in":
-        return words.format(" or ".join(value))  # type: ignore[arg-type]
-    if isinstance(value, tuple):
+    value: Any = literal.value
+    if literal.operator == "every":
         return f"at one in {value[0]} of the {literal.feature.name} since power-on"
-    return words.format(value)
+    value = " or ".join(value) if literal.operator == "in" else value
+    return literal.feature.words.format(_BESIDE.get(literal.operator, "{}").format(value))
 
 
 def deviations(protocol: Protocol, effects: Sequence[Effect]) -> str:

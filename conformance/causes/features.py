@@ -200,6 +200,17 @@ def _later(one: str, other: str) -> Of:
 Operator = OneOf["is", "in", "from", "to", "bit", "no bit", "every"]
 
 
+_FITS: dict[Operator, Callable[[Any, Any], Any]] = {
+    "is": lambda found, value: found == value,
+    "in": lambda found, words: found in words,
+    "from": lambda found, least: found >= least,
+    "to": lambda found, most: found <= most,
+    "bit": lambda found, bit: abs(found) >> bit & 1 == 1,
+    "no bit": lambda found, bit: abs(found) >> bit & 1 == 0,
+    "every": lambda found, period: found % period[0] == period[1],
+}
+
+
 class Literal(NamedTuple):
     """A condition on one feature.
 
@@ -231,20 +242,7 @@ class Literal(NamedTuple):
 
         Arrays are of numbers.
         """
-        value: Any = self.value
-        if found is None:
-            return False
-        if self.operator == "is":
-            return found == value
-        if self.operator == "in":
-            return found in value
-        if self.operator == "every":
-            return found % value[0] == value[1]
-        if self.operator == "from":
-            return found >= value
-        if self.operator == "to":
-            return found <= value
-        return (abs(found) >> value & 1 == 1) == (self.operator == "bit")
+        return False if found is None else _FITS[self.operator](found, self.value)
 
 
 Rule = tuple[Literal, ...]

@@ -41,7 +41,9 @@ _COUNTED = 400
 _SETTLED = 20 * MS
 """How long (ns) a device has for a change after its last answer, before it is looked at again."""
 _DELIVERY = {"ahead", "sent ahead", "split", "pause", "gap"}
-"""Features that only frames sent by their times, and not by their answers, show."""
+"""Features that only frames sent by their times, and not by their answers, show..."""
+_USUAL = {"in one go", "waited for"}
+"""...but for these values of theirs."""
 
 
 class Chunk(NamedTuple):
@@ -133,9 +135,7 @@ class Finder:
     """Finds the line for a cause; a conforming simulator shows what each line would bring about."""
 
     def __init__(self, model: Model, timing: Timing) -> None:
-        self._model = model
-        self._protocol = model.protocol
-        self._timing = timing
+        self._model, self._timing = model, timing
 
     def lines(self, cause: Cause) -> list[Line]:
         """Return lines to try, in this order, until one shows the cause.
@@ -189,17 +189,17 @@ class Finder:
         return lines[0] if partly is None else self._shortened(cause, worst, partly)
 
     def _lines(self, cause: Cause) -> Iterator[Line]:
-        together = any(literal.feature.name in _DELIVERY for literal in cause.rule)
+        delivery = [e for e in cause.rule if e.feature.name in _DELIVERY and e.value not in _USUAL]
         for last in _simplest(cause.exchanges):
             for chain in _endings(last):
                 before = chain[0].before
-                way = () if before.unknown else frames_to(self._protocol, before.state)
+                way = () if before.unknown else frames_to(self._model.protocol, before.state)
                 for first in dict.fromkeys(((), way)):
-                    yield _line(chain, first, self._timing, together=together)
+                    yield _line(chain, first, self._timing, together=bool(delivery))
 
     def _last(self, line: Line) -> Exchange | None:
         """The last exchange of a line on the simulator."""
-        sent = exchanged(line, self._timing, self._model, Simulator(self._protocol)).all
+        sent = exchanged(line, self._timing, self._model, Simulator(self._model.protocol)).all
         return sent[-1] if sent else None
 
     def _shortened(self, cause: Cause, shown: Sequence[Effect], line: Line) -> Line:
@@ -263,10 +263,10 @@ def _simplest(exchanges: Sequence[Exchange]) -> list[Exchange]:
 
 
 def _chain(last: Exchange) -> list[Exchange]:
-    """An exchange behind those before it since power-on; of other cases none that repeats one."""
+    """An exchange behind those before it since power-on, but for those that repeat another."""
     chain, before = [last], last.previous
     while len(chain) < _COUNTED and before:
-        chain += [before] * (before.case == last.case or not repeats(before))
+        chain += [] if repeats(before) else [before]
         before = before.previous
     return chain[::-1]
 

@@ -198,6 +198,14 @@ def test_its_line_shows_what_depends_on_more_than_a_rule_says(
     assert "tried again: the same" in cause.sentence
 
 
+@pytest.mark.slow
+def test_a_line_of_frames_that_were_waited_for_is_not_sent_together(protocol: Protocol) -> None:
+    fault = find_fault(protocol, "mixture:R-drain-known=flushed-after-wrong-lengths:by-motion")
+    cause = report_of(protocol, fault).causes[0]
+    assert "--together" not in cause.send
+    assert "tried again: the same" in cause.sentence
+
+
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", ["no-stop-on-bad-data", "speed-bit-0-lost", "double-answer"])
 def test_its_line_shows_it_on_a_fresh_device_and_not_on_a_right_one(
