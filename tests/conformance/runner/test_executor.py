@@ -24,7 +24,7 @@ from bilprov.analyzer.client.operations import (
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.simulator import Fault, Simulator, answers
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
@@ -279,6 +279,23 @@ def test_a_robot_that_cannot_be_stopped_is_reported_aloud(protocol: Protocol) ->
     (leaving,) = [r for r in report.results if r.id == "leave/stopped"]
     assert report.exit == 1
     assert leaving.reason == "THE ROBOT STILL MOVES"
+
+
+def test_a_robot_that_needs_many_stops_gets_them_at_the_end(protocol: Protocol) -> None:
+    stop, stops = bytes([protocol.pad_byte]), [0]
+    needed = 3 * protocol.longest_frame  # more than homing and the first stops send
+
+    def drives_on(_: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        stops[0] = stops[0] + 1 if event.judgement.frame == stop else 0
+        deaf = 0 < stops[0] < needed and event.before.moving
+        return replace(reaction, state=event.before) if deaf else reaction
+
+    device = Simulator(protocol, Fault("x", "test", "", react=drives_on))
+
+    report = conform(device, grammar=protocol, options=Options(only=("valid/Forward",)))
+
+    assert "leave/stopped" not in {r.id for r in report.results}
+    assert at_rest(device)
 
 
 def test_a_late_answer_is_charged_to_the_case_before_and_not_to_the_next(
