@@ -522,7 +522,34 @@ local function unanswered()
     warn(next_waiting(), "unanswered", "No response")
 end
 
+local function set_state(address, state)
+    now.state = state
+    if address then now.states[address] = state end
+end
+
+-- The new state after what an answer to the newest request reports of it.
+local function take_reports(frame, item)
+    if item.reason or item.unused or frame.sequence ~= now.sequence - 1 then return end
+    local address, new, some = frame.address, {}, false
+    local old = address and (now.states[address] or now.states[OTHERS]) or now.state
+    local data = item.bytes:sub(item.layout.head + 1, #item.bytes - item.layout.tail)
+    for variable, value in pairs(old) do new[variable] = value end
+    for _, row in ipairs(item.rows or {}) do
+        local how = row.reports
+        local value = how and values_of(row, data)[1].value
+        if how and how.words then
+            value = how.words[value]
+        elseif how then
+            value = (value - how.plus) / how.factor
+            if value % 1 ~= 0 or value < how.low or value > how.high then value = nil end
+        end
+        if value then new[how.variable], some = value, true end
+    end
+    if some then set_state(address, new) end
+end
+
 local function pair(frame, item)
+    take_reports(frame, item)
     local latency = item.t - frame.t
     local rest = math.fmod(latency, 1e9)
     frame.response_in, item.response_to = item.number, frame.number
@@ -598,8 +625,7 @@ local function change_state(frame)
     else
         now.state = states[address] or states[OTHERS]
         if frame.alone then
-            now.state = changed(now.state, frame)
-            states[address] = now.state
+            set_state(address, changed(now.state, frame))
         end
     end
     frame.state = now.state

@@ -77,7 +77,7 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
                 "word": word,
                 "name": spec.name,
                 "fields": _fields(spec),
-                "answer": None if spec.answer is None else _fields(spec.answer),
+                "answer": None if spec.answer is None else _answer_fields(protocol, spec.answer),
                 "sets": _sets(spec.effect, spec.fields),
             }
             for word, spec in words.items()
@@ -150,6 +150,22 @@ def _fields(data: DataSpec) -> list[dict[str, Any]]:
         row |= {"bits": _bits(part), "none": "off" if part.bits else "none"}
         rows.append(row | {"word": word, "constant": part.constant or b""})
     return rows
+
+
+def _answer_fields(protocol: Protocol, data: DataSpec) -> list[dict[str, Any]]:
+    """Return the fields of an answer, with what they report of the state."""
+    told = {part.name: _reports(protocol, part) for part in data.fields if part.reports}
+    return [row | {"reports": told.get(row["name"])} for row in _fields(data)]
+
+
+def _reports(protocol: Protocol, part: FieldSpec) -> dict[str, Any]:
+    """How a number becomes the value of the variable that it reports."""
+    how = part.reports
+    assert how is not None
+    spec = protocol.variables[how.variable]
+    numbers = {how.value(word, part.names): word for word in spec.words}
+    words = {number: word for number, word in numbers.items() if number is not None}
+    return {**how._asdict(), "low": spec.low, "high": spec.high, "words": words or None}
 
 
 def _bits(part: FieldSpec) -> list[dict[str, Any]]:

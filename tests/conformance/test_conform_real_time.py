@@ -134,7 +134,10 @@ FAULTS = [
 
 # An answer that comes after its exchange falls to one neighbour, to the other, or to the line
 # between them, by microseconds.
-EITHER = {"late-second-answer": ("reading/", "wrong-length/")}
+EITHER = {
+    "late-second-answer": ("reading/", "wrong-length/"),
+    "answers-at-header": ("reading/after-fault",),
+}
 
 
 @pytest.mark.sample(2)

@@ -193,7 +193,7 @@ def test_a_full_disk_is_told_on_the_screen_which_goes_on_and_in_the_last_line(
         resource.prlimit(pid_of(str(path)), resource.RLIMIT_FSIZE, (size, size))
         talk(host, device, tmux, "disk full: what was captured until")
         os.write(host.master, b"\x11\x51")
-        talk(host, device, tmux, "Speed speed=81")
+        tmux.wait("Speed speed=81")
         tmux.press("q")
         assert any("bilprov: disk full" in line for line in left(tmux, code=2))
     assert open_capture(path).damage == ()
