@@ -20,7 +20,7 @@ from bilprov.analyzer.client.operations import (
     Reply,
     Send,
 )
-from bilprov.analyzer.client.probes import Probe, ProbeError, awaited, readable
+from bilprov.analyzer.client.probes import Probe, ProbeError
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import wait_readable
@@ -144,8 +144,11 @@ class PortLink:
 
         Raises ProbeError where none comes in time.
         """
-        if self._asked and self._probe is not None:
-            awaited(self._probe, readable, self.now)
+        probe = self._probe
+        while self._asked and probe is not None and (waits := probe.fileno()) is not None:
+            if not wait_readable([], probe.patience, [waits])[1]:
+                raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
+            self._asked = probe.take(self.now()) is None
         self._asked = False
 
     def _power_cycle(self) -> int:
@@ -173,7 +176,7 @@ class PortLink:
             self._read()
             now = self.now()
             enough = count is not None and len(self._heard) >= count
-            if enough or now >= until or self._wait((until - now) / 1e9):
+            if enough or now >= until or self._wait(until - now):
                 break
         heard, self._heard = tuple(self._heard), []
         return Received(heard, self.now())
@@ -181,14 +184,21 @@ class PortLink:
     def _see(self) -> Observation:
         assert self._probe is not None
         asked = self.now()
+        until = asked + int(self._probe.patience * 1e9)
         self._probe.ask()
         self._asked = True
-        look = awaited(self._probe, self._wait, self.now)
-        assert look is not None  # it is never given up
-        self._asked = False
-        if self._tap:
-            self._tap.looked(look)
-        return Observation(asked, self.now(), look)
+        while True:
+            waits = self._probe.fileno()
+            if waits is not None and not self._wait(until - self.now(), waits):
+                if self.now() >= until:
+                    raise ProbeError(f"the probe did not answer in {self._probe.patience:g} s")
+                continue
+            look = self._probe.take(self.now())
+            if look is not None:
+                self._asked = False
+                if self._tap:
+                    self._tap.looked(look)
+                return Observation(asked, self.now(), look)
 
     def attend(self, seconds: float, also: Sequence[int]) -> list[int]:
         """Read what comes, waiting at most `seconds` for that or for a descriptor.
@@ -199,12 +209,14 @@ class PortLink:
         self._read()
         return ready
 
-    def _wait(self, seconds: float, also: Sequence[int] = ()) -> list[int]:
-        """As `attend`; a stop that is asked for ends it too, and is among what is readable."""
-        stop = [] if self._stopping or self._stopper is None else [self._stopper.fileno()]
-        ready = self.attend(seconds, [*also, *stop])
-        self._stopping = self._stopping or any(one in ready for one in stop)
-        return ready
+    def _wait(self, patience: int, other: int | None = None) -> bool:
+        """Wait up to `patience` ns, reading the port; true if stopped or `other` is ready."""
+        stop = None if self._stopping or self._stopper is None else self._stopper.fileno()
+        ready = self.attend(patience / 1e9, [fd for fd in (other, stop) if fd is not None])
+        if stop in ready:
+            self._stopping = True
+            return other is None
+        return other is not None and other in ready
 
     def _read(self) -> None:
         data = self._port.read()

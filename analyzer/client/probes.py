@@ -31,17 +31,12 @@ from bilprov.spec.protocol import Protocol
 _LONGEST = 1 << 16  # bytes of a line of the tcp probe
 _LONGEST_NAME = 200  # characters of a motion
 _LOOKS = 5  # to measure how long one takes
-_TURN = 0.5  # s of waiting at most: a signal that came just before it began is noticed then
 
 MODEM_LINES = ("cts", "dsr", "dcd", "ri")
 
 
 class ProbeError(UserError):
     """The probe cannot be asked or does not answer as agreed, in one sentence."""
-
-
-class ProbeSilent(ProbeError):
-    """The probe did not answer in the time that a look may take."""
 
 
 class Probe(ABC):
@@ -376,38 +371,6 @@ def open_probe(name: str, port: Port, protocol: Protocol) -> Probe | None:
     )
 
 
-def awaited(
-    probe: Probe,
-    attend: Callable[[float, list[int]], list[int]],
-    now: Callable[[], int],
-    given_up: Callable[[], bool] = lambda: False,
-) -> Look | None:
-    """The look of a probe that was asked, as of `now` (ns), once its reply is complete.
-
-    `attend` waits at most some seconds for one of the descriptors, does meanwhile what else there
-    is to do, and returns those that are readable. A probe that takes long is closed once it is
-    `given_up`: None. Raises ProbeError, and ProbeSilent where no reply comes in time.
-    """
-    until = now() + round(probe.patience * 1e9)
-    while True:
-        waits = probe.fileno()
-        left = until - now()
-        if waits is None or waits in attend(max(0.0, min(left / 1e9, _TURN)), [waits]):
-            look = probe.take(now())
-            if look is not None:
-                return look
-        elif given_up():
-            probe.close()
-            return None
-        elif left <= 0:
-            raise ProbeSilent(f"the probe did not answer in {probe.patience:g} s")
-
-
-def readable(seconds: float, descriptors: list[int]) -> list[int]:
-    """Wait for a descriptor as `awaited` does, with nothing else to do."""
-    return select.select(descriptors, [], [], seconds)[0]
-
-
 def look_time(probe: Probe) -> int:
     """How long (ns) a look takes: the shortest of a few, one of a command, 0 for a person.
 
@@ -420,12 +383,17 @@ def look_time(probe: Probe) -> int:
         begun = time.monotonic_ns()
         try:
             probe.ask()
-            awaited(probe, readable, time.monotonic_ns)
-        except ProbeSilent:
-            raise
+            while (fd := probe.fileno()) is not None:
+                left = probe.patience - (time.monotonic_ns() - begun) / 1e9
+                if not select.select([fd], [], [], max(0.0, left))[0]:
+                    break
+                if probe.take(begun) is not None:
+                    break
         except ProbeError:
             return 0
         times.append(time.monotonic_ns() - begun)
+        if times[-1] > probe.patience * 1e9:
+            raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
     return min(times[1:] or times)
 
 

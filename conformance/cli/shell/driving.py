@@ -14,7 +14,7 @@ import msgspec
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, fields_in_words
-from bilprov.analyzer.client.probes import Probe, awaited
+from bilprov.analyzer.client.probes import Probe, ProbeError
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
 from bilprov.analyzer.output.outputs import stream_output, write_out
@@ -37,14 +37,29 @@ def asked(
     probe: Probe,
     attend: Callable[[float, Sequence[int]], list[int]],
     stopper: Stopper,
-    now: Callable[[], int],
+    now: Callable[[], int] = time.monotonic_ns,
 ) -> Look | None:
-    """Ask the probe and return what it sees; None if a costly one was given up at a stop.
+    """Ask the probe and return what it sees, as of `now` (ns).
 
-    The arguments and the exceptions are those of `awaited`, and of `attend`.
+    `attend` waits at most some seconds for one of the descriptors, reads the port meanwhile, and
+    returns those that are readable. A probe that takes long is given up when `stopper` is asked to
+    stop: None. Raises ProbeError, and LinkError as `attend` does.
     """
+    until = time.monotonic() + probe.patience
     probe.ask()
-    return awaited(probe, attend, now, lambda: stopper.stopped and probe.costly)
+    while True:
+        waits = probe.fileno()
+        left = until - time.monotonic()
+        if waits is not None and waits not in attend(min(left, STEP), [waits]):
+            if stopper.stopped and probe.costly:  # a command, or a person: do not wait
+                probe.close()
+                return None
+            if left <= 0:
+                raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
+            continue
+        look = probe.take(now())
+        if look is not None:
+            return look
 
 
 def seen_words(look: Look | None) -> str:
