@@ -136,7 +136,7 @@ FAULTS = [
 # between them, by microseconds.
 EITHER = {
     "late-second-answer": ("reading/", "wrong-length/"),
-    "answers-at-header": ("reading/after-fault",),
+    "answers-at-header": ("reading/",),
 }
 
 
