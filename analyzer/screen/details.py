@@ -101,10 +101,10 @@ def _device(
 
 def _bits(groups: Iterable[BitGroup], data: bytes, look: Look) -> Iterator[Detail]:
     """A line for each group of bits; one for a run of bytes of `data` that mean the same."""
-    for (name, meaning, fault, size), alike in groupby(groups, _sort):
+    for (name, meaning, fault, whole_byte), alike in groupby(groups, _sort):
         run = tuple(alike)
         first, shown = run[0], look if fault else ORDINARY
-        if meaning and size == 1 and len(run) > 1:
+        if meaning and whole_byte and len(run) > 1:
             whole = replace(first, size=len(run))
             told = spaced(data[first.byte : first.byte + len(run)])
             yield Detail(name, f"{told}  {meaning}", whole, shown)
@@ -114,9 +114,9 @@ def _bits(groups: Iterable[BitGroup], data: bytes, look: Look) -> Iterator[Detai
             yield Detail(name, text, group, shown)
 
 
-def _sort(group: BitGroup) -> tuple[str, str, bool, int]:
+def _sort(group: BitGroup) -> tuple[str, str, bool, bool]:
     """What neighbouring bytes have in common that are shown on one line."""
-    return group.name, group.meaning, group.fault, group.size
+    return group.name, group.meaning, group.fault, group.size == 1 and len(group.bits) == 8
 
 
 def bit_picture(group: BitGroup) -> str:
