@@ -22,6 +22,7 @@ from bilprov.analyzer.client.operations import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.grammar_file import given_protocol
+from bilprov.analyzer.transport.ending import SUSPENDING
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import Port
@@ -99,7 +100,7 @@ def _halt_all(number: int) -> None:
     except ValueError:  # a real-time signal has no name
         why = f"signal {number} came"
     for robot in list(_open):
-        robot.halt(_SUSPENDED if number == signal.SIGTSTP else why)
+        robot.halt(_SUSPENDED if number in SUSPENDING else why)
 
 
 def _heard(number: int, frame: FrameType | None) -> None:
@@ -112,7 +113,7 @@ def _heard(number: int, frame: FrameType | None) -> None:
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     in_block = any(robot.in_block for robot in _open)
-    if in_block and number != signal.SIGTSTP:
+    if in_block and number not in SUSPENDING:
         sys.exit(128 + number)
     as_usual(number)
     for robot in _open:
@@ -167,7 +168,8 @@ class OnPort(InstructionMethods):
 
     Within `with`, the robot is also homed after Ctrl-C, and after any other signal that ends the
     program unless the program handles it itself; a second signal waits until homing has ended.
-    Ctrl-Z stops it before the program is suspended; once that is continued, RobotError is raised.
+    Ctrl-Z, or reading from the terminal in the background, stops it before the program is
+    suspended; once that is continued, RobotError is raised.
     An exception raised in the block is kept; if the robot could not be homed, a note on the
     exception says so. A robot that is dropped without `close`, or is open when the program ends, is
     homed too, with a ResourceWarning.

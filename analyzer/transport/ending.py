@@ -23,6 +23,10 @@ SIGKILL cannot be handled. SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGSYS and 
 process crashes: no Python can run after them. Python ignores SIGPIPE and SIGXFSZ.
 """
 
+SUSPENDING = (signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
+"""Signals that suspend a process unless it is handled: Ctrl-Z, and the use of the terminal by a job
+in the background. SIGSTOP cannot be handled."""
+
 _heard: list[int] = []
 
 

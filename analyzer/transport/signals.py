@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from types import FrameType
 from typing import Any, Self
 
-from bilprov.analyzer.transport.ending import ENDINGS, note_ending
+from bilprov.analyzer.transport.ending import ENDINGS, SUSPENDING, note_ending
 from bilprov.captures.closing import Closing
 
 Handler = Callable[[int, FrameType | None], object]
@@ -75,10 +75,10 @@ class Stopper(Closing):
     @property
     def suspended(self) -> bool:
         """Whether the process was suspended after `before_suspending`, and not withdrawn since."""
-        return signal.SIGTSTP in self._causes
+        return not self._causes.isdisjoint(SUSPENDING)
 
     def before_suspending(self, halt: Callable[[], object]) -> None:
-        """Let SIGTSTP (Ctrl-Z) request a stop and call `halt` before it suspends the process.
+        """Let what suspends the process request a stop and call `halt` before it does.
 
         So nothing drives on while the process is suspended; once it is continued, it finds the
         request. Only for the main thread, until `close`.
@@ -89,7 +89,7 @@ class Stopper(Closing):
             halt()
             as_usual(number)
 
-        self._handlers.enter_context(handled(unhandled([signal.SIGTSTP]), suspend))
+        self._handlers.enter_context(handled(unhandled(SUSPENDING), suspend))
 
     def pass_on(self) -> None:
         """Raise the signals that asked for a stop again, once this is closed."""
@@ -139,7 +139,7 @@ def handled_from_now_on(handler: Handler) -> None:
     """
     if handler not in _lasting:
         _lasting.append(handler)
-    for number in unhandled([*ENDINGS, signal.SIGTSTP]):
+    for number in unhandled([*ENDINGS, *SUSPENDING]):
         if number != signal.SIGINT:
             signal.signal(number, handler)
 

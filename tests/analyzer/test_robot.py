@@ -21,7 +21,7 @@ import pytest
 from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
 from bilprov.analyzer.client.operations import Ended, Operation
 from bilprov.analyzer.client.robot import Robot
-from bilprov.analyzer.transport.ending import ENDINGS
+from bilprov.analyzer.transport.ending import ENDINGS, SUSPENDING
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.captures.schemas import MS
@@ -524,12 +524,13 @@ def test_ctrl_c_ends_the_thread_that_drives_too(protocol: Protocol) -> None:
     assert b"RobotError: SIGINT came, and the robot was stopped before that" in told
 
 
-def test_ctrl_z_stops_a_robot_in_another_thread_before_the_program_is_suspended(
-    protocol: Protocol,
+@pytest.mark.parametrize("number", SUSPENDING)
+def test_a_robot_in_another_thread_is_stopped_before_the_program_is_suspended(
+    protocol: Protocol, number: int
 ) -> None:
     device = Scripted(protocol)
     with served_here(device) as (port, _), program(THREADED, port) as process:
-        process.send_signal(signal.SIGTSTP)
+        process.send_signal(number)
         os.waitid(os.P_PID, process.pid, os.WSTOPPED)
         moving = device.state.moving
         process.send_signal(signal.SIGCONT)

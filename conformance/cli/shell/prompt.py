@@ -24,6 +24,7 @@ from prompt_toolkit.patch_stdout import patch_stdout
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.settings import state_folder
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR
+from bilprov.analyzer.transport.ending import SUSPENDING
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
 from bilprov.spec.codec import bit_names, free_parts
@@ -102,7 +103,7 @@ _MENU = 5  # lines
 # Signals after which the shell goes on: the robot is stopped, and why is told.
 _STOPS = {
     signal.SIGINT: "Ctrl-C",
-    signal.SIGTSTP: "the program was suspended, and the robot stopped before that",
+    **dict.fromkeys(SUSPENDING, "the program was suspended, and the robot stopped before that"),
 }
 
 
@@ -171,7 +172,7 @@ class Prompt:
         ended: BaseException
         try:
             while True:
-                self._halt_for(signal.SIGTSTP)
+                self._halt_for(*SUSPENDING)
                 if self._stopper.stopped:
                     break
                 before = self._driving.target.state

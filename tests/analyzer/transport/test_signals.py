@@ -11,7 +11,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from bilprov.analyzer.transport.ending import ENDINGS, exit_status
+from bilprov.analyzer.transport.ending import ENDINGS, SUSPENDING, exit_status
 from bilprov.analyzer.transport.signals import Stopper, handled_from_now_on, unhandled
 from tests.support.signals import handled
 
@@ -104,7 +104,7 @@ def test_asyncio_finds_its_signal_as_it_was() -> None:
         pass
 
     with ExitStack() as stack:
-        for number in (*ENDINGS, signal.SIGTSTP):
+        for number in (*ENDINGS, *SUSPENDING):
             stack.enter_context(handled(number, signal.SIG_DFL))
         stack.enter_context(handled(signal.SIGINT, signal.default_int_handler))
         handled_from_now_on(heard)
