@@ -10,7 +10,7 @@ import threading
 import time
 import warnings
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from os import PathLike
@@ -51,6 +51,8 @@ class _OpenRobot:
         """Whether a signal stopped it, and it was not used since."""
         self.why = ""
         """Why it was stopped, where no exception has said so."""
+        self.over = False
+        """Whether nobody may use it again once it was stopped."""
         self._rest = rest
         self._noun = noun
         self._port = port
@@ -82,7 +84,7 @@ class _OpenRobot:
         if self._process != os.getpid():
             return
         self.in_block = False  # or it was left without its end, as a generator is
-        self.halt("")
+        self.halt("the program ended")
         self._port.close()
         what = f"the {self._noun} at {self._port.name} was never closed"
         what += ", and was stopped only now" if self.halted else ""
@@ -134,7 +136,6 @@ def _handle_signals() -> None:
             "a robot in this thread could not be stopped by a signal: import Robot in the main "
             "thread before this one starts"
         )
-    _watch_main_thread()
 
 
 @cache
@@ -144,6 +145,8 @@ def _watch_main_thread() -> None:
     def watch() -> None:
         threading.main_thread().join()
         if isinstance(getattr(sys, "last_value", None), KeyboardInterrupt):
+            for robot in list(_open):
+                robot.over = True
             _halt_all(signal.SIGINT)
 
     threading.Thread(target=watch, name="bilprov robots", daemon=True).start()
@@ -151,6 +154,16 @@ def _watch_main_thread() -> None:
 
 if in_main_thread():  # a robot that is opened in another thread later needs it
     _handle_signals()
+
+
+def _drop_in_child(robot: object, drop: Callable[[], object]) -> None:
+    """Have a child of `multiprocessing` drop a robot that is open at its end.
+
+    Such a child may end without what Python does at the end of a program.
+    """
+    util = sys.modules.get("multiprocessing.util")
+    if util is not None:
+        util.Finalize(robot, drop, exitpriority=0)
 
 
 class OnPort(InstructionMethods):
@@ -210,6 +223,7 @@ class OnPort(InstructionMethods):
             self._port.close()
             raise
         self._dropped = weakref.finalize(self, self._held.drop)
+        _drop_in_child(self, self._dropped)
         _open.add(self._held)
 
     def close(self) -> None:
@@ -269,11 +283,13 @@ class OnPort(InstructionMethods):
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
+        if not in_main_thread():
+            _watch_main_thread()
         with super()._alone():
             if not self._open:
                 raise LinkError(f"{self._port.name} is closed")
             if self._held.halted:
-                self._in_step = self._held.halted = False
+                self._in_step, self._held.halted = False, self._held.over
                 if self._held.why:
                     raise RobotError(self._held.why)
             yield

@@ -514,14 +514,35 @@ def test_a_robot_in_another_thread_is_stopped_before_a_signal_ends_the_program(
     assert process.returncode == -number
 
 
-def test_ctrl_c_ends_the_thread_that_drives_too(protocol: Protocol) -> None:
+SHARED = """\
+import sys, threading, time
+from bilprov import Robot
+
+robot = Robot(sys.argv[1])
+robot.speed(100)
+
+def drive():
+    while True:
+        robot.forward()
+
+for _ in range(3):
+    threading.Thread(target=drive).start()
+print("driving", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize(("text", "threads"), [(THREADED, 1), (SHARED, 3)])
+def test_ctrl_c_ends_each_thread_that_drives_too(
+    protocol: Protocol, text: str, threads: int
+) -> None:
     device = Scripted(protocol)
-    with served_here(device) as (port, _), program(THREADED, port) as process:
+    with served_here(device) as (port, _), program(text, port) as process:
         process.send_signal(signal.SIGINT)
         _, told = process.communicate(timeout=PATIENCE)
 
     assert not device.state.moving
-    assert b"RobotError: SIGINT came, and the robot was stopped before that" in told
+    assert told.count(b"RobotError: SIGINT came, and the robot was stopped before that") == threads
 
 
 @pytest.mark.parametrize("number", SUSPENDING)
@@ -611,6 +632,44 @@ def test_a_robot_that_is_closed_is_dropped_without_a_warning(protocol: Protocol)
         del robot
 
     assert device.heard == b""
+
+
+CHILD = """\
+import multiprocessing, sys
+from bilprov import Robot
+
+def drive():
+    global robot
+    robot = Robot(sys.argv[1])
+    robot.speed(100)
+    robot.forward()
+
+child = multiprocessing.get_context("fork").Process(target=drive)
+child.start()
+child.join()
+print("driving", flush=True)
+"""
+
+
+def test_a_child_of_multiprocessing_homes_a_robot_that_is_open_at_its_end(
+    protocol: Protocol,
+) -> None:
+    device = Scripted(protocol)
+    with served_here(device) as (port, _), program(CHILD, port) as process:
+        process.wait(PATIENCE)
+
+    assert device.heard
+    assert not device.state.moving
+
+
+def test_a_robot_that_is_used_when_the_program_has_ended_says_so(protocol: Protocol) -> None:
+    begin, last = "import atexit\natexit.register(lambda: robot.forward())\n", "pass\n"
+    device = Scripted(protocol)
+    with served_here(device) as (port, _), program(begin + DROPPED + last, port) as process:
+        _, told = process.communicate(timeout=PATIENCE)
+
+    assert b"RobotError: the program ended, and the robot was stopped before that" in told
+    assert not device.state.moving
 
 
 def test_a_child_process_leaves_its_parents_robot_alone(protocol: Protocol) -> None:
