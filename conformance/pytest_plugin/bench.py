@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import cached_property, partial
 from typing import TypeVar
 
-from bilprov.analyzer.client.driver import RobotError
+from bilprov.analyzer.client.driver import Answer, RobotError
 from bilprov.analyzer.client.operations import Ended, Link, Procedure, drive, listen, observe
 from bilprov.analyzer.client.probes import ProbeError, asks_person
 from bilprov.analyzer.client.robot import Instructions
@@ -44,12 +44,21 @@ class Client(Instructions):
     """One robot on a link, driven as a `Robot` is. `sees` says whether there is a probe to look.
 
     Nothing is sent until `home` or an instruction is called. Every method raises RobotError where
-    the robot does not answer, sends an unsolicited answer, or cannot be reached any more.
+    the robot does not answer, sends an unsolicited answer, or cannot be reached any more. Once it
+    is `over` no instruction is sent any more, whoever kept the client.
     """
 
     def __init__(self, protocol: Protocol, link: Link, *, sees: bool) -> None:
         super().__init__(protocol, link)
         self.sees = sees
+        self.over = False
+
+    def send_bytes(self, data: bytes, answers: int = 1) -> tuple[Answer, ...]:
+        """Send bytes unchanged, as a `Robot` does."""
+        with self._alone():
+            if self.over:
+                raise RobotError("the test that used the robot is over")
+            return super().send_bytes(data, answers)
 
     def look(self) -> Look:
         """What the probe sees now. Raises RobotError where there is no probe."""
@@ -250,6 +259,7 @@ class Bench(RunListener):
                 yield client
             finally:
                 with Stopper() as postponed:
+                    client.over = True
                     client.home()
                 postponed.pass_on()
 

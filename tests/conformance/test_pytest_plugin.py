@@ -19,7 +19,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.firmware import AVR, built
-from tests.support.robots import PATIENCE, READING_CASES, TIMED_PROBES, simulate
+from tests.support.robots import PATIENCE, READING_CASES, TIMED_PROBES, served_here, simulate
 
 pytestmark = pytest.mark.waits
 pytest_plugins = ["pytester"]
@@ -358,6 +358,44 @@ def test_people_test_their_robot_with_the_fixture(run: pytest.Pytester) -> None:
 
     on_sim(run, "test_mine.py").assert_outcomes(passed=5, failed=1)
     on_sim(run, *FEW).assert_outcomes(passed=19 + PROBES, failed=1)
+
+
+LATE = """
+import threading
+
+def test_that_leaves_a_thread_behind(robot):
+    def drive():
+        try:
+            while True:
+                robot.forward()
+        except Exception as error:
+            errors.append(str(error))
+
+    errors = []
+    robot.speed(80)
+    thread = threading.Thread(target=drive)
+    thread.start()
+    left.append((thread, errors))
+
+def test_what_is_left_of_it(robot):
+    thread, errors = left[0]
+    thread.join()
+    assert errors == ["the test that used the robot is over"]
+
+left = []
+"""
+
+
+def test_a_thread_that_outlives_its_test_drives_no_robot(
+    run: pytest.Pytester, protocol: Protocol
+) -> None:
+    run.makepyfile(test_late=LATE)
+    robot = Simulator(protocol)
+    with served_here(robot) as (port, _):
+        result = pytested(run, "--robot-port", port, "--robot-yes", "test_late.py")
+
+    result.assert_outcomes(passed=2)
+    assert not robot.state.moving
 
 
 @AVR
