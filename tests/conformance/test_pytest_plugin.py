@@ -56,12 +56,20 @@ def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> pytest.Py
     return pytester
 
 
-def pytested(run: pytest.Pytester, *arguments: str) -> Result:
-    return run.runpytest_subprocess(*PLUGIN, "-W", "error", *arguments, timeout=PATIENCE)
+def pytested(run: pytest.Pytester, *arguments: str, alone: bool = False) -> Result:
+    """A run of pytest in this process, or `alone` in its own.
+
+    What patches the plugin, is refused while it starts, or leaves a thread behind runs alone.
+    """
+    words = (*PLUGIN, "-W", "error", *arguments)
+    if alone:
+        return run.runpytest_subprocess(*words, timeout=PATIENCE)
+    # What other tests have left unclosed is not this run's.
+    return run.runpytest_inprocess(*words, "-p", "no:unraisableexception")
 
 
-def on_sim(run: pytest.Pytester, *arguments: str) -> Result:
-    return pytested(run, "--robot-port", "sim", *arguments)
+def on_sim(run: pytest.Pytester, *arguments: str, alone: bool = False) -> Result:
+    return pytested(run, "--robot-port", "sim", *arguments, alone=alone)
 
 
 def text(result: Result) -> str:
@@ -161,7 +169,7 @@ def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
     then = "result = msgspec.structs.replace(result, verdict=axis.verdict, axes=axes)"
     run.makeconftest(AT_LED_3.format(axis=axis, then=then))
 
-    result = on_sim(run, *FEW, "--junitxml", "j.xml", "-rP")
+    result = on_sim(run, *FEW, "--junitxml", "j.xml", "-rP", alone=True)
 
     result.assert_outcomes(passed=14 + PROBES)
     (case,) = [
@@ -187,7 +195,7 @@ def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytest
     axis = "Verdict.FAIL, 'no answer', '9', 'unasked'"
     run.makeconftest(AT_LED_3.format(axis=axis, then=then))
 
-    result = on_sim(run, *FEW)
+    result = on_sim(run, *FEW, alone=True)
 
     result.assert_outcomes(passed=14 + PROBES, failed=1)
     result.stdout.fnmatch_lines(["FAILED conformance::line/unsolicited - *"])
@@ -202,7 +210,6 @@ CHOICES = [
 ]
 
 
-@pytest.mark.sample(1)
 @pytest.mark.parametrize(("arguments", "member", "count"), CHOICES)
 def test_only_the_selected_cases_run(
     run: pytest.Pytester, arguments: tuple[str, ...], member: str, count: int
@@ -226,7 +233,7 @@ def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
         "bench.Bench.end = end\n"
     )
 
-    result = on_sim(run, *FEW, "-k", "valid/LED/3 or valid/LED/6")
+    result = on_sim(run, *FEW, "-k", "valid/LED/3 or valid/LED/6", alone=True)
 
     result.assert_outcomes(passed=2, deselected=12 + PROBES)
 
@@ -311,7 +318,7 @@ WRONG = [
 def test_wrong_use_is_one_sentence(
     run: pytest.Pytester, arguments: tuple[str, ...], words: str
 ) -> None:
-    result = pytested(run, *arguments)
+    result = pytested(run, *arguments, alone=True)
 
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     (line,) = [line for line in [*result.errlines, *result.outlines] if line.startswith("ERROR:")]
@@ -392,7 +399,7 @@ def test_a_thread_that_outlives_its_test_drives_no_robot(
     run.makepyfile(test_late=LATE)
     robot = Simulator(protocol)
     with served_here(robot) as (port, _):
-        result = pytested(run, "--robot-port", port, "--robot-yes", "test_late.py")
+        result = pytested(run, "--robot-port", port, "--robot-yes", "test_late.py", alone=True)
 
     result.assert_outcomes(passed=2)
     assert not robot.state.moving
@@ -446,7 +453,7 @@ def test_over_tcp_the_robot_is_judged_and_driven_and_left_at_rest(run: pytest.Py
     run.makepyfile(test_mine=MINE)
     with simulate() as robot:
         port = ("--robot-port", robot.port, "--robot-probe", robot.probe)
-        refused = pytested(run, *port, *FEW)
+        refused = pytested(run, *port, *FEW, alone=True)
         result = pytested(run, "-rs", *port, *FEW, "--robot-yes")
         moving = robot.state()["moving"]
 
@@ -517,7 +524,7 @@ def test_who_does_not_use_it_imports_nothing_of_the_kit(run: pytest.Pytester) ->
         "    assert found == {'bilprov', 'bilprov.conformance', plugin}\n"
     )
 
-    pytested(run).assert_outcomes(passed=1)
+    pytested(run, alone=True).assert_outcomes(passed=1)
 
 
 def test_an_installed_kit_is_found_through_its_entry_point(

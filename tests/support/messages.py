@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from functools import cache
 from typing import Any
 
 import msgspec
@@ -44,8 +45,8 @@ def messages(capture: Capture, wanted: Collection[str] | None = None) -> Iterato
         yield Message(message.topic, message.t, value if whole else message.data, message.sequence)
 
 
-def _optional(kind: type[msgspec.Struct]) -> Iterator[str]:
+@cache
+def _optional(kind: type[msgspec.Struct]) -> tuple[str, ...]:
     """The fields that a message leaves out when they are None."""
-    for field in msgspec.structs.fields(kind):
-        if type(None) in getattr(field.type, "__args__", ()):
-            yield field.name
+    fields = msgspec.structs.fields(kind)
+    return tuple(one.name for one in fields if type(None) in getattr(one.type, "__args__", ()))
