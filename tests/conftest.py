@@ -270,7 +270,7 @@ def columns_at_once() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     """Headless Chromium."""
     with running(tmp_path_factory.mktemp("chromium")) as started:

@@ -97,12 +97,13 @@ def installed(wheel: Path) -> Path:
     Nothing is fetched: the libraries are links to those of this environment.
     """
     folder = wheel.parent
-    venv.create(folder / "venv", with_pip=True)
+    venv.create(folder / "venv")
     python = folder / "venv" / "bin" / "python"
     where = "import sysconfig; print(sysconfig.get_path('purelib'))"
     link_libraries(Path(run(python, "-c", where, cwd=folder).strip()))
-    run(python, *PIP, "install", *OFFLINE, wheel, cwd=folder)
-    run(python, *PIP, "check", cwd=folder)
+    pip = (sys.executable, *PIP, "--python", python)
+    run(*pip, "install", *OFFLINE, wheel, cwd=folder)
+    run(*pip, "check", cwd=folder)
     project = folder / "project"
     for name, text in {
         "spec/__init__.py": "",

@@ -109,7 +109,7 @@ def _seeing(name: str, *more: str, typed: str = "", fault: str = "") -> Command:
 
 def _plugin(port: str, probe: str, folder: Path) -> list[str]:
     options = ["--robot-port", port, "--robot-probe", probe, "--robot-yes"]
-    alone = ["-p", "no:cacheprovider", "--rootdir", str(folder)]
+    alone = ["-p", "no:cacheprovider", "--rootdir", str(folder), "--robot-level", "smoke"]
     return [sys.executable, "-m", "pytest", "-q", *alone, *options]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -126,23 +127,31 @@ def test_topics_that_stopped_while_recording_are_complete_afterwards(
         assert now[topic] == was[topic]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("start", [1_200, 2_500, 3_900])
-def test_the_new_file_has_checkpoints_to_go_on_from(
-    protocol: Protocol, tmp_path: Path, start: int
-) -> None:
-    live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
+@pytest.fixture(scope="module")
+def once(protocol: Protocol, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A live recording of 20,000 frames, made once."""
+    live, _ = heavy(protocol, tmp_path_factory.mktemp("once") / "live.mcap", 20_000)
+    return live
+
+
+@pytest.fixture
+def live(once: Path, tmp_path: Path) -> Path:
+    """A copy of that recording."""
+    return Path(shutil.copy(once, tmp_path))
+
+
+def test_the_new_file_has_checkpoints_to_go_on_from(protocol: Protocol, live: Path) -> None:
     new, _ = converted(live)
-    opened = opened_at(open_quickly(new), protocol, start * MS)
+    every = list(read_capture(new, protocol))
 
-    assert opened.decoder.saved() != StreamDecoder(protocol).saved()
-    from_there = records_of(opened.decoder.feed(list(opened.events())) + opened.decoder.finish())
-    assert from_there == list(read_capture(new, protocol))[-len(from_there) :]
+    for start in (1_200, 2_500, 3_900):
+        opened = opened_at(open_quickly(new), protocol, start * MS)
+        assert opened.decoder.saved() != StreamDecoder(protocol).saved()
+        there = records_of(opened.decoder.feed(list(opened.events())) + opened.decoder.finish())
+        assert there == every[-len(there) :]
 
 
-@pytest.mark.slow
-def test_damage_becomes_a_gap(protocol: Protocol, tmp_path: Path) -> None:
-    live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
+def test_damage_becomes_a_gap(live: Path) -> None:
     with live.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -179,9 +188,8 @@ def test_a_foreign_capture_is_taken_without_its_other_topics(tmp_path: Path) -> 
 
 
 def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(
-    protocol: Protocol, tmp_path: Path
+    protocol: Protocol, live: Path, tmp_path: Path
 ) -> None:
-    live, _ = heavy(protocol, tmp_path / "live.mcap", 20_000)
     capture = open_capture(live)
     seen = 0
 

@@ -617,6 +617,7 @@ def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
     assert chosen.reading in ("", *READING_IDS)
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     "chosen", [c for c in CHOICES if c.verdict is NON_STRICT], ids=lambda c: c.name
 )
