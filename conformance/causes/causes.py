@@ -66,11 +66,11 @@ def find_causes(
     clean = [e for e in exchanges if not e.deviations and e.right]
     wrong = [bag for bag in bags if bag.exchanges[0].case in failed]
     table = Table(features, [*clean, *(e for bag in wrong for e in bag.exchanges)])
-    effects = _effects(wrong, clean)
-    effects.sort(key=lambda effect: -len(effect.bags))
+    effects = sorted(_effects(wrong, clean), key=lambda effect: -len(effect.bags))[:_EFFECTS]
     causes: list[Cause] = []
-    for effect in effects[:_EFFECTS]:
-        if not any(_joined(table, cause, effect) for cause in causes):
+    for effect in sorted(effects, key=lambda effect: -effect.evidence):
+        simplest = sorted(causes, key=lambda cause: _cost(cause.rule))
+        if not any(_joined(table, cause, effect) for cause in simplest):
             causes += _causes(table, effect)
     return _without_leftovers(causes)
 

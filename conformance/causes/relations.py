@@ -76,6 +76,11 @@ class Effect:
         """The exchanges of each bag that may have caused it."""
         return [self._group(bag) for bag in self.bags]
 
+    @property
+    def evidence(self) -> int:
+        """How many exchanges tell where it shows and where not: one kind alone tells nothing."""
+        return min(len(self.bags), len(self.against))
+
     def _group(self, bag: Bag) -> tuple[Exchange, ...]:
         fitting = tuple(e for e in bag.exchanges if self.relation.fits(bag, e)) or bag.exchanges
         if not self.only_setters:
@@ -117,7 +122,7 @@ def relations(bags: Sequence[Bag]) -> list[tuple[Relation, list[Bag]]]:
         candidates = _of_answers(how, left) if facet == ANSWER else _of_values(facet, how, left)
         scored = [(relation, [b for b in left if relation.explains(b)]) for relation in candidates]
         best = max(scored, key=lambda pair: len(pair[1]))
-        if len(best[1]) < max(2, len(left) / 20) and len(left) > 1:
+        if len(best[1]) < min(len(left), max(2, len(left) / 20)):
             best = Relation(facet, how, "is wrong" if facet != ANSWER else "answers wrongly"), left
         found.append(best)
         explained = set(map(id, best[1]))
@@ -210,6 +215,9 @@ def _changes(bags: Iterable[Bag]) -> Iterator[tuple[str, Callable[[int], int]]]:
         yield f"is off by {offset:+d}", lambda v, k=offset: v + k  # type: ignore[misc]
     for total, _ in Counter(s + v for v, s in numbers).most_common(2):
         yield f"is {total} minus the value", lambda v, n=total: n - v  # type: ignore[misc]
+    for mask, _ in Counter(abs(v) ^ abs(s) for v, s in numbers).most_common(2):
+        turned = ", ".join(str(n) for n in range(width) if mask >> n & 1)
+        yield f"has bit {turned} inverted", lambda v, m=mask: _sized(v, abs(v) ^ m)  # type: ignore[misc]
     yield "is half", lambda v: int(v / 2)
     yield "is doubled", lambda v: 2 * v
 

@@ -23,6 +23,8 @@ from bilprov.conformance.mutation.score import workers, working
 from bilprov.conformance.mutation.variants import MIXTURE, hooks_of
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
+from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
@@ -39,8 +41,9 @@ class Explained(msgspec.Struct, frozen=True):
     `causes` is how many there are, `unexplained` how many failures none explains, `first` the
     sentence of the first. `named` is how many of its faults have a cause among the first ones that
     expects a deviation at the frames where the fault makes one, of `of` of which that is known; a
-    fault of how bytes are framed or shown makes none that could be compared. `shown` is whether the
-    first cause's line shows it on a device just switched on.
+    fault of how bytes are framed or shown makes none that could be compared. `hidden` is how many
+    are not named and change no verdict: without them each case has the same. `shown` is whether
+    the first cause's line shows it on a device just switched on.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Explained(msgspec.Struct, frozen=True):
     first: str = ""
     named: int = 0
     of: int = 0
+    hidden: int = 0
     shown: bool = False
 
 
@@ -73,10 +77,12 @@ class CauseScore(msgspec.Struct, frozen=True):
         yield f"{one} of {of} faults are exactly one cause, which names the trigger if it is known"
         yield f"{two} of {of} faults are at most two causes"
         yield f"{shown} of {of} first causes show with their line on a device just switched on"
-        both = sum(found.named == found.of for found in self.pairs)
+        told = [found for found in self.pairs if found.failed and not found.hidden]
+        both = sum(found.named == found.of for found in told)
         if self.pairs:
-            of = len(self.pairs)
-            yield f"{both} of {of} pairs have both faults among the first {_FIRST} causes"
+            yield f"{both} of {len(told)} pairs have both faults among the first {_FIRST} causes"
+            apart = len(self.pairs) - len(told)
+            yield f"in {apart} other pairs one fault changes no verdict beside the other"
 
 
 Acted = dict[int, tuple[State, bool]]
@@ -122,11 +128,16 @@ def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -
     if not found or exchanges is None:
         return Explained(label, failed, unexplained=report.unexplained)
     first = found if len(names) == 1 else found[:_FIRST]
-    named = [
-        any(_names(cause, exchanges, acted, _usual(protocol, name)) for cause in first)
-        for name, acted in zip(names, acting, strict=True)
-        if any(made for _, made in acted.values())
-    ]
+    named, hidden = [], 0
+    for name, acted in zip(names, acting, strict=True):
+        if not any(made for _, made in acted.values()):
+            continue
+        named.append(
+            any(_names(cause, exchanges, acted, _usual(protocol, name)) for cause in first)
+        )
+        if not named[-1] and len(names) > 1:
+            [other] = {*names} - {name}
+            hidden += _same_verdicts(protocol, find_fault(protocol, other), options, report)
     return Explained(
         label,
         failed,
@@ -135,8 +146,20 @@ def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -
         report.causes[0].sentence,
         sum(named),
         len(named),
+        hidden,
         _shows_on(protocol, fault, held[0]),
     )
+
+
+def _same_verdicts(protocol: Protocol, fault: Fault, options: Options, report: Report) -> bool:
+    """Whether each case has the verdict of this report also where the device has that fault."""
+    target = device_target(protocol, Simulator(protocol, fault))
+    alone = run_suite(target, options, logged=False, explainer=None)
+    return _verdicts(alone) == _verdicts(report)
+
+
+def _verdicts(report: Report) -> dict[str, Verdict]:
+    return {result.id: result.verdict for result in report.results}
 
 
 def _usual(protocol: Protocol, name: str) -> Model | None:

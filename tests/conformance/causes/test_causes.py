@@ -11,8 +11,9 @@ from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes
-from bilprov.conformance.causes.exchanges import Exchanges, Timing
+from bilprov.conformance.causes.exchanges import MOTION, Bag, Deviation, Exchanges, Timing
 from bilprov.conformance.causes.features import features, matches
+from bilprov.conformance.causes.relations import relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
@@ -38,6 +39,7 @@ NAMED = [
     ("restarts-by-itself", "stop", "moves again by itself", "a faulty frame"),
     ("rotateleft-does-nothing", "state", "is stopped", "RotateLeft"),
     ("speed-bit-0-lost", "state", "speed lacks bit 0", "Speed"),
+    ("random:96", "state", "led has bit 0 inverted", "LED"),
     ("speed-is-signed", "state", "speed is 256 minus the value", "Speed, with speed 131 or more"),
     ("every-16th-fault-missed", "stop", "does not stop", "at one in 16 of the faults"),
     ("sent-ahead-fault-does-not-stop", "stop", "does not stop", "a faulty frame, sent ahead"),
@@ -147,6 +149,13 @@ class Recorded:
         self.causes: list[Cause] = find_causes(
             features(protocol), self.exchanges.all, self.exchanges.bags, failed
         )
+
+
+def test_a_deviation_that_nothing_predicts_is_just_wrong() -> None:
+    bag = Bag(Deviation(MOTION, "wrong", "stopped", "forward"), ())
+    [(relation, explained_by_it)] = relations([bag])
+    assert relation.words == "is wrong"
+    assert explained_by_it == [bag]
 
 
 @pytest.mark.slow

@@ -269,6 +269,26 @@ def test_of_two_faults_each_has_its_cause(protocol: Protocol) -> None:
         "2 of 2 faults are at most two causes",
         "2 of 2 first causes show with their line on a device just switched on",
         "1 of 1 pairs have both faults among the first 3 causes",
+        "in 0 other pairs one fault changes no verdict beside the other",
+    ]
+
+
+@pytest.mark.slow
+def test_what_says_little_of_itself_joins_the_simplest_cause(protocol: Protocol) -> None:
+    names = ["mixture:R-stop-speed=zeroed:by-frame", "random:15"]
+    found = explained(protocol, names, "smoke", 1)
+    assert (found.causes, found.named, found.of) == (2, 2, 2)
+
+
+@pytest.mark.slow
+def test_a_fault_that_another_one_hides_is_counted_apart(protocol: Protocol) -> None:
+    names = ["no-stop-on-too-few", "random:24"]
+    found = explained(protocol, names, "smoke", 1)
+    assert (found.named, found.of, found.hidden) == (1, 2, 1)
+    sentences = list(CauseScore((), (found,)).sentences())
+    assert sentences[-2:] == [
+        "0 of 0 pairs have both faults among the first 3 causes",
+        "in 1 other pairs one fault changes no verdict beside the other",
     ]
 
 
