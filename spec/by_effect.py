@@ -16,13 +16,18 @@ from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.state import Changed, Effect, From, State, Step, ways_on
 
 
-@lru_cache(maxsize=1 << 12)
 def fitted(protocol: Protocol, spec: InstructionSpec, state: State) -> bytes:
     """Return the frame of an instruction that leads nearest to a state.
 
     A field that sets nothing has its lowest value.
     """
-    return build(protocol, spec.name, _fitted_values(spec, state))
+    return _built(protocol, spec.name, tuple(_fitted_values(spec, state).items()))
+
+
+@lru_cache(maxsize=1 << 12)
+def _built(protocol: Protocol, name: str, values: tuple[tuple[str, int], ...]) -> bytes:
+    """The frame of an instruction with these values of its fields."""
+    return build(protocol, name, dict(values))
 
 
 def _fitted_values(spec: InstructionSpec, state: State) -> dict[str, int]:
@@ -84,8 +89,11 @@ def frames_to(protocol: Protocol, state: State, known: State | None = None) -> t
     R-rotate-steering). Steering during a rotation may become a curve (R-steer-rotating): there it
     comes before the motion.
     """
-    car, wanted = protocol.car, _settable(protocol, state)
-    candidates = _candidates(protocol, wanted)
+    car, reached = protocol.car, _reached(protocol, state)
+    wanted = _settable(protocol, state, reached)
+    if wanted != state:
+        reached = _reached(protocol, wanted)
+    candidates = _candidates(protocol, wanted, reached)
     start = frozenset(state.variables) - _differing(known, wanted) if known else frozenset()
     start -= {car.by}
     if not protocol.directed(wanted):
@@ -95,16 +103,23 @@ def frames_to(protocol: Protocol, state: State, known: State | None = None) -> t
     return tuple(fitted(protocol, spec, wanted) for spec in paths[best])
 
 
-def _candidates(protocol: Protocol, wanted: State) -> list[Step[InstructionSpec]]:
+def _reached(protocol: Protocol, state: State) -> list[tuple[InstructionSpec, State]]:
+    """The state after the fitted frame of each instruction, for a state."""
+    return [(spec, _after_fitted(spec, state)) for spec in protocol.instructions]
+
+
+def _candidates(
+    protocol: Protocol, wanted: State, reached: Iterable[tuple[InstructionSpec, State]]
+) -> list[Step[InstructionSpec]]:
     """Instructions with the variables that they set as wanted, and otherwise, the best first."""
     car = protocol.car
     late = (car.by, car.steering)
     rotates = car.rotates(car.drive(wanted).motion)
     order = (car.speed, *protocol.lights, *(reversed(late) if rotates else late))
     found = []
-    for spec in protocol.instructions:
+    for spec, later in reached:
         touched = {name for name, _ in spec.effect.assignments}
-        spoils = _differing(_after_fitted(spec, wanted), wanted)
+        spoils = _differing(later, wanted)
         sets = touched - spoils
         if sets:
             rank = min(map(order.index, {car.by} & touched or touched))
@@ -113,14 +128,15 @@ def _candidates(protocol: Protocol, wanted: State) -> list[Step[InstructionSpec]
     return [candidate for _, candidate in sorted(found, key=itemgetter(0))]
 
 
-def _settable(protocol: Protocol, state: State) -> State:
+def _settable(
+    protocol: Protocol, state: State, reached: Iterable[tuple[InstructionSpec, State]]
+) -> State:
     """The state, each variable with the value nearest to its own that some instruction sets."""
     values: dict[str, Any] = {}
-    for spec in protocol.instructions:
-        reached = _after_fitted(spec, state)
+    for spec, later in reached:
         for name, _ in spec.effect.assignments:
             if name != protocol.car.by:
-                values.setdefault(name, []).append(getattr(reached, name))
+                values.setdefault(name, []).append(getattr(later, name))
     for name, ends in values.items():
         own = getattr(state, name)
         values[name] = min(ends, key=lambda value: abs(value - own))
