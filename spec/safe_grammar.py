@@ -21,14 +21,14 @@ WORDS = {
         *("Array", "Bytes", "Checksum", "Const", "Enum", "FixedSized", "FlagsEnum"),
         *("GreedyBytes", "GreedyRange", "Prefixed", "PrefixedArray", "RawCopy"),
         *("Byte", "Int8ub", "Int8sb", "Int8ul", "Int8sl", "BytesInteger"),
-        *(f"Int{bits}{kind}" for bits in (16, 24, 32) for kind in ("ub", "ul", "sb", "sl")),
+        *(f"Int{bits}{kind}" for bits in (16, 24, 32, 64) for kind in ("ub", "ul", "sb", "sl")),
     },
     "bilprov.spec.fields": {*fields.__all__},
     "bilprov.spec.motion": {"Motion"},
 }
 """The names that a grammar may import, by module."""
 
-_NO_WIDTHS = ("Const", "Enum", "FlagsEnum")  # their numbers are values
+_NO_WIDTHS = ("Const", "Enum", "FlagsEnum", "Struct")  # their numbers, if any, are values
 _PATHS = ("this", "asked")  # names that stand for what was parsed before
 
 LONGEST = 1 << 18  # characters of a grammar's text
@@ -113,6 +113,8 @@ class _Vetting:
                 size = depth = self._check_attribute(node)
             case ast.Tuple(items) | ast.List(items):
                 parts = items
+            case ast.Starred(ast.Name() as name) if isinstance(self._meant(name), ast.Tuple):
+                parts = [name]
             case ast.Dict(keys, values) if None not in keys:
                 parts = [*(key for key in keys if key is not None), *values]
             case ast.Call(ast.Name(name), arguments, keywords) if self._called(name):
@@ -155,7 +157,7 @@ class _Vetting:
         count = 0
         while isinstance(inner, ast.Attribute):
             count += 1
-            if inner.attr.startswith("_"):
+            if inner.attr.startswith("_") and inner.attr != "_":  # that is the Struct around
                 raise _refused(node, f"there is a .{inner.attr}")
             inner = inner.value
         if not isinstance(inner, ast.Name) or inner.id not in self._words:
@@ -177,6 +179,8 @@ class _Vetting:
 
     def _check_widths(self, node: ast.expr, given: list[ast.expr]) -> None:
         for part in map(self._meant, given):
+            if isinstance(part, ast.Starred):
+                raise self._other(part)
             number = part.value if isinstance(part, ast.Constant) else 0
             if isinstance(number, int | float) and number > _WIDEST:
                 raise _refused(node, f"a width of {number} is above {_WIDEST}")

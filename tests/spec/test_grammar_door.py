@@ -231,7 +231,8 @@ REFUSED = [
     *("X = this.__class__", "X = this._root", "X = 'a'.join", "X = Sets.values"),
     *("X = Outcome.VALID.value", "X = [a for a in 'b']", "def f(): pass", "class A: pass"),
     *("X = lambda: 1", "X = f'{1}'", "X = {}[0]", "Sets()", "X = Sets(**{'a': 1})", "X = {**{}}"),
-    *("X = Sets(*[1])", "X = 1 << 62", "X = 9 ** 9", "X = 'a' * 9999", "N = 9999\nX = N * 'a'"),
+    *("X = Sets(*[1])", "X = Sets(*this)", "X = Struct(*Byte)", "W = (99,)\nX = BitsInteger(*W)"),
+    *("W = ((99,),)\nX = BitsInteger(*W)", "X = this._._root", "X = 1 << 62", "X = 9 ** 9", "X = 'a' * 9999", "N = 9999\nX = N * 'a'"),
     *("X = (9999 * 'a') * 'b'", "X = 99999999999", "X = this(1)", "X = BitsInteger(65)"),
     *("N = 99999\nM = N\nX = BitsInteger(M)", "X = b'1' * 9", "Byte = 1", "__builtins__ = 1"),
     *("X = 1\nX = 2", "X = Y", "X = Y = 1", "if 1: pass", "X = (", "X = '\0'"),
@@ -251,6 +252,11 @@ def test_the_refusal_says_what_and_where() -> None:
         require_declarations(WORDS + "import os")
     with pytest.raises(NotDeclared, match=r"there is \[0 for a in 'b'\] in line 3"):
         require_declarations(WORDS + "X = [0 for a in 'b']")
+
+
+def test_fields_that_several_instructions_share_and_the_struct_around_are_declared() -> None:
+    shared = 'SHARED = ("a" / Byte, "b" / Byte)\nMORE = (*SHARED, "c" / Byte)\n'
+    require_declarations(f"{WORDS}{shared}X = Struct(*MORE)\nY = Sets(*SHARED)\nZ = this._.length")
 
 
 def test_zeros_are_declared() -> None:
@@ -283,6 +289,7 @@ NAMES = "".join(f'Y{n} = X9000 * "a"\n' for n in range(9000))
 BOMBS: dict[str, tuple[str, dict[str, str]]] = {
     "tuples of tuples": (chained("0", "(~, ~)", 60), {"speed=0": "speed=X60"}),
     "dicts of dicts": (chained("0", "{1: ~, 2: ~}", 60), {"speed=0": "speed=X60"}),
+    "starred tuples": (chained("(0,)", "(*~, *~)", 60), {"speed=0": "speed=X60"}),
     "constructs of constructs": (chained("Byte", 'Struct("a" / ~, "b" / ~)', 60), FIELD),
     "bits of bits": (chained("BitsInteger(1)", 'BitStruct("a" / ~, "b" / ~)', 60), {}),
     "cases of cases": (chained("Byte", "Switch(this.a, {1: ~, 2: ~})", 60), FIELD),
