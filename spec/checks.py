@@ -1,4 +1,4 @@
-"""The checks that frames carry: sums, exclusive ors and cyclic redundancy checks by parameters.
+"""The checks that frames carry: sums, Fletcher's, exclusive ors and cyclic redundancy checks.
 
 Each is a callable from the covered bytes to the value, as construct's `Checksum` takes one.
 """
@@ -30,7 +30,9 @@ class Sum:
     complement: int = 0
 
     def __post_init__(self) -> None:
-        _require_width("the bits of a Sum", self.bits)
+        if self.bits not in _WIDTHS or isinstance(self.bits, bool):
+            allowed = ", ".join(map(str, _WIDTHS))
+            raise WrongValue(f"the bits of a Sum is {shown(self.bits)}, allowed are {allowed}")
         if not isinstance(self.complement, int) or not 0 <= self.complement <= 2:
             raise WrongValue(f"Sum.complement is {shown(self.complement)}, allowed are 0, 1, 2")
 
@@ -50,11 +52,40 @@ class Sum:
 
 
 @dataclass(frozen=True)
+class Fletcher:
+    """The sum of the bytes, and above it the sum of that sum after each byte, both by `modulus`."""
+
+    modulus: int = 256
+    bits: ClassVar[int] = 16
+
+    def __post_init__(self) -> None:
+        require_whole("the modulus of a Fletcher", self.modulus, 255, 256)
+
+    def running(self, data: bytes) -> Iterator[int]:
+        """The check of the first 0, 1, 2, ... bytes, up to all."""
+        sums = [*accumulate(data, initial=0)]
+        return map(self.of, sums, accumulate(sums))
+
+    def __call__(self, data: bytes) -> int:
+        """The check of the bytes."""
+        return deque(self.running(data), 1).pop()
+
+    def of(self, total: Any, second: Any) -> Any:
+        """The check of bytes with these two sums, numbers or arrays of numbers."""
+        return (second % self.modulus << 8) + total % self.modulus
+
+
+@dataclass(frozen=True)
 class Xor:
     """The exclusive or of `start` and each byte."""
 
     start: int = 0
     bits: ClassVar[int] = 8
+
+    @property
+    def first(self) -> int:
+        """The value before the first byte, as that of a Crc."""
+        return self.start
 
     def __post_init__(self) -> None:
         require_whole("the start of a Xor", self.start, 0, 255)
@@ -84,10 +115,10 @@ class Crc:
     xorout: int = 0
 
     def __post_init__(self) -> None:
-        _require_width("the width of a Crc", self.width)
+        _require_bool("Crc.reflected", self.reflected)
+        require_whole("the width of a Crc", self.width, 3 if self.reflected else 8, 32)
         for name in ("poly", "init", "xorout"):
             require_whole(f"Crc.{name}", getattr(self, name), 0, (1 << self.width) - 1)
-        _require_bool("Crc.reflected", self.reflected)
 
     @property
     def bits(self) -> int:
@@ -137,17 +168,11 @@ class Crc:
         return value & (1 << self.width) - 1
 
 
-CheckFunction: TypeAlias = Sum | Xor | Crc
+CheckFunction: TypeAlias = Sum | Fletcher | Xor | Crc
 
 
 def _mirrored(value: int, width: int) -> int:
     return int(f"{value:0{width}b}"[::-1], 2)
-
-
-def _require_width(what: str, width: object) -> None:
-    if width not in _WIDTHS or isinstance(width, bool):
-        allowed = ", ".join(map(str, _WIDTHS))
-        raise WrongValue(f"{what} is {shown(width)}, allowed are {allowed}")
 
 
 def _require_bool(what: str, value: object) -> None:

@@ -23,7 +23,7 @@ from construct import (
     this,
 )
 
-from bilprov.spec.checks import Crc, Sum, Xor
+from bilprov.spec.checks import Crc, Fletcher, Sum, Xor
 from bilprov.spec.errors import (
     LONGEST_NAME,
     WrongValue,
@@ -58,6 +58,7 @@ __all__ = [
     "Clauses",
     "Crc",
     "Data",
+    "Fletcher",
     "From",
     "Instruction",
     "Length",

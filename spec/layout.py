@@ -24,7 +24,7 @@ from construct import (
     Switch,
 )
 
-from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
+from bilprov.spec.checks import CheckFunction
 from bilprov.spec.data import DataSpec, Values, prose_of, unwrapped
 from bilprov.spec.errors import WrongValue, require_text, require_whole, require_word
 from bilprov.spec.fields import Address, Answers, Data, Length, Same
@@ -461,8 +461,10 @@ class _Reader:
         name = f"{self._what}.{member.name}"
         if self._check:
             raise WrongValue(f"{self._what} has two checks")
-        if not isinstance(body.hashfunc, Sum | Xor | Crc):
-            raise WrongValue(f"{name} must be a Sum, a Xor or a Crc of bilprov.spec.fields")
+        if not isinstance(body.hashfunc, CheckFunction):
+            raise WrongValue(
+                f"{name} must be a Sum, a Fletcher, a Xor or a Crc of bilprov.spec.fields"
+            )
         number = number_of(unwrapped(body.checksumfield), name)
         function, largest = body.hashfunc, (1 << body.hashfunc.bits) - 1
         if number.high < largest:

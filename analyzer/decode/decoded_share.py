@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.captures.schemas import Direction
 from bilprov.captures.text import quantity
-from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
+from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
 from bilprov.spec.codec import judge, spaced
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import frame_size
@@ -165,6 +165,7 @@ _NEAREST: tuple[Obstacle, ...] = ("range", "length", "address", "sync", "checksu
 
 _USUAL: tuple[CheckFunction, ...] = (
     *(Sum(8), Sum(8, complement=1), Sum(8, complement=2), Xor(), Sum(16)),
+    *(Fletcher(), Fletcher(255), Crc(7, 0x09, reflected=True)),
     *(Crc(8, 0x07), Crc(8, 0x31, reflected=True), Crc(8, 0xD5)),
     *(Crc(16, 0x8005, init, reflected=True) for init in (0xFFFF, 0)),
     *(Crc(16, 0x8005, init) for init in (0, 0xFFFF)),
@@ -302,9 +303,11 @@ def declared(function: CheckFunction) -> str:
     if isinstance(function, Sum):
         complement = int(function.complement)
         return f"Sum({function.bits}{f', complement={complement}' if complement else ''})"
+    if isinstance(function, Fletcher):
+        return f"Fletcher({function.modulus})"
     if isinstance(function, Xor):
         return f"Xor({function.start or ''})"
-    digits = function.width // 4
+    digits = -(-function.width // 4)
     said = f"Crc({function.width}, 0x{function.poly:0{digits}X}, 0x{function.init:0{digits}X}"
     said += ", reflected=True" if function.reflected else ""
     return said + (f", xorout=0x{function.xorout:0{digits}X})" if function.xorout else ")")

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.spec.checks import CheckFunction, Sum, Xor
+from bilprov.spec.checks import CheckFunction, Fletcher, Sum, Xor
 from bilprov.spec.codec import judge, spaced
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.explain import Finding
@@ -94,9 +94,11 @@ def check_in_words(function: CheckFunction) -> str:
     """A check in words, like `CRC-16, polynomial 8005, start ffff, reflected`."""
     if isinstance(function, Sum):
         return f"{function.bits}-bit sum{('', ', inverted,', ', negative,')[function.complement]}"
+    if isinstance(function, Fletcher):
+        return f"Fletcher's two sums, modulo {function.modulus}"
     if isinstance(function, Xor):
         return f"exclusive or from {function.start:02x}"
-    digits = function.width // 4
+    digits = -(-function.width // 4)
     said = f"CRC-{function.width} (polynomial {function.poly:0{digits}x}"
     said += f", start {function.init:0{digits}x}" + (", reflected" if function.reflected else "")
     return said + (f", combined with {function.xorout:0{digits}x})" if function.xorout else ")")

@@ -10,7 +10,7 @@ import numpy as np
 from construct import Container
 from numpy.typing import NDArray
 
-from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
+from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
@@ -255,8 +255,9 @@ class Checking:
 
     def __init__(self, function: CheckFunction, count: int) -> None:
         self._function = function
-        first = {Sum: 0, Xor: getattr(function, "start", 0), Crc: getattr(function, "first", 0)}
-        self._register = np.full(count, first[type(function)], np.int64)
+        first = getattr(function, "first", 0)
+        self._register = np.full(count, first, np.int64)
+        self._second = np.zeros(count, np.int64)  # of a Fletcher the sum of its sums
 
     def take(
         self, data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
@@ -264,8 +265,13 @@ class Checking:
         """Count the bytes of `data` from each start to its end."""
         if isinstance(self._function, Crc):
             self._register = _folded(self._function, self._register, data, start, end)
-        elif isinstance(self._function, Sum):
-            self._register += _between(np.cumsum(data, dtype=np.int64), np.subtract, start, end)
+        elif isinstance(self._function, Sum | Fletcher):
+            sums = np.cumsum(data, dtype=np.int64)
+            if isinstance(self._function, Fletcher):
+                before = np.append(np.int64(0), sums).take(start)  # what the sums have too much
+                self._second += (end - start) * (self._register - before)
+                self._second += _between(np.cumsum(sums), np.subtract, start, end)
+            self._register += _between(sums, np.subtract, start, end)
         else:
             upto = np.bitwise_xor.accumulate(data.astype(np.int64))
             self._register ^= _between(upto, np.bitwise_xor, start, end)
@@ -276,10 +282,12 @@ class Checking:
         function = self._function
         if isinstance(function, Crc):
             return self._register ^ function.xorout
-        if isinstance(function, Sum):
-            values: NDArray[np.int64] = function.of(self._register)
-            return values
-        return self._register
+        values = self._register
+        if isinstance(function, Fletcher):
+            values = function.of(values, self._second)
+        elif isinstance(function, Sum):
+            values = function.of(values)
+        return values
 
 
 def _between(

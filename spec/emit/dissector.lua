@@ -142,6 +142,14 @@ local FUNCTIONS = {
         if complement > 0 then total = complement - 2 - total end
         return total % whole
     end,
+    Fletcher = function(check, bytes)
+        local first, second = 0, 0
+        for i = 1, #bytes do
+            first = (first + bytes:byte(i)) % check.modulus
+            second = (second + first) % check.modulus
+        end
+        return second * 256 + first
+    end,
     Xor = function(check, bytes)
         local value = check.start
         for i = 1, #bytes do value = bxor(value, bytes:byte(i)) end

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from benchmarks.construct_alone import question
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
+from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
 from bilprov.spec.codec import build, judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
@@ -40,6 +40,9 @@ drawn = cache(drawn_layout)
         (Crc(24, 0x864CFB, 0xB704CE), 0x21CF02),  # OPENPGP
         (Crc(32, 0x04C11DB7, 0xFFFFFFFF, reflected=True, xorout=0xFFFFFFFF), 0xCBF43926),
         (Crc(32, 0x04C11DB7, 0xFFFFFFFF), 0x0376E6E7),  # MPEG-2
+        (Crc(7, 0x4F, 0x7F, reflected=True), 0x53),  # ROHC
+        (Crc(5, 0x05, 0x1F, reflected=True, xorout=0x1F), 0x19),  # USB
+        (Fletcher(255), 0x1EDE),
         (Sum(8), 0xDD),
         (Sum(8, complement=True), 0x22),
         (Sum(8, complement=1), 0x22),
@@ -52,6 +55,22 @@ drawn = cache(drawn_layout)
 )
 def test_the_check_of_nine_digits_is_the_published_one(check: Any, value: int) -> None:
     assert check(b"123456789") == value
+
+
+@pytest.mark.parametrize(
+    ("check", "covered", "value"),
+    [
+        (Crc(7, 0x09, reflected=True), "83 01", "17"),  # Pololu's guide
+        (Fletcher(), "06 08 06 00 c8 00 01 00 01 00", "de 6a"),  # UBX-CFG-RATE, 5 Hz
+        (Fletcher(), "0a 04 00 00", "0e 34"),  # UBX-MON-VER
+        (Sum(8, complement=2), "01 86 00 00 00 00 00", "79"),  # MH-Z19B, read
+    ],
+)
+def test_the_check_of_a_frame_is_that_of_its_datasheet(
+    check: Any, covered: str, value: str
+) -> None:
+    raw = bytes.fromhex(value)
+    assert check(bytes.fromhex(covered)) == int.from_bytes(raw, "little")
 
 
 def flat(parsed: Any) -> dict[str, Any]:
@@ -195,7 +214,10 @@ FUNCTIONS = [
     Sum(16, complement=True),
     Sum(8, complement=2),
     Sum(16, complement=2),
+    Fletcher(255),
+    Fletcher(),
     Xor(0x5A),
+    Crc(7, 0x09, reflected=True),
     Crc(8, 0xD5),
     Crc(16, 0x1021, 0xFFFF),
     Crc(16, 0x8005, 0xFFFF, reflected=True),

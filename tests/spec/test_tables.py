@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from bilprov.spec.arrays.layouts import OUTCOMES, WIDEST, Checking, field_values, number_values
 from bilprov.spec.arrays.requests import RequestTables, request_tables
 from bilprov.spec.arrays.states import Known
-from bilprov.spec.checks import CheckFunction, Crc, Sum, Xor
+from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
 from bilprov.spec.codec import Steps, build, judge, nearest, raw_frame
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import Motion
@@ -254,17 +254,18 @@ def test_no_more_frames_than_64_ki_are_remembered_and_all_are_judged_right(wide:
 NUMBERS = st.builds(
     Number, st.integers(1, WIDEST), st.sampled_from(["big", "little"]), signed=st.booleans()
 )
-_crc = st.sampled_from([8, 16, 24, 32]).flatmap(
+_crc = st.sampled_from([5, 7, 8, 12, 16, 24, 32]).flatmap(
     lambda width: st.builds(
         partial(Crc, width),
         st.integers(0, (1 << width) - 1),
         st.integers(0, (1 << width) - 1),
-        reflected=st.booleans(),
+        reflected=st.just(True) if width < 8 else st.booleans(),
         xorout=st.integers(0, (1 << width) - 1),
     )
 )
 CHECKS = st.one_of(
     st.builds(Sum, st.sampled_from([8, 16, 24, 32]), st.booleans()),
+    st.builds(Fletcher, st.sampled_from([255, 256])),
     st.builds(Xor, st.integers(0, 255)),
     _crc,
 )

@@ -19,8 +19,8 @@ from construct import (
     PrefixedArray, RawCopy, Struct, Switch, this,
 )
 from bilprov.spec.fields import (
-    Address, Answer, Answers, Clauses, Crc, Data, Instruction, Length, LineDefaults, Outcome,
-    Ranged, Same, Sum, Timing, Xor, asked,
+    Address, Answer, Answers, Clauses, Crc, Data, Fletcher, Instruction, Length, LineDefaults,
+    Outcome, Ranged, Same, Sum, Timing, Xor, asked,
 )
 
 NAME, VERSION, DOCUMENT = "drawn", "1", "none"
@@ -41,6 +41,7 @@ _CHECKS = (
     *(("Byte", f"Sum(8, complement={flag})") for flag in (0, 1)),
     *(("Byte", "Xor()"), ("Byte", "Xor(0x5A)"), ("Int16ub", "Sum(16)"), ("Byte", "Crc(8, 0xD5)")),
     *(("Int16ul", "Crc(16, 0x8005, 0xFFFF, reflected=True)"), ("Int16ub", "Crc(16, 0x1021)")),
+    *(("Int16ul", "Fletcher()"), ("Byte", "Crc(7, 0x09, reflected=True)")),
     ("Int32sl", None),
 )
 
