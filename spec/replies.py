@@ -286,7 +286,7 @@ def _ways(protocol: Protocol, asked: Judgement | None, held: bytes) -> Iterator[
 
     Without a request, `held` tells the instruction if answers repeat its ID.
     """
-    spec = asked.instruction if asked else _repeated_id(protocol, held)
+    spec = asked.instruction if asked else repeated_id(protocol, held)
     errors = [Way(layout, DataSpec()) for layout in protocol.errors]
     if spec is None:
         data = None if protocol.reply.has_data else DataSpec()
@@ -298,7 +298,7 @@ def _ways(protocol: Protocol, asked: Judgement | None, held: bytes) -> Iterator[
     yield from errors
 
 
-def _repeated_id(protocol: Protocol, held: bytes) -> InstructionSpec | None:
+def repeated_id(protocol: Protocol, held: bytes) -> InstructionSpec | None:
     """The instruction whose ID an answer repeats; None where it repeats none that is known."""
     part = protocol.reply.part("id")
     if part is None or part.same != "id" or part.offset + part.size > len(held):

@@ -357,11 +357,7 @@ class Decoder:
         while self._replies.held:
             if self._paired and not waiting:
                 return  # the request may be delayed in the other adapter
-            heard = (
-                self._replies.take(waiting, self._pairing.gives_up)
-                if self._paired
-                else self._replies.take_unasked()
-            )
+            heard = self._replies.take(waiting, self._pairing.gives_up)
             if heard is None:
                 return
             for _ in range(heard.passed):
@@ -371,8 +367,7 @@ class Decoder:
 
     def _give_up_reply(self, now: int, out: list[Record]) -> None:
         """Take what is held of an answer that is not continued, or that no request waits for."""
-        waiting = self._pairing.waiting
-        heard = self._replies.take_unasked() if not waiting else None
+        heard = self._replies.take(self._pairing.waiting, self._pairing.gives_up, over=True)
         heard = heard or self._replies.take_rest(alone=not self._both_heard)
         if heard is None:
             return
@@ -381,11 +376,13 @@ class Decoder:
     def _reply(self, heard: Heard, out: list[Record]) -> None:
         """Pair an answer of several bytes with the oldest request that waits, if there is one."""
         held = Held.of_reply(heard.start, heard.reply)
-        if self._paired and self._pairing.waiting:
+        if self._paired and self._pairing.waiting and not heard.loose:
             waiting = self._pairing.waiting.popleft()
             if waiting.sequence == self._sequence - 1:  # else a newer request may have changed it
                 self._set(waiting.judgement.address, reported(self._protocol, heard.reply))
             self._pair(held, waiting, out)
+        elif heard.loose and heard.reply.reason:
+            self._unpaired(held, anomalies.ALONE, out)
         elif self._paired:
             self._unsolicited(held, out)
         else:
