@@ -28,9 +28,12 @@ class Sniffing:
     path: Path
 
     def lines(self, count: int = 1) -> bytes:
-        """The next lines of standard output, as they come."""
-        lines = [self.command.stdout.readline() for _ in range(count)]
-        assert all(lines), self.command.stderr.read()
+        """The next lines of standard output, as they come, but for reports of a busy machine."""
+        lines: list[bytes] = []
+        while len(lines) < count:
+            line = self.command.stdout.readline()
+            assert line, self.command.stderr.read()
+            lines += promptly(line).splitlines(keepends=True)
         return b"".join(lines)
 
     def row(self, words: str) -> dict[str, Any]:
@@ -62,6 +65,11 @@ def sniffing(path: Path, *more: str, taps: int = 2, form: str = "jsonl") -> Iter
             first = part_path(path, 1) if "--rotate" in more else path
             command.wait_for(first)
             yield Sniffing(host, device, command, first)
+
+
+def promptly(output: bytes) -> bytes:
+    """The lines without those that report that a busy machine did not let the sniffer read."""
+    return b"".join(line for line in output.splitlines(keepends=True) if b'"waited"' not in line)
 
 
 def write(pair: PtyPair, data: bytes) -> None:

@@ -18,7 +18,7 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Line
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
-from tests.analyzer.cli.sniffing import Sniffing, kept, sniffing, write
+from tests.analyzer.cli.sniffing import Sniffing, kept, promptly, sniffing, write
 from tests.support import ROOT, commands
 from tests.support.messages import messages
 from tests.support.robots import until
@@ -50,7 +50,7 @@ def test_bytes_sniffed_equal_bytes_sent_and_a_replay_says_the_same(path: Path) -
             output += (line := one.lines())
             heard += b'"response"' in line
         code, rest, err = one.command.end()
-    output += rest
+    output += promptly(rest)
 
     assert code == 0, err
     sides = {"host": said, "device": answered}
@@ -59,7 +59,8 @@ def test_bytes_sniffed_equal_bytes_sent_and_a_replay_says_the_same(path: Path) -
     for side, data in sides.items():
         shown = " ".join(line["hex"] for line in lines if line["direction"] == side)
         assert bytes.fromhex(shown) == data
-    assert (replayed(path).stdout, replayed(path).returncode) == (output, 0)
+    again = replayed(path)
+    assert (promptly(again.stdout), again.returncode) == (output, 0)
 
 
 def test_unanswered_instructions_are_reported_live_as_on_replay(path: Path) -> None:
@@ -70,7 +71,7 @@ def test_unanswered_instructions_are_reported_live_as_on_replay(path: Path) -> N
 
     assert code == 0
     assert json_lines(lines)[2]["faults"] == ["unanswered"]
-    assert replayed(path).stdout == lines + rest
+    assert promptly(replayed(path).stdout) == lines + promptly(rest)
 
 
 def test_the_capture_holds_what_was_decoded_too(path: Path) -> None:
@@ -88,8 +89,9 @@ def test_the_capture_holds_what_was_decoded_too(path: Path) -> None:
     assert topics["/host/instructions"][0]["name"] == "LED"
     assert topics["/device/responses"][0]["agrees"] is False
     assert topics["/state"][0]["motion"] == "stopped"
-    assert {fault["name"] for fault in topics["/faults"]} == {"faulty instruction", "disagreeing"}
-    assert {line["event"] for line in topics["/line"]} == {"open", "close"}
+    names = {fault["name"] for fault in topics["/faults"]} - {"waited"}  # of a busy machine
+    assert names == {"faulty instruction", "disagreeing"}
+    assert {line["event"] for line in topics["/line"]} - {"waited"} == {"open", "close"}
     for key in ("grammar_name", "grammar_sha256", "port_host", "line", "truncation_timeout_ms"):
         assert capture.metadata[key]
     assert capture.metadata["attached"] == "yes"
@@ -155,11 +157,11 @@ def test_when_one_tap_is_unplugged_the_other_is_heard_on_and_nothing_is_unanswer
 
     assert code == 2
     assert [line["faults"] for line in json_lines(shown)] == [["unplugged"], [], []]
-    (judgement,) = json_lines(rest)
+    (judgement,) = json_lines(promptly(rest))
     assert not judgement["violations"], judgement
     assert one.device.name in err.decode().splitlines()[-1]
     assert kept(path) == b"\x20\x11\x07\x11\x08"
-    assert replayed(path).stdout.endswith(shown)
+    assert promptly(replayed(path).stdout).endswith(shown)
 
 
 @contextmanager
@@ -195,6 +197,7 @@ def test_a_tap_that_is_plugged_in_again_is_heard_again(
     assert code == expected, err
     assert (answer["agrees"], answer["answers"]) == (True, said["sequence"])
     events = [event.event for event in open_capture(path) if isinstance(event, Line)]
+    events = [event for event in events if event != "waited"]
     assert events == ["open", "unplugged", "reconnected", "close"]
 
 
