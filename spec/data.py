@@ -321,12 +321,17 @@ def read_data(
         if one.many and one.many.expression:
             _require_counted(f"{owner}.{one.name}", one.many.expression, fields, asked)
         if how == "rest" and not framed:
-            raise WrongValue(f"{owner}.{one.name} takes the rest of a frame without a length")
+            raise WrongValue(
+                f"{owner}.{one.name} takes the rest of a frame without a length; "
+                "declare Bytes(n), or a count in front"
+            )
         fields.append(one)
     names = [part.name.lower() for part in fields if part.name]
     for name in names:
         if names.count(name) > 1:
-            raise WrongValue(f"{owner} has two fields named {name}")
+            raise WrongValue(
+                f"{owner} has two fields named {name}; give one {owner}.{name} another name"
+            )
     return DataSpec(tuple(fields), sum(part.size for part in fields))
 
 

@@ -42,6 +42,7 @@ from bilprov.spec.fields import (
     OF_HEADERS,
     Answers,
     Clauses,
+    Data,
     Instruction,
     LineDefaults,
     Memory,
@@ -648,7 +649,12 @@ def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
     for identity in declared:
         require_whole("an ID in INSTRUCTIONS", identity)
         if not 0 <= identity <= identities.most:
-            raise GrammarError(f"the header cannot carry the ID {identity}")
+            raise GrammarError(
+                f"the header cannot carry the ID {identity} of "
+                f"{shown(getattr(declared[identity], 'name', ''))}, allowed are 0 to "
+                f"{identities.most}"
+            )
+    space = _with_answers(space, declared)
     reply, acknowledgement, errors, flags = _replies(space, layout.covered)
     specs = [_instruction(i, declared[i], layout, reply) for i in sorted(declared)]
     asked = {*layout.told, *(name for spec in specs for name in spec.numbers)}
@@ -907,6 +913,19 @@ def _require_place_of_data(declared: Any, instructions: dict[Any, Any]) -> None:
         raise GrammarError('FRAME must have "data" / Switch(this.id, INSTRUCTIONS)')
 
 
+def _with_answers(space: dict[str, Any], instructions: dict[Any, Any]) -> dict[str, Any]:
+    """The declarations with a REPLY, where nothing says how answers look: then there are none."""
+    if {"REPLY", "RESPONSE"} & {*space}:
+        return space
+    for one in instructions.values():
+        if not isinstance(one, Construct) or getattr(unwrapped(one), "answer", "") is not None:
+            raise GrammarError(
+                "it declares no REPLY and no RESPONSE; declare how answers look, or give each "
+                "Instruction answer=None"
+            )
+    return {"SILENT": tuple(Outcome)[1:], **space, "REPLY": Struct("data" / Data())}
+
+
 def _replies(
     space: dict[str, Any], covered: tuple[str, ...]
 ) -> tuple[Layout, Layout, tuple[Layout, ...], bool]:
@@ -1017,7 +1036,9 @@ def _instruction(
 ) -> InstructionSpec:
     body = unwrapped(declaration)
     if not isinstance(body, Instruction) or not declaration.name:
-        raise GrammarError(f'instruction {identity} must be written "Name" / Instruction(...)')
+        raise GrammarError(
+            f'instruction {identity} of INSTRUCTIONS must be written "Name" / Instruction(...)'
+        )
     name = declaration.name
     require_word(f"the name of instruction {identity}", name)
     require_text(f"the prose of {name}", prose_of(declaration))

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.spec.protocol import GrammarError, load
+from bilprov.spec.codec import judge
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, GrammarError, load
 from tests.support import ROOT
 from tests.support.grammars import mutated
 
 MORE = {
-    " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized, CString, "
+    " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized, CString, GreedyBytes, "
     "GreedyString, NullTerminated, Optional, If, Float32b,",
     " Data,": " AllOf, Ranged, AnyOf, Crc, Data, Length, asked,",
 }
@@ -168,6 +170,22 @@ ELSEWHERE: list[tuple[dict[str, str], str, str]] = [
         "Timing.truncation_timeout is 50, allowed is at least Timing.truncation_shortest, 60",
         "TIMING =",
     ),
+    (
+        {'    4: "Pulse"': '    400: "Pulse"'},
+        "the header cannot carry the ID 400 of 'Pulse', allowed are 0 to 255",
+        '400: "Pulse"',
+    ),
+    (
+        read('"n" / Byte, "n" / Byte, '),
+        "Read has two fields named n; give one Read.n another name",
+        '"n" / Byte',
+    ),
+    (
+        read('"text" / GreedyBytes, '),
+        "Read.text takes the rest of a frame without a length; declare Bytes(n), or a count",
+        '"text" / GreedyBytes',
+    ),
+    ({REPLY: ""}, "it declares no REPLY and no RESPONSE; declare how answers look, or give", ""),
     (read("", "Byte"), "a field of the answer of Read has no name; write it", ""),
     ({"    Same,": "    Sam,"}, "cannot import name 'Sam' from 'bilprov.spec.fields' (line", ""),
     (
@@ -182,6 +200,47 @@ ELSEWHERE: list[tuple[dict[str, str], str, str]] = [
         "",
     ),
 ]
+
+
+LIDAR = """
+from construct import Byte, Checksum, Const, Int16ul, RawCopy, Struct, Switch, this
+from bilprov.spec.fields import Clauses, Instruction, LineDefaults, Sum, Timing
+
+NAME, VERSION, DOCUMENT = "lidar", "1", "TFmini, its standard frames"
+INSTRUCTIONS = {
+    0x59: "Distance"
+    / Instruction(
+        "distance" / Int16ul, "strength" / Int16ul, "mode" / Byte, "spare" / Byte,
+        document="frame", answer=None,
+    )
+    * "Measured by itself, a hundred times a second.",
+}
+FRAME = Struct(
+    "covered"
+    / RawCopy(
+        Struct("head" / Const(b"\\x59"), "id" / Byte, "data" / Switch(this.id, INSTRUCTIONS))
+    ),
+    "sum" / Checksum(Byte, Sum(8), this.covered.data),
+)
+TIMING = Timing(
+    truncation_timeout=50, truncation_shortest=5, truncation_longest=1000,
+    answer_deadline=100, answer_longest=1000, stop_longest=100,
+)
+LINE = LineDefaults(baud=115200, parity="N", stopbits=1)
+CLAUSES = Clauses(header="1", instructions="1", responses="none", safety="none")
+"""
+
+
+def test_frames_that_are_never_answered_need_neither_a_reply_nor_a_list_of_silent_outcomes() -> (
+    None
+):
+    lidar = load(LIDAR, "lidar.py")
+    measured = judge(lidar, bytes.fromhex("59 59 2c 01 64 00 02 00 45"))
+    wrong = judge(lidar, bytes.fromhex("59 59 2c 01 64 00 02 00 46"))
+
+    assert (measured.valid, dict(measured.fields)["distance"]) == (True, 300)
+    assert wrong.outcome is Outcome.BAD_CHECKSUM
+    assert {*lidar.answers.values()} <= {NO_ANSWER, PLAIN_ANSWER}
 
 
 def test_names_of_a_grammars_own_are_let_alone() -> None:

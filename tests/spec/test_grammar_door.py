@@ -68,7 +68,10 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ({'bits="RGB"': 'bits="RGBRGBRGB"'}, "names 9 bits, it has 8"),
     ({'reading="R-led-upper-bits"': "reading=[]"}, "the reading of a field is []"),
     # instructions
-    ({'8: "LED"': '10: "Lamp" / Byte, 8: "LED"'}, 'instruction 10 must be written "Name" /'),
+    (
+        {'8: "LED"': '10: "Lamp" / Byte, 8: "LED"'},
+        'instruction 10 of INSTRUCTIONS must be written "Name" /',
+    ),
     ({'1: "Speed"': '1: "  "'}, "is empty"),
     ({'1: "Speed"': '1: "Sp\\x1b[31meed"'}, "U+001B"),
     ({'5: "Left"': '5: "RIGHT"'}, "two instructions are named Right"),
