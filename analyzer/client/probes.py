@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -234,7 +235,11 @@ class ExecProbe(Probe):
         self._output = b""
         try:
             self._process = subprocess.Popen(
-                self._command, shell=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
+                self._command,
+                shell=True,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                process_group=0,  # so that what the shell starts ends with it
             )
         except (OSError, ValueError) as error:  # ValueError: a nul byte
             raise ProbeError(f"--probe exec: {error}") from error
@@ -269,7 +274,7 @@ class ExecProbe(Probe):
         process, self._process = self._process, None
         if process is not None:
             if process.poll() is None:
-                process.kill()
+                os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
             if process.stdout is not None:
                 process.stdout.close()

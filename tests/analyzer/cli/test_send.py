@@ -157,12 +157,11 @@ def test_ctrl_c_does_not_wait_for_a_command_that_looks(protocol: Protocol) -> No
         served_here(device) as (port, _),
         running(
             *("send", port, "Speed 9", "Forward", "--yes"),
-            *("--probe", "exec:sleep 600"),
+            *("--probe", "exec:echo looking >&2; sleep 600; true"),
         ) as sending,
     ):
-        sending.stdout.readline()
-        sending.stdout.readline()
-        code, _, err = sending.end()
+        assert sending.stderr.readline() == b"looking\n"
+        code, _, err = sending.end()  # waits for all that have its output, also for the command
 
     assert (code, err) == (1, b"1 of 2 instructions were sent\n")
     assert not device.state.moving
