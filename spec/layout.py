@@ -102,9 +102,16 @@ class Part:
         """The largest value that it can have."""
         return ((1 << self.width) - 1 if self.width else self.number.high) - self.also
 
-    def repeating(self, value: int) -> int:
-        """The value with which it repeats one of the request, cut to the part's bits."""
+    def repeating(self, value: Any) -> Any:
+        """The value with which it repeats one of the request, cut to the part's bits.
+
+        Both are numbers or arrays of them.
+        """
         return (value + self.plus) & self.most
+
+    def repeated(self, value: Any) -> Any:
+        """The value of the request that it repeats by this one, a number or an array of them."""
+        return (value - self.plus) & self.most
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +236,7 @@ class Layout:
         """
         for part in self.parts:
             if part.same and part.offset >= 0 and part.offset + part.size <= len(held):
-                right = part.repeating(asked.get(part.same, -1))  # type: ignore[arg-type]
+                right = part.repeating(asked.get(part.same, -1))
                 if part.same not in asked or part.read(held) != right:
                     return part, right
         return None

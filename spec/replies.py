@@ -171,6 +171,7 @@ def read_as(
     values = asked_values(protocol, asked) if asked else {}
     layout = way.layout
     names, response = meaning(protocol, layout.value("code", frame))
+    to = layout.part("address")
     fields: tuple[tuple[str, Any], ...] = ()
     registers: Registers = ()
     if layout.has_data and way.data is not None and not reason:
@@ -190,7 +191,7 @@ def read_as(
         names,
         way,
         fields,
-        layout.value("address", frame),
+        to.repeated(to.read(frame)) if to else None,
         reason,
         open_end,
         registers,

@@ -167,7 +167,8 @@ class AnswerTables:
             if part is not None:
                 found = found if found.flags.writeable else found.copy()
                 rows = np.flatnonzero(kinds.take(kind))
-                found[rows] = part_values(part, data, answers.offset[rows], answers.end[rows])
+                value = part_values(part, data, answers.offset[rows], answers.end[rows])
+                found[rows] = part.repeated(value)
         return found
 
     def reported(
@@ -296,8 +297,9 @@ def _repeats(layout: Layout, asked: Numbers, data: Bytes, start: Places) -> Mask
     found = np.ones(len(start), np.bool_)
     for part in layout.parts:
         if part.same and part.offset >= 0:
-            expected = asked.get(part.same, np.int64(-1)) + part.plus
-            found &= part_values(part, data, start, start) == expected
+            value = asked.get(part.same, np.int64(-1))
+            right = part_values(part, data, start, start) == part.repeating(value)
+            found &= right & (value >= 0)
     return found
 
 

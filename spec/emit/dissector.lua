@@ -310,8 +310,11 @@ end
 -- What a frame is, in words: who is meant, its name, its values.
 local function words_of(item)
     local layout, bytes, words = item.layout, item.bytes, { item.name }
-    local address = #bytes >= layout.head and value_of(layout, "address", bytes)
-    if address then table.insert(words, 1, format("@%.0f", address)) end
+    local to = #bytes >= layout.head and part_of(layout, "address")
+    if to then
+        local over = 2 ^ (to.width > 0 and to.width or 8 * to.size)
+        table.insert(words, 1, format("@%.0f", (read(to, bytes) - to.plus) % over))
+    end
     local data = bytes:sub(layout.head + 1, #bytes - layout.tail)
     for _, row in ipairs(item.rows or {}) do
         if #row.raw == 0 then

@@ -156,7 +156,7 @@ def _head(draw: Random, *, has_length: bool, has_address: bool, bits: bool) -> l
 
 def _echoed(part: str) -> str:
     """The part of an answer that stands for a part of the request."""
-    address = part.replace("Address(Byte, 1, 99, broadcast=0)", 'Same("address", Byte)')
+    address = part.replace("Address(Byte, 1, 99, broadcast=0)", 'Same("address", Byte, plus=200)')
     return address.replace(_ID, _ECHO)
 
 
