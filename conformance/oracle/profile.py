@@ -239,10 +239,10 @@ class Timers:
     given up: a later one fails. `silence` is kept after an answer before the next step, `hold`
     while a thorough case watches the stop. `grace` is how much later than the answer a stop may be
     seen although it was in time (the link's own jitter), `settle` the time for what may still be
-    under way, `boot` that for the first answer, `idle` how long a moving robot is sent nothing,
-    `never` when a truncated frame counts as never answered. `waiting_budget` bounds the time spent
-    waiting for missing answers in all, `run_budget` that of all cases on a slow device; None means
-    no bound.
+    under way, `boot` that for the first answer, `idle` how long a moving robot is sent nothing, and
+    one that a fault has stopped; `never` when a truncated frame counts as never answered.
+    `waiting_budget` bounds the time spent waiting for missing answers in all, `run_budget` that of
+    all cases on a slow device; None means no bound.
     """
 
     deadline: int = 100 * MS

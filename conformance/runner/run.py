@@ -15,6 +15,7 @@ from bilprov.analyzer.client.operations import Operation, Received, Reply
 from bilprov.conformance.cases.adaptation import on_the_wire
 from bilprov.conformance.cases.case import Case, case_of_the_run
 from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.oracle.judge import answer_words
 from bilprov.conformance.oracle.profile import Profile, Timers
@@ -172,10 +173,16 @@ class Counters:
         self._checks += 1
         return self._checks
 
-    def holds(self, case: Case) -> bool:
-        """Whether the stop of this case is watched for long: one thorough case of each class."""
+    def hold(self, case: Case, timers: Timers) -> int:
+        """How long (ns) the stop of this case is watched: 0 but for one thorough case of a class.
+
+        That of one fault is watched for as long as a moving robot is sent nothing.
+        """
         key = (case.kind, case.accepted[0].codes)
-        return case.thorough and self._held.setdefault(key, case.id) == case.id
+        if not case.thorough or self._held.setdefault(key, case.id) != case.id:
+            return 0
+        faults = (ident for (kind, _), ident in self._held.items() if kind is not FrameClass.VALID)
+        return max(timers.hold, timers.idle) if case.id == next(faults, "") else timers.hold
 
 
 def _doubted(result: CaseResult, why: str) -> CaseResult:

@@ -286,8 +286,8 @@ def stays_stopped(
     brief = many and run.counters.next_check() % 8
     window = run.timers.settle if brief else max(run.timers.silence, run.timers.settle)
     costly = run.config.observability.costly
-    long = not costly and run.counters.holds(case)
-    rounds = max(1, run.timers.hold // window) if long else 1
+    hold = 0 if costly else run.counters.hold(case, run.timers)
+    rounds = max(1, hold // window)
     trial.settled = True
     for _ in range(rounds):
         more = yield from listen(None, window)

@@ -33,6 +33,7 @@ from bilprov.conformance.runner.homing import watch
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol
+from tests.support.faults import faulty, resumes_after, when
 from tests.support.robots import CountingLink, at_rest, cases_of, run_over
 
 MS = 1_000_000
@@ -42,7 +43,7 @@ ONLY = (
 )
 # Cases that the runner itself stands for.
 BEFORE = ("power-on", "link", "timing", "reading", "leave", "line")
-ASKS = 640  # a little more than a whole run asks
+ASKS = 740  # a little more than a whole run asks
 PROBING = 450  # what the probes of the device's own choices ask besides
 
 
@@ -105,7 +106,7 @@ def test_every_faulty_case_is_seen_moving_before_it_and_moving_again_after_it(
     run_over(link, protocol, cases)
 
     motion = cases[0].setup.motion
-    mine = [look.motion for look in link.looks[-17:]]  # 13 of the hold, and what is around it
+    mine = [look.motion for look in link.looks[-65:]]  # 60 of the hold, and what is around it
     assert motion in mine
     first = mine.index(motion)
     assert mine[first + 1 :].count(motion) == 1
@@ -311,3 +312,14 @@ def test_a_late_answer_is_charged_to_the_case_before_and_not_to_the_next(
     failed = [r for r in runner.run.results if r.verdict is Verdict.FAIL]
     assert [r.id for r in failed] == ["unused-id/10/0"]
     assert [byte.hex for byte in failed[0].received] == ["01"]
+
+
+@pytest.mark.parametrize(("level", "longest"), [("smoke", 300), ("standard", 1200)])
+def test_a_robot_that_a_fault_stopped_is_watched_as_long_as_one_that_drives(
+    protocol: Protocol, level: str, longest: int
+) -> None:
+    for milliseconds, verdict in ((longest - 50, Verdict.FAIL), (longest + 50, Verdict.PASS)):
+        react = when(faulty, resumes_after(milliseconds))
+        device = Simulator(protocol, Fault("creeps", "test", "", react=react))
+        report = conform(device, options=Options(level=level, only=("unused-id/9/0",)))
+        assert [r.verdict for r in report.results if r.id == "unused-id/9/0"] == [verdict]
