@@ -11,6 +11,7 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.state_model import ExpectedState, FrameEffect, Model
 from bilprov.conformance.oracle.verdicts import Accepted, Axis, Verdict
+from bilprov.conformance.oracle.wheel_order import tolerance
 from bilprov.spec.motion import Wheels, visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, STATE_POINTS
@@ -245,15 +246,16 @@ def _wheels(
         wanted = f"{visible} on the spot"
         return wanted, wanted if left * want_left > 0 and right * want_right > 0 else seen
     # No mixing law is given: the outer wheel drives on, the inner one is not faster, and slower
-    # where the steering and the speed are large enough to show.
+    # where the steering and the speed are large enough to show. What is measured varies a little.
     outer, inner = left * want_left, right * want_right
     if steering < 0:
         outer, inner = inner, outer
+    alike = abs(outer - inner) <= tolerance(max(outer, inner))
     if car.steering in unknown:
         wanted, fits = motion, max(outer, inner) > 0
     elif steering == 0:
-        wanted, fits = "both alike", outer == inner > 0
+        wanted, fits = "both alike", alike and min(outer, inner) > 0
     else:
         wanted = "left ahead" if steering > 0 else "right ahead"
-        fits = outer > 0 and (outer > inner or (outer == inner and not model.shows(expected)))
+        fits = outer > 0 and (outer > inner or (alike and not model.shows(expected)))
     return wanted, wanted if fits else seen

@@ -384,11 +384,15 @@ STRAIGHT = DRIVING.but(steering=0)
     ("state", "left", "right", "verdict"),
     [
         (STRAIGHT, 100, 100, PASS),
-        (STRAIGHT, 100, 99, FAIL),
+        (STRAIGHT, 100, 96, PASS),  # encoders measure
+        (STRAIGHT, 20, 23, PASS),
+        (STRAIGHT, 100, 94, FAIL),
+        (STRAIGHT, 20, 24, FAIL),
         (STRAIGHT, -100, -100, FAIL),
         (STRAIGHT, 0, 0, FAIL),
         (DRIVING, 100, 60, PASS),
         (DRIVING, 100, 100, PASS),  # no mixing law is given
+        (DRIVING, 98, 100, PASS),
         (DRIVING.but(steering=200), 100, 100, FAIL),  # but so much of it must show
         (DRIVING.but(steering=200, speed=20), 10, 10, PASS),  # unless it is as slow as that
         (DRIVING.but(steering=200), 100, 99, PASS),
