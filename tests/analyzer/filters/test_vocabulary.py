@@ -67,8 +67,8 @@ def asked_for(protocol: Protocol, column: Column, value: Any) -> str:
     if field.kind is Kind.WORDS:
         words = value.split(SEPARATED[column.name])
         return " and ".join(f"{column.name} contains {word!r}" for word in words if word)
-    if field.kind is Kind.WORD and value not in field.words:  # several flags
-        return " and ".join(f"{column.name} contains {word!r}" for word in value.split())
+    if column.name in ("name", "response") and value not in field.words:  # several flags
+        return " and ".join(f"name contains {word!r}" for word in value.split())
     return f"{column.name} == {value!r}"
 
 

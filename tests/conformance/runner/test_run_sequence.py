@@ -60,7 +60,7 @@ WRONGS = [
     ("30", sets(motion=Motion.STOPPED), "state", INSTRUCTIONS, "moving is False"),
     ("30", sets(led=1), "state", INSTRUCTIONS, "led is 1, expected 7"),
     ("30", sets(speed=199), "state", INSTRUCTIONS, "speed is 199, expected 200"),
-    ("30", sets(steering=-1), "state", INSTRUCTIONS, "wheels is left"),
+    ("30", sets(steering=-30), "state", INSTRUCTIONS, "wheels is left"),
     ("92 00 00", answers_with(0), "answer", RESPONSES, "answered 00 OK instead of 01 BAD_HEADER"),
     ("92 00 00", drives_on, "stop", SAFETY, "moving is True, expected False"),
     ("92 00 00", sets(led=1), "state", SAFETY, "led is 1, expected 7"),
