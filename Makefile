@@ -96,7 +96,7 @@ noise: setup ## no false fail and no wrong pass over a bad line: 100 seeded runs
 	$(BIN)/python -m benchmarks.noise
 	$(BIN)/python -m benchmarks.noise --board
 
-fuzz: setup ## 20 times as many random inputs for each property as in make test, and damaged captures
+fuzz: setup ## 30 times as many random inputs for each property as in make test, and damaged captures
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m hypothesis --whole --examples 1200 --timeout 1200
 	$(BIN)/python -m benchmarks.torture changes damage --runs 10000
 

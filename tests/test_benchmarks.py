@@ -90,6 +90,7 @@ def wrong_in(rows: list[Row]) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.waits
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", FEW)
 def test_a_harm_is_held(name: str) -> None:
     # How long the last write took is the machine's; all else must hold on a busy one too.

@@ -146,6 +146,7 @@ def typed(page: str, folder: Path) -> None:
             ):
                 continue
             status, printed = reader.types(step)
+            printed = re.sub(r".* ! waited: .*\n", "", printed)  # where the machine is busy
             told = f"{step.line}\n{printed}"
             assert "Traceback" not in printed, told
             assert status in step.statuses, f"exit status {status}: {told}"

@@ -76,6 +76,7 @@ def test_a_faulty_device_comes_out_as_faulty_as_it_was(
 
 
 @pytest.mark.slow
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("options", "fault", "code"),
     [
@@ -250,6 +251,7 @@ def test_a_forged_verdict_is_not_trusted(faulty: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("path", "value"),
     [
@@ -449,6 +451,7 @@ def test_what_the_run_rests_on_may_be_anything(
 
 
 @pytest.mark.slow
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "options",
     [{"deadline": 1e308}, {"truncation_timeout": -1e308}, {"only": ["nothing"]}, {"seed": 1 << 62}],

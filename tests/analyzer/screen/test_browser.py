@@ -93,6 +93,7 @@ def test_the_details_have_a_scroll_bar_where_they_need_it(screen: Browser) -> No
     operated(screen, steps, (80, 24))
 
 
+@pytest.mark.sample(8)
 @pytest.mark.parametrize(
     ("keys", "row"),
     [

@@ -74,6 +74,7 @@ def test_globs_and_whole_ids_choose_alike() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("byte_time", "held", "look", "few"),
     [
