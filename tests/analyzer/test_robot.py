@@ -515,15 +515,18 @@ def test_a_robot_in_another_thread_is_stopped_before_a_signal_ends_the_program(
 
 
 SHARED = """\
-import sys, threading, time
-from bilprov import Robot
+import os, sys, threading, time
+from bilprov import Robot, RobotError
 
 robot = Robot(sys.argv[1])
 robot.speed(100)
 
 def drive():
-    while True:
-        robot.forward()
+    try:
+        while True:
+            robot.forward()
+    except RobotError as error:
+        os.write(2, f"RobotError: {error}\\n".encode())  # at once: three tracebacks would mix
 
 for _ in range(3):
     threading.Thread(target=drive).start()
