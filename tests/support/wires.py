@@ -37,6 +37,7 @@ class Running:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             cwd=ROOT,
+            bufsize=0,  # `communicate` does not give what a buffer holds
             process_group=0,  # in the group of tests run in the background nothing is suspended
         )
         assert self.process.stdout is not None
