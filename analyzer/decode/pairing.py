@@ -174,8 +174,10 @@ class ReplyFramer:
         self._starts = {layout.sync[:1] for layout in layouts}  # b"": an answer without a sync
         self._held = bytearray()
         self._times: list[int] = []
-        self._looked = 1  # the places from the second one up to here were looked at: a right
-        self._open: list[int] = []  # answer begins at none of them, but perhaps at these
+        # Up to `_looked` no right answer begins behind the first byte, unless at an `_open` place,
+        # whose answer is not whole yet. So no place is looked at for every byte that comes.
+        self._looked = 1
+        self._open: list[int] = []
 
     @property
     def held(self) -> bool:
