@@ -362,7 +362,7 @@ def _tested(
         looks = target.environment.observability
         movement = run_movement(protocol, plan.cases, looks=looks.available and not looks.costly)
         again = ", and again whenever it comes back" if options.watches else ""
-        robot.confirm(protocol, f"{_time(seconds)}{again}", movement)
+        robot.confirm(protocol, f"about {_time(seconds)}{again}", movement)
         look = target.look_time
         slow = f"an observation takes {look / MS:.0f} ms; " if is_slow(look / 1e9) else ""
         note(

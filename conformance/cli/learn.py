@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bilprov.analyzer.cli.command import command, family_protocol, group, option
-from bilprov.analyzer.cli.options import note, note_each
+from bilprov.analyzer.cli.options import note_each
 from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.captures.text import quantity
@@ -81,7 +81,7 @@ def learn(options: LearnOptions) -> int:
                 "after each frame: use tcp:HOST:PORT or modem:LINE"
             )
         if target.moves:
-            _confirm(target, robot)
+            robot.confirm(protocol, "some minutes", all_movement(protocol))
         return target
 
     with robot.driven(protocol, name, settings, agreed) as (target, _), bar() as shown:
@@ -98,14 +98,6 @@ def learn(options: LearnOptions) -> int:
     return learned.exit
 
 
-def _confirm(target: Target, robot: RobotOptions) -> None:
-    from bilprov.conformance.learning.reference import estimated_seconds
-
-    seconds = estimated_seconds(target)
-    robot.confirm(target.protocol, f"{seconds:.0f} s", all_movement(target.protocol))
-    note(f"about {seconds:.0f} s; unexpected answers are tried again, which takes longer")
-
-
 def _write(learned: Learned, options: LearnOptions) -> None:
     """Write the files that were asked for; a picture needs a machine."""
     machine = learned.machine
@@ -120,19 +112,12 @@ def _write(learned: Learned, options: LearnOptions) -> None:
 
 def _told(learned: Learned) -> Iterator[str]:
     """What came of it, in lines for a person."""
-    counts = learned.sent
-    sent = f"{quantity(counts.frames, 'frame')} in {quantity(counts.sequences, 'sequence')}"
-    if counts.repeated:
-        sent += f", {counts.repeated:,} of them sent again"
     if learned.machine is not None:
         states = quantity(len(learned.machine), "state")
         inputs = quantity(len(learned.steps), "input")
-        yield f"learned {states} over {inputs}, from {sent}"
+        yield f"learned {states} over {inputs}, from {quantity(learned.sent.frames, 'frame')}"
         looks = ", ".join(learned.seen) or "nothing of the robot: no probe"
         yield f"seen beside the answers: {looks}"
-        if learned.differences:
-            expected = quantity(learned.expected_states, "state")
-            yield f"the Protocol's machine has {expected} over these inputs"
     for point, word, label in learned.choices:
         yield f"another reading, taken into account: {point} = {word} ({label})"
     for case, reason in learned.beside:
@@ -148,9 +133,8 @@ def _told(learned: Learned) -> Iterator[str]:
         yield f"     due: {one.expected.words(protocol)}"
         yield f"     got: {one.actual.words(protocol)}"
         yield f"     {learned.send_line(one)}"
-    hidden = len(learned.differences) - _SHOWN
-    if hidden > 0 or learned.more:
-        yield f"and {max(hidden, 1)} more" + (", at least" if learned.more else "")
+    if len(learned.differences) > _SHOWN:
+        yield "and more"
     yield _conclusion(learned)
 
 

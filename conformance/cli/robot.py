@@ -121,7 +121,7 @@ class RobotOptions:
         """Ask once whether the robot may move for so long, in words, and in this way."""
         note_hindrances(self.target)
         words = movement_words(protocol, movement)
-        what = f"the robot at {self.target} will move for about {how_long}"
+        what = f"the robot at {self.target} will move for {how_long}"
         confirm_effect(
             protocol, what, words if all_movement(protocol).motions else "", yes=self.yes
         )

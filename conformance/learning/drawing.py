@@ -10,10 +10,11 @@ import shutil
 import subprocess
 from collections import defaultdict
 from collections.abc import Collection, Sequence
+from itertools import product
 
 from bilprov.captures.text import escape_controls, quantity
 from bilprov.conformance.learning.reference import Output
-from bilprov.conformance.machines.wp_method import Mealy, state_cover
+from bilprov.conformance.machines.wp_method import Mealy
 from bilprov.conformance.oracle.judge import answer_words
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
@@ -23,7 +24,7 @@ _NAMED = 3  # inputs that are named on an arrow
 _HEAD = """rankdir=LR; node [shape=box style=rounded fontname="sans-serif"];
 edge [fontname="sans-serif" fontsize=10];
 start [shape=point]; start -> 0 [tooltip="homed"];"""
-_RED = 'color="#c62828" fontcolor="#c62828"'
+_RED = ' color="#c62828" fontcolor="#c62828"'
 
 
 class DrawingError(UserError):
@@ -40,43 +41,32 @@ def dot_text(
     """The machine in DOT, the language of Graphviz.
 
     `names` are the inputs in words. A node is a kind of motion with the number of its states.
-    Transitions between the same nodes are one arrow, whose tooltip says what each input gives; that
-    of a node is a shortest way to it. `differing` are the transitions (state, input) to be drawn in
-    red.
+    Transitions between the same nodes are one arrow: a few inputs stand on it, more are counted,
+    and its tooltip has them all. `differing` are the transitions (state, input) to be drawn in red.
     """
     labels = _kinds(machine)
     nodes = list(dict.fromkeys(labels))
     lines = [f"digraph {_quoted(title)} {{", _HEAD]
     for number, label in enumerate(nodes):
         states = quantity(labels.count(label), "state")
-        way = state_cover(machine)[labels.index(label)]
         words = f"{label or 'its motion is not seen'}\n{states}"
-        tooltip = ", ".join(names[letter] for letter in way) or "homed"
-        lines.append(f"{number} [label={_quoted(words)} tooltip={_quoted(tooltip)}];")
-    arrows: dict[tuple[int, int], dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
-    red: dict[tuple[int, int], dict[str, None]] = defaultdict(dict)
-    for source, (targets, outputs) in enumerate(zip(machine.targets, machine.outputs, strict=True)):
-        for letter, (target, output) in enumerate(zip(targets, outputs, strict=True)):
-            ends = nodes.index(labels[source]), nodes.index(labels[target])
-            arrows[ends][names[letter]].add(answer_words(protocol, output.codes))
-            if (source, letter) in differing:
-                red[ends][names[letter]] = None
-    for ends, answers in arrows.items():
-        lines.append(_arrow(*ends, answers, red[ends]))
+        lines.append(f"{number} [label={_quoted(words)}];")
+    arrows: dict[tuple[int, int], dict[str, bool]] = defaultdict(dict)
+    for state, letter in product(range(len(machine)), machine.inputs):
+        target = machine.targets[state][letter]
+        answer = answer_words(protocol, machine.outputs[state][letter].codes)
+        told = arrows[nodes.index(labels[state]), nodes.index(labels[target])]
+        words = f"{names[letter]}: {answer}"
+        told[words] = told.get(words, False) or (state, letter) in differing
+    for (source, end), told in arrows.items():
+        label = "\n".join(told)
+        if len(told) > _NAMED:
+            red = [words for words, differs in told.items() if differs]
+            label = "\n".join([quantity(len(told), "input"), *red])
+        style = _RED if any(told.values()) else ""
+        tooltip = _quoted("\n".join(told))
+        lines.append(f"{source} -> {end} [label={_quoted(label)} tooltip={tooltip}{style}];")
     return "\n".join([*lines, "}", ""])
-
-
-def _arrow(source: int, target: int, answers: dict[str, set[str]], red: Collection[str]) -> str:
-    """An arrow in DOT. A few inputs stand on it, more are counted."""
-    each = [f"{name}: {' or '.join(sorted(words))}" for name, words in answers.items()]
-    kinds = set[str]().union(*answers.values())
-    label = "\n".join(each)
-    if len(each) > _NAMED:
-        all_alike = f": {min(kinds)}" if len(kinds) == 1 else f", {quantity(len(kinds), 'answer')}"
-        label = quantity(len(each), "input") + all_alike
-        label += "".join(f"\n{name} differs" for name in red)
-    words = f"label={_quoted(label)} tooltip={_quoted(chr(10).join(each))}"
-    return f"{source} -> {target} [{words}{' ' + _RED if red else ''}];"
 
 
 def _kinds(machine: Mealy[Output]) -> list[str]:

@@ -46,15 +46,8 @@ from bilprov.conformance.learning.reference import (
     reference_machine,
     reset,
     rest_of,
-    seen_without,
 )
-from bilprov.conformance.machines.wp_method import (
-    Characterisation,
-    Mealy,
-    explore,
-    minimal,
-    state_cover,
-)
+from bilprov.conformance.machines.wp_method import Mealy, explore, state_cover
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import Verdict, exit_code
 from bilprov.conformance.report.run_report import Report, send_words
@@ -76,14 +69,6 @@ _OPENING = "link/*"  # the cases of a run that does nothing but learn
 _Outputs = tuple[Output, ...]
 
 
-class NoAALpy(UserError):
-    """AALpy is not installed. The message says how it comes."""
-
-
-class Unusable(UserError):
-    """The line cannot be used at all; the message says why, in one sentence."""
-
-
 class NotLearned(Exception):
     """The device cannot be learned; the message says why, in one sentence."""
 
@@ -98,14 +83,9 @@ class Difference(NamedTuple):
 
 @dataclass(slots=True)
 class Sent:
-    """What learning has sent: inputs, sequences of them, and how many of these were sent again.
-
-    `flaky` counts outcomes that came once and not again.
-    """
+    """How many inputs learning has sent, and how many outcomes came once and not again."""
 
     frames: int = 0
-    sequences: int = 0
-    repeated: int = 0
     flaky: int = 0
 
 
@@ -114,22 +94,19 @@ class Learned:
     """What came of learning a target.
 
     `steps` are the inputs, `machine` is the device's, None where it was not learned, and then
-    `trouble` says why in a sentence. `expected_states` is how many the Protocol's machine has over
-    the same inputs, as far as it was seen. `differences` were each seen on the device, the shortest
-    first; `more` says that there are others. `choices` are the open points at which the device
-    chooses otherwise than the kit, with its word and the verdict of that. `report` is that of the
-    run in which it was learned, whose failures were found beside the sequences. `seen` are facets
-    of the look, in words. Of `sent`, `flaky` also counts what came between the sequences; on a line
-    that loses nothing (`lossless`) it is the device's.
+    `trouble` says why in a sentence. `differences` were each seen on the device, the
+    shortest first; a device may have more than MOST_DIFFERENCES. `choices` are the open points at
+    which the device chooses otherwise than the kit, with its word and the verdict of that. `report`
+    is that of the run in which it was learned, whose failures were found beside the sequences.
+    `seen` are facets of the look, in words. Of `sent`, `flaky` also counts what came between the
+    sequences; on a line that loses nothing (`lossless`) it is the device's.
     """
 
     protocol: Protocol
     lossless: bool
     steps: tuple[Step, ...]
     machine: Mealy[Output] | None = None
-    expected_states: int = 0
     differences: tuple[Difference, ...] = ()
-    more: bool = False
     choices: tuple[tuple[str, str, str], ...] = ()
     trouble: str = ""
     seen: tuple[str, ...] = ()
@@ -186,8 +163,8 @@ def learn_target(
     """Learn a target and compare it with the Protocol's machine; the robot is stopped at the end.
 
     It is learned in a run of the suite that has no other cases. `seed` makes the random sequences
-    that the machine must pass. `progress` is called with the frames sent so far. Raises Unusable,
-    and NoAALpy where it is missing.
+    that the machine must pass. `progress` is called with the frames sent so far. Raises UserError
+    where AALpy is missing or the line cannot be used at all.
     """
     links: list[Link] = []
 
@@ -208,7 +185,7 @@ def learn_target(
         explainer=lambda run, *_: _Learning(run, ask, learned, seed),
     )
     if report.unusable:
-        raise Unusable(report.unusable)
+        raise UserError(report.unusable)
     if (
         report.ended
         and not learned.trouble
@@ -244,12 +221,10 @@ class _Learning:
         learner = Learner(system, reference, seed=self._seed)
         try:
             learned.machine = machine = learner.learn()
-            learned.differences, learned.more = tuple(learner.differences), learner.more
+            learned.differences = tuple(learner.differences)
             outputs = [output for row in machine.outputs for output in row]
-            hidden = {one for one in FACETS if all(getattr(o, one) is None for o in outputs)}
-            told = (one for one in FACETS if one not in hidden)
-            learned.seen = tuple(facet_words(run.protocol, one) for one in told)
-            learned.expected_states = len(minimal(seen_without(reference, hidden)))
+            seen = (one for one in FACETS if any(getattr(o, one) is not None for o in outputs))
+            learned.seen = tuple(facet_words(run.protocol, one) for one in seen)
         except (GaveUp, NotLearned) as why:
             learned.trouble = str(why)
         finally:
@@ -266,21 +241,18 @@ class Learner:
     """Learns the machine of a teacher, and finds where it differs from `reference`.
 
     `seed` makes the random sequences. Afterwards `differences` holds the differences that the
-    teacher has confirmed, the shortest first, and `more` whether there are others beside them.
+    teacher has confirmed, the shortest first.
     """
 
     def __init__(self, teacher: System, reference: Mealy[Output], *, seed: int = 1) -> None:
         self._teacher, self._reference, self._seed = teacher, reference, seed
-        self._minimal = minimal(reference)
-        self._apart = Characterisation(self._minimal)
         self._machine = reference
         self.differences: list[Difference] = []
-        self.more = False
         # What the library counts, and we do not read.
         self.num_queries = self.num_steps = self.num_cached_queries = 0
 
     def learn(self) -> Mealy[Output]:
-        """Learn the machine. Raises NoAALpy, and whatever the teacher raises."""
+        """Learn the machine. Raises UserError without AALpy, and what the teacher raises."""
         settings = {"cex_processing": "rs", "cache_and_non_det_check": False, "print_level": 0}
         require_aalpy()(list(self._reference.inputs), self, self, "mealy", **settings)
         return self._machine
@@ -296,23 +268,10 @@ class Learner:
             len(self._reference.inputs),
             lambda state, letter: (state.transitions[letter], state.output_fun[letter]),
         )
-        every = differences(self._reference, self._machine)
-        self.differences = list(islice(every, MOST_DIFFERENCES))
-        self.more = next(every, None) is not None
-        asked = chain((one.word for one in self.differences), self._several(), self._walks())
+        found = differences(self._reference, self._machine)
+        self.differences = list(islice(found, MOST_DIFFERENCES))
+        asked = chain((one.word for one in self.differences), self._walks())
         return next(filter(None, map(self._wrong, asked)), None)
-
-    def _several(self) -> Iterator[bytes]:
-        """Sequences that would tell the expected states apart which one state stands for."""
-        first: dict[int, tuple[int, bytes]] = {}
-        both = side_by_side(self._minimal, self._machine, past_differences=True)
-        for word in state_cover(both):
-            due = self._minimal.after(word)
-            other, access = first.setdefault(self._machine.after(word), (due, word))
-            if other != due:
-                apart = self._apart.separating(other, due)
-                yield access + apart
-                yield word + apart
 
     def _walks(self) -> Iterator[bytes]:
         draw = random.Random(f"walks {self._seed}")
@@ -327,11 +286,11 @@ class Learner:
 
 
 def require_aalpy() -> Callable[..., Any]:
-    """The learning algorithm. Raises NoAALpy, in one sentence, where the library is missing."""
+    """The learning algorithm. Raises UserError where the library is missing."""
     try:
         from aalpy.learning_algs import run_KV
     except ImportError as error:
-        raise NoAALpy(
+        raise UserError(
             "learn needs AALpy, which is not installed: pip install 'bilprov[learn]'"
         ) from error
     algorithm: Callable[..., Any] = run_KV
@@ -344,7 +303,7 @@ def differences(reference: Mealy[Output], learned: Mealy[Output]) -> Iterator[Di
     Behind a difference the search does not go on; the same input with the same two outputs is
     yielded once, at its shortest. What is expected has the facets that are seen.
     """
-    both = side_by_side(reference, learned, past_differences=False)
+    both = _side_by_side(reference, learned)
     kinds: set[tuple[int, Output, Output]] = set()
     for word, outputs in zip(state_cover(both), both.outputs, strict=True):
         for letter, (due, given) in enumerate(outputs):
@@ -354,19 +313,16 @@ def differences(reference: Mealy[Output], learned: Mealy[Output]) -> Iterator[Di
                 yield Difference(word + bytes([letter]), expected, given)
 
 
-def side_by_side(
-    one: Mealy[Output], other: Mealy[Output], *, past_differences: bool
-) -> Mealy[tuple[Output, Output]]:
+def _side_by_side(one: Mealy[Output], other: Mealy[Output]) -> Mealy[tuple[Output, Output]]:
     """The machine of the pairs of states that both reach; its outputs are those of both.
 
-    Unless `past_differences`, outputs that do not fit lead back to the first state.
+    Outputs that do not fit lead back to the first state.
     """
 
     def step(pair: tuple[int, int], letter: int) -> tuple[tuple[int, int], tuple[Output, Output]]:
         outputs = one.outputs[pair[0]][letter], other.outputs[pair[1]][letter]
         targets = one.targets[pair[0]][letter], other.targets[pair[1]][letter]
-        follows = past_differences or outputs[0].fits(outputs[1])
-        return (targets if follows else (0, 0)), outputs
+        return (targets if outputs[0].fits(outputs[1]) else (0, 0)), outputs
 
     return explore((0, 0), len(one.inputs), step)
 
@@ -425,7 +381,6 @@ class System:
             if got[: len(known)] == known and _fit(due, got):
                 break
             tries.append(got)
-            self.sent.repeated += 1
             if len(tries) == _TRIES:
                 self.sent.flaky += _TRIES
                 raise NotLearned(f"{_TRIES} tries of one sequence gave {_TRIES} different outcomes")
@@ -433,7 +388,6 @@ class System:
         return got
 
     def _attempt(self, word: bytes, expected: _Outputs) -> _Outputs:
-        self.sent.sequences += 1
         self.sent.frames += len(word)
         if self.sent.frames > MOST_FRAMES:
             raise NotLearned(

@@ -1,4 +1,4 @@
-"""The machine of the Protocol over the inputs of learning, and how long it takes to learn it.
+"""The machine of the Protocol over the inputs of learning.
 
 Inputs are every instruction with representative data and every kind of fault. An output of a device
 after one input is its answers, and what the probe then sees.
@@ -6,20 +6,15 @@ after one input is its answers, and what the probe then sees.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 from bilprov.captures.schemas import Look, look_class
-from bilprov.conformance.api import pace_of
-from bilprov.conformance.cases.budget import before_the_cases, seconds
 from bilprov.conformance.cases.frame_source import fill
-from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, framed, frames_of, open_frames, step_of
-from bilprov.conformance.dut.target import Target
-from bilprov.conformance.machines.wp_method import Mealy, explore, minimal
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.machines.wp_method import Mealy, explore
 from bilprov.conformance.oracle.judge import answer_words
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.spec.by_effect import frames_to
@@ -173,9 +168,6 @@ def _sign(value: int) -> int:
     return (value > 0) - (value < 0)
 
 
-_ASKED = 15  # inputs that learning takes for each transition, those of homing among them
-
-
 def _shows(protocol: Protocol, variable: str) -> tuple[str, ...]:
     """The facets that depend on a variable; a robot that stands still shows no speed."""
     car = protocol.car
@@ -199,24 +191,6 @@ def reference_machine(model: Model, steps: Sequence[Step]) -> Mealy[Output]:
         return after, _expected(model, one, after)
 
     return explore(replace(start, rests_on=frozenset()), len(steps), step)
-
-
-def seen_without(machine: Mealy[Output], facets: Collection[str]) -> Mealy[Output]:
-    """The machine with outputs that do not have these facets."""
-    return Mealy(
-        machine.targets, tuple(tuple(o.without(facets) for o in row) for row in machine.outputs)
-    )
-
-
-def estimated_seconds(target: Target) -> float:
-    """About how long (s) it takes to learn a conforming device in place of the target."""
-    protocol, steps = target.protocol, alphabet(target.protocol)
-    looks = target.environment.observability.available
-    machine = reference_machine(Model(protocol, Choices()), steps)
-    states = len(minimal(seen_without(machine, () if looks else FACETS)))
-    bursts = tuple(Burst((step,)) for step in steps)
-    once = seconds(protocol, SequenceCase("", "", "", (), bursts), pace_of(target))
-    return before_the_cases(pace_of(target)) + _ASKED * states * once
 
 
 def _expected(model: Model, step: Step, after: ExpectedState) -> Output:

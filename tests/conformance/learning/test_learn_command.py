@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -95,8 +94,8 @@ def test_a_robot_is_not_moved_unasked_nor_looked_at_by_a_costly_probe(protocol: 
         costly = command("lab", "learn", port, "--probe", "exec:true", "--yes")
 
     assert (unasked.returncode, costly.returncode) == (2, 2)
-    moves = r"will move for about \d+ s: it drives and turns, at speeds up to 255"
-    assert re.search(moves, sentence(unasked))
+    moves = "will move for some minutes: it drives and turns, at speeds up to 255"
+    assert moves in sentence(unasked)
     assert "learning makes one after each frame" in sentence(costly)
     assert robot.frames == 0
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from dataclasses import replace
 from typing import Any
 
 import pytest
-from msgspec import structs
 
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send, drive
@@ -28,11 +26,11 @@ from bilprov.conformance.learning.learner import (
 from bilprov.conformance.learning.reference import (
     Output,
     alphabet,
-    estimated_seconds,
     output_of,
     reference_machine,
     reset,
 )
+from bilprov.conformance.machines.wp_method import Mealy, minimal
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.profile import Profile
@@ -151,7 +149,7 @@ def test_without_a_probe_answers_alone_are_learned_which_is_no_pass(
     learned = learn(each_protocol, Blind(Simulator(each_protocol)))
 
     assert learned.machine is not None
-    assert (len(learned.machine), learned.expected_states) == (1, 1)
+    assert len(learned.machine) == 1
     assert (learned.exit, learned.seen, learned.differences) == (3, (), ())
 
 
@@ -161,7 +159,7 @@ def test_another_grammar_is_learned_too_though_a_motion_alone_sets_its_led(wide:
 
     assert (learned.exit, learned.trouble) == (0, "")
     assert learned.machine is not None
-    assert len(learned.machine) == learned.expected_states > 10
+    assert len(learned.machine) == len(minimal(reference(wide))) > 10
 
 
 def test_without_a_probe_a_wrong_code_is_a_difference(protocol: Protocol) -> None:
@@ -259,24 +257,6 @@ def test_what_contradicts_itself_ends_in_one_sentence(protocol: Protocol) -> Non
     assert learned.exit in (1, 3)
 
 
-@pytest.mark.slow
-def test_the_time_that_is_told_counts_bytes_and_what_an_adapter_holds_back(
-    protocol: Protocol,
-) -> None:
-    whole = device_target(protocol, Simulator(protocol))
-
-    def told(byte_time: int, adapter: int = 0) -> float:
-        link: dict[str, object] = {"byte_ns": byte_time, "latency_ns": adapter}
-        environment = structs.replace(whole.environment, link=link)
-        return estimated_seconds(replace(whole, environment=environment))
-
-    pty, slow, slower, usb = told(0), told(MS), told(2 * MS), told(0, 16 * MS)
-    assert pty < slow
-    assert slower - slow == pytest.approx(slow - pty)
-    # With each answer there goes a frame of a few bytes, of 1 ms each.
-    assert usb - pty > 2 * (slow - pty)
-
-
 def test_a_line_of_send_names_the_grammar_that_it_needs(horn: Protocol) -> None:
     learned = learn(horn, Blind(Simulator(horn)))
     word = bytes([learned.names.index("Horn sound=3")])
@@ -292,13 +272,17 @@ def test_a_line_of_send_names_the_grammar_that_it_needs(horn: Protocol) -> None:
 WRONG = 0x55
 
 
+def reference(protocol: Protocol) -> Mealy[Output]:
+    return reference_machine(Model(protocol, Choices()), alphabet(protocol))
+
+
 def system(protocol: Protocol, device: Simulator, *, looks: bool = False) -> System:
     config = RunConfig(protocol, Timers(), Observability(looks))
     run = Run(config, Profile(choices=Choices()))
-    steps = alphabet(protocol)
-    reference = reference_machine(Model(protocol, Choices()), steps)
     link = VirtualLink(device, BYTE_TIME)
-    return System(run, lambda procedure: drive(procedure, link), steps, reference)
+    return System(
+        run, lambda procedure: drive(procedure, link), alphabet(protocol), reference(protocol)
+    )
 
 
 def letters(protocol: Protocol, *frames: str) -> bytes:
