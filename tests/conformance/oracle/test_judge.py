@@ -7,8 +7,7 @@ that choose otherwise in one point.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
@@ -22,9 +21,8 @@ from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
-from bilprov.conformance.mutation.hooks import stops_at_header
-from bilprov.conformance.mutation.triggers import trigger
+from bilprov.conformance.dut.simulator import Fault, Simulator
+from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state, lost
 from bilprov.conformance.oracle.profile import Timers
@@ -35,22 +33,6 @@ from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 from tests.support.car import car_state
-from tests.support.faults import (
-    answers_with,
-    condition,
-    drives_on,
-    faulty,
-    is_truncated,
-    keeps,
-    late,
-    resumes_after,
-    sets,
-    speed_at_next_motion,
-    stops_after,
-    then,
-    twice,
-    when,
-)
 from tests.support.robots import Blind
 from tests.vectors import READING_IDS
 
@@ -436,199 +418,93 @@ def test_what_the_probe_does_not_tell_is_not_held_against_the_device(
 # -- whole runs -----------------------------------------------------------------------------------
 
 
-def named(*names: str) -> Callable[[Event], bool]:
-    return lambda e: e.judgement.valid and e.judgement.name in names
-
-
-def whole_fault(event: Event) -> bool:
-    return faulty(event) and not is_truncated(event)
-
-
-def unused(event: Event) -> bool:
-    return event.judgement.instruction is None
-
-
-def unused_with_data(event: Event) -> bool:
-    return unused(event) and event.judgement.length > 0
-
-
-def cut_and_unused(event: Event) -> bool:
-    return unused(event) and is_truncated(event)
-
-
-def cut_and_too_long(event: Event) -> bool:
-    known = event.judgement.instruction
-    return is_truncated(event) and known is not None and event.judgement.length > known.length
-
-
-def as_unknown(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-    stopped = device.protocol.on_fault.apply(event.before)
-    return replace(answers(reaction, 1), state=stopped)
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A device that chooses otherwise, the cases it is shown, and the verdict that it earns.
-
-    `cases` have this verdict on this axis and name this reading; no other case of the run is worse.
-    """
-
-    name: str
-    fault: Fault
-    only: str
-    verdict: Verdict
-    axis: str
-    reading: str = ""
-    reason: str = ""
-    every: bool = True
-
-
-def choice(
-    name: str,
-    only: str,
-    verdict: Verdict,
-    axis: str,
-    reading: str = "",
-    reason: str = "",
-    *,
-    every: bool = True,
-    **fault: Any,
-) -> Choice:
-    return Choice(
-        name, Fault("x", "test", name, **fault), only, verdict, axis, reading, reason, every
-    )
-
-
-def stops_at_the_header(device: Simulator, header: int) -> Sequence[int]:
-    begins: Callable[[Simulator, int], Sequence[int]]
-    begins = stops_at_header(device.protocol, trigger(""))["begins"]
-    return begins(device, header)
-
-
-STEERS_ROTATING = condition("sets steering, rotates")
 OPENING = ("power-on", "link", "timing", "reading", "line")
-UNUSED_WITH_DATA = "unused-id/1?/[1-9]"
+UNUSED, LONG, BITS = "unused-id/1?/[1-9]", "wrong-length/Speed/*", "bad-data/LED/*8"
+# A device of the bank and the cases it is shown; the verdict that it earns on this axis; the
+# reading and the words of the reason that one of them has.
 CHOICES = [
-    choice("the reference itself", "*/Right/0", PASS, "answer"),
-    choice("3 for an unused ID with data", UNUSED_WITH_DATA, NON_STRICT, "answer",
-           "R-unused-length", react=when(unused_with_data, answers_with(3))),
-    choice("4 for an unused ID with data", UNUSED_WITH_DATA, NON_STRICT, "answer",
-           "R-unused-length", react=when(unused_with_data, answers_with(4))),
-    choice("no stop for an unused ID with data", UNUSED_WITH_DATA, FAIL, "stop", "R-stop-latency",
-           react=when(unused_with_data, drives_on)),
-    choice("BAD_HEADER for a known ID with a wrong length", "wrong-length/Speed/*", FAIL, "answer",
-           react=when(lambda e: whole_fault(e) and not unused(e), answers_with(1))),
-    choice("LED upper bits ignored: 0 and no stop", "bad-data/LED/*8", FAIL, "answer",
-           react=when(condition("outcome bad-data, has-bits"), then(answers_with(0), drives_on))),
-    choice("LED upper bits: 0 with stop", "bad-data/LED/*8", FAIL, "answer",
-           react=when(whole_fault, answers_with(0))),
-    choice("LED upper bits: 2 without stop", "bad-data/LED/*8", FAIL, "stop", "R-stop-latency",
-           react=when(whole_fault, drives_on)),
-    choice("Right without data takes the next byte", "wrong-length/Right/0", FAIL, "answer",
-           "R-example-right", "took the next byte",
-           lengths=bytes(1 if header == 0x40 else header & 15 for header in range(256))),
-    choice("a stop without an answer after a cut", "truncated/LE*", NON_STRICT, "answer",
-           "R-truncated-known", react=when(is_truncated, answers_with())),
-    choice("never times out", "truncated/LED/0", FAIL, "stop", "R-stop-latency", timeout=None),
-    choice("TOO_FEW_DATA for an unused ID that is cut short", "truncated/9/*", NON_STRICT,
-           "answer", "R-truncated-unused", react=when(cut_and_unused, answers_with(4))),
-    choice("TOO_MANY_DATA for what is cut short and too long", "truncated/Stop/*", NON_STRICT,
-           "answer", "R-truncated-long", react=when(cut_and_too_long, answers_with(3))),
-    choice("answers after 300 ms", "*/LED/[57]", NON_STRICT, "answer", "R-answer-deadline", "slow",
-           react=late(300)),
-    choice("answers after 1.1 s", "*/LED/[57]", FAIL, "answer",
-           react=when(whole_fault, late(1100)), every=False),
-    choice("two answers", "wrong-length/Speed/*", FAIL, "answer", react=when(whole_fault, twice)),
-    choice("a second answer 15 ms later", "wrong-length/Speed/*", FAIL, "answer",
-           react=when(whole_fault, lambda d, e, r: replace(r, answers=(*r.answers, (15 * MS, 0)))),
-           every=False),
-    choice("an unused code", "wrong-length/Speed/*", FAIL, "answer", "",
-           "never sends an unused code", react=when(whole_fault, answers_with(5))),
-    choice("stops at a header that is wrong already", "wrong-length/Speed/*", PASS, "stop",
-           begins=stops_at_the_header),
-    choice("stops 50 ms after the answer", "wrong-length/Speed/*", NON_STRICT, "stop",
-           "R-stop-latency", react=when(faulty, stops_after(50))),
-    choice("stops 150 ms after the answer", "wrong-length/Speed/*", FAIL, "stop", "R-stop-latency",
-           react=when(faulty, stops_after(150))),
-    choice("moves again by itself 15 ms after the stop", "wrong-length/Speed/*", FAIL, "stop", "",
-           "moved again by itself", react=when(whole_fault, resumes_after(15)), every=False),
-    choice("a fault zeroes the speed", "wrong-length/Speed/*", INFORMATIONAL, "state",
-           "R-fault-state", react=when(faulty, sets(speed=0)), every=False),
-    # a rotation is set up without steering
-    choice("a fault keeps steering", "wrong-length/Speed/*", INFORMATIONAL, "state",
-           "R-fault-state", react=when(faulty, keeps("steering")), every=False),
-    choice("a fault switches the LED off", "wrong-length/Speed/*", INFORMATIONAL, "state",
-           "R-led-state", react=when(faulty, sets(led=0)), every=False),
-    choice("Stop keeps steering", "valid/Stop", NON_STRICT, "state", "R-stop-steering",
-           react=when(named("Stop"), keeps("steering"))),
-    # a rotation is set up without steering
-    choice("a fault keeps steering, also for Forward after it", "bad-data/LED/*8", INFORMATIONAL,
-           "state", "R-fault-state", react=when(faulty, keeps("steering")), every=False),
-    choice("Stop zeroes the speed", "valid/Stop", NON_STRICT, "state", "R-stop-speed",
-           react=when(named("Stop"), sets(speed=0))),
-    choice("Stop switches the LED off", "valid/Stop", INFORMATIONAL, "state", "R-led-state",
-           react=when(named("Stop"), sets(led=0))),
-    # a rotation is set up without steering
-    choice("a direction straightens the steering", "valid/*wa*d", INFORMATIONAL, "state",
-           "R-drive-steering", react=when(named("Forward", "Backward"), sets(steering=0)),
-           every=False),
-    choice("a rotation resets the steering", "valid/Rotate*", INFORMATIONAL, "state",
-           "R-rotate-steering", react=when(named("RotateRight", "RotateLeft"), sets(steering=0)),
-           every=False),
-    choice("Speed waits for the next motion", "valid/Speed/[12]", NON_STRICT, "state",
-           "R-speed-moving", react=speed_at_next_motion),
-    choice("steering makes a curve of a rotation", "valid/*t/*", INFORMATIONAL, "state",
-           "R-steer-rotating", react=when(STEERS_ROTATING, sets(motion=Motion.FORWARD)),
-           every=False),
-    choice("steering ends a rotation", "valid/Right/1?", FAIL, "state",
-           react=when(STEERS_ROTATING, sets(motion=Motion.STOPPED)), every=False),
-    choice("another speed at power-on", "valid/Stop", INFORMATIONAL, "state", "R-power-on",
-           power_on=car_state(speed=77), every=False),
-    choice("moves at power-on", "valid/Stop", FAIL, "state", "R-power-on",
-           power_on=car_state(Motion.BACKWARD, speed=77), every=False),
-    choice("knows version 1.0 only: no LED", "valid/LED/*", FAIL, "answer",
-           react=when(lambda e: e.judgement.id == 8, as_unknown), every=False),
+    ("", "*/Right/0", PASS, "answer", "", ""),
+    ("R-unused-length=too-many", UNUSED, NON_STRICT, "answer", "R-unused-length", ""),
+    ("R-unused-length=too-few", UNUSED, NON_STRICT, "answer", "R-unused-length", ""),
+    ("no-stop-on-unknown-id", UNUSED, FAIL, "stop", "R-stop-latency", ""),
+    ("ignores-led-upper-bits", BITS, FAIL, "answer", "", ""),
+    ("ok-to-bad-data", BITS, FAIL, "answer", "", ""),
+    ("no-stop-on-bad-data", BITS, FAIL, "stop", "R-stop-latency", ""),
+    ("swallows-missing-data", "wrong-length/Right/0", FAIL, "answer", "R-example-right",
+     "took the next byte"),
+    ("R-truncated-known=silent", "truncated/LE*", NON_STRICT, "answer", "R-truncated-known", ""),
+    ("never-times-out", "truncated/LED/0", FAIL, "stop", "R-stop-latency", ""),
+    ("R-truncated-unused=too-few", "truncated/9/*", NON_STRICT, "answer", "R-truncated-unused", ""),
+    ("R-truncated-long=too-many", "truncated/Stop/*", NON_STRICT, "answer", "R-truncated-long", ""),
+    ("R-answer-deadline=150-ms", "*/LED/[57]", NON_STRICT, "answer", "R-answer-deadline", "slow"),
+    ("double-answer-to-faults", LONG, FAIL, "answer", "", ""),
+    ("unused-code-for-faults", LONG, FAIL, "answer", "", "never sends an unused code"),
+    ("R-stop-point=header", LONG, PASS, "stop", "", ""),
+    ("R-stop-latency=50-ms", LONG, NON_STRICT, "stop", "R-stop-latency", ""),
+    ("stops-late", LONG, FAIL, "stop", "R-stop-latency", ""),
+    ("R-stop-steering=kept", "valid/Stop", NON_STRICT, "state", "R-stop-steering", ""),
+    ("R-stop-speed=zeroed", "valid/Stop", NON_STRICT, "state", "R-stop-speed", ""),
+    ("R-led-state=off-after-stops", "valid/Stop", INFORMATIONAL, "state", "R-led-state", ""),
+    ("R-speed-moving=next-motion", "valid/Speed/[12]", NON_STRICT, "state", "R-speed-moving", ""),
 ]  # fmt: skip
+# The same, where not each of the cases shows it.
+SOMETIMES = [
+    ("answers-too-late", "*/LED/[57]", FAIL, "answer", "", ""),
+    ("late-second-answer", LONG, FAIL, "answer", "", ""),
+    ("restarts-by-itself", LONG, FAIL, "stop", "", "moved again by itself"),
+    ("R-fault-state=speed-zeroed", LONG, INFORMATIONAL, "state", "R-fault-state", ""),
+    # A rotation is set up without steering.
+    ("R-fault-state=steering-kept", LONG, INFORMATIONAL, "state", "R-fault-state", ""),
+    ("R-led-state=off-after-faults", LONG, INFORMATIONAL, "state", "R-led-state", ""),
+    ("R-drive-steering=straight", "valid/*wa*d", INFORMATIONAL, "state", "R-drive-steering", ""),
+    ("R-rotate-steering=reset", "valid/Rotate*", INFORMATIONAL, "state", "R-rotate-steering", ""),
+    ("R-steer-rotating=curve", "valid/*t/*", INFORMATIONAL, "state", "R-steer-rotating", ""),
+    ("right-stops-it-after-rotateright", "valid/Right/1?", FAIL, "state", "", ""),
+    ("R-power-on=another-speed", "valid/Stop", INFORMATIONAL, "state", "R-power-on", ""),
+    ("moves-at-power-on", "valid/Stop", FAIL, "state", "R-power-on", ""),
+    ("no-led", "valid/LED/*", FAIL, "answer", "", ""),
+]
 
 
-def run(protocol: Protocol, chosen: Choice) -> Report:
-    options = Options(only=(chosen.only,), truncation_timeout=50)
-    return conform(Simulator(protocol, chosen.fault), grammar=protocol, options=options)
+def run(protocol: Protocol, name: str, only: str, *, strict: bool = False) -> Report:
+    fault = find_fault(protocol, name) if name else None
+    options = Options(only=(only,), truncation_timeout=50, strict=strict)
+    return conform(Simulator(protocol, fault), grammar=protocol, options=options)
 
 
 @pytest.mark.sample(12)
 @pytest.mark.slow
-@pytest.mark.parametrize("chosen", CHOICES, ids=lambda c: c.name)
+@pytest.mark.parametrize(
+    ("name", "only", "verdict", "axis", "reading", "reason"), [*CHOICES, *SOMETIMES]
+)
 def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
-    protocol: Protocol, chosen: Choice
+    protocol: Protocol,
+    name: str,
+    only: str,
+    verdict: Verdict,
+    axis: str,
+    reading: str,
+    reason: str,
 ) -> None:
-    report = run(protocol, chosen)
+    report = run(protocol, name, only)
 
-    assert report.verdict is chosen.verdict
-    assert report.exit == (1 if chosen.verdict is FAIL else 0)
-    found = [
-        result
-        for result in report.results
-        if chosen.axis in result.axes and result.axes[chosen.axis].verdict is chosen.verdict
-    ]
+    assert report.verdict is verdict
+    assert report.exit == (1 if verdict is FAIL else 0)
+    found = [r for r in report.results if axis in r.axes and r.axes[axis].verdict is verdict]
     mine = [r for r in report.results if not r.id.startswith(OPENING)]
     assert found
-    if chosen.every:
+    if (name, only, verdict, axis, reading, reason) in CHOICES:
         assert [r.id for r in mine if r not in found] == []
-    if chosen.verdict is not PASS:
-        assert any((r.axes[chosen.axis].reading or "") == chosen.reading for r in found)
-        assert any(chosen.reason in r.axes[chosen.axis].reason for r in found)
-    assert chosen.reading in ("", *READING_IDS)
+    if verdict is not PASS:
+        assert any((r.axes[axis].reading or "") == reading for r in found)
+        assert any(reason in r.axes[axis].reason for r in found)
+    assert reading in ("", *READING_IDS)
 
 
 @pytest.mark.sample(3)
-@pytest.mark.parametrize(
-    "chosen", [c for c in CHOICES if c.verdict is NON_STRICT], ids=lambda c: c.name
-)
-def test_non_strict_fails_a_strict_run_only(protocol: Protocol, chosen: Choice) -> None:
-    options = Options(only=(chosen.only,), truncation_timeout=50, strict=True)
-
-    report = conform(Simulator(protocol, chosen.fault), grammar=protocol, options=options)
+@pytest.mark.parametrize(("name", "only"), [row[:2] for row in CHOICES if row[2] is NON_STRICT])
+def test_non_strict_fails_a_strict_run_only(protocol: Protocol, name: str, only: str) -> None:
+    report = run(protocol, name, only, strict=True)
 
     assert report.exit == 1
     assert report.verdict is NON_STRICT
