@@ -23,16 +23,16 @@ from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state, lost
 from bilprov.conformance.oracle.profile import Timers
-from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
+from bilprov.conformance.oracle.state_model import FAULT, ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict, exit_code, worst
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import STATE_POINTS
 from bilprov.spec.state import State
-from tests.support.car import car_state
+from tests.conformance.oracle.test_state_model import DRIVING, TURNING, done, model_of
 from tests.support.robots import Blind
 from tests.vectors import READING_IDS
 
@@ -195,9 +195,7 @@ def test_an_instruction_that_was_lost_keeps_a_verdict_that_is_as_bad_already() -
 
 # -- the state axis -------------------------------------------------------------------------------
 
-DRIVING = car_state(Motion.FORWARD, speed=200, steering=40, led=5)
 RESTED = DRIVING.but(motion=Motion.STOPPED, steering=0)
-TURNING = DRIVING.but(motion=Motion.ROTATE_LEFT)
 
 
 def told(state: State, **other: Any) -> Look:
@@ -214,25 +212,6 @@ def told(state: State, **other: Any) -> Look:
 
 
 Shown = dict[str, str]  # the words of a device's own choices, by point
-
-
-def frame_effect(protocol: Protocol, name: str, *values: int) -> FrameEffect:
-    """What an instruction does with these values; a fault where there is none of that name."""
-    if name not in protocol.by_name:
-        return FAULT
-    spec = protocol.by_name[name]
-    fields = {part.name: value for part, value in zip(spec.fields, values, strict=True)}
-    return FrameEffect(spec.effect, fields)
-
-
-def choosing(protocol: Protocol, shown: Shown) -> Model:
-    """The model of a device that has shown these choices."""
-    choices = Choices()
-    for point, word in shown.items():
-        choices.record(point, word, "before")
-    return Model(protocol, choices)
-
-
 ZEROED = {"R-fault-state speed": "zeroed"}
 KEPT = {"R-fault-state steering": "kept"}
 OFF = {"R-led-state fault": "off"}
@@ -257,28 +236,15 @@ STATES = [
     ("Stop", DRIVING, STOP_ZEROED, told(RESTED, speed=0), NON_STRICT, "R-stop-speed"),
     ("Stop", DRIVING, STOP_KEPT, told(RESTED, steering=40), NON_STRICT, "R-stop-steering"),
     ("Stop", DRIVING, STOP_OFF, told(RESTED, led=0), INFORMATIONAL, "R-led-state"),
-    (
-        "Stop",
-        DRIVING,
-        STOP_ZEROED | STOP_OFF,
-        told(RESTED, speed=0, led=0),
-        NON_STRICT,
-        "R-stop-speed",
-    ),
+    ("Stop", DRIVING, STOP_ZEROED | STOP_OFF, told(RESTED, speed=0, led=0),
+     NON_STRICT, "R-stop-speed"),
     ("Stop", DRIVING, STOP_ZEROED, told(RESTED, speed=7), FAIL, ""),
     ("Stop", DRIVING, STOP_OFF, told(RESTED, led=7), FAIL, ""),
     # A stop is no fault: a choice that was shown for the one says nothing of the other.
     ("Stop", DRIVING, ZEROED | KEPT | OFF, told(RESTED), PASS, ""),
     ("fault", DRIVING, STOP_ZEROED | STOP_KEPT | STOP_OFF, told(RESTED), PASS, ""),
     ("RotateLeft", DRIVING, {}, told(TURNING), PASS, ""),
-    (
-        "RotateLeft",
-        DRIVING,
-        RESET,
-        told(TURNING, steering=0),
-        INFORMATIONAL,
-        "R-rotate-steering",
-    ),
+    ("RotateLeft", DRIVING, RESET, told(TURNING, steering=0), INFORMATIONAL, "R-rotate-steering"),
     ("RotateLeft", DRIVING, RESET, told(TURNING, steering=-40), FAIL, ""),
     # Neither choice says anything of the other.
     ("RotateLeft", DRIVING, STRAIGHTENED, told(TURNING), PASS, ""),
@@ -291,44 +257,34 @@ STATES = [
     ("Speed 90", DRIVING, NEXT, told(DRIVING, speed=91), FAIL, ""),
     ("LED 2", DRIVING, {}, told(DRIVING), FAIL, ""),
     ("Right 9", DRIVING, {}, told(DRIVING), FAIL, ""),
-    (
-        "Left 9",
-        TURNING,
-        CURVE,
-        told(TURNING, motion="forward", steering=-9),
-        INFORMATIONAL,
-        "R-steer-rotating",
-    ),
-    (
-        "Left 9",
-        TURNING,
-        CURVE,
-        told(TURNING, motion="stopped", moving=False, steering=-9),
-        FAIL,
-        "",
-    ),
+    ("Left 9", TURNING, CURVE, told(TURNING, motion="forward", steering=-9),
+     INFORMATIONAL, "R-steer-rotating"),
+    ("Left 9", TURNING, CURVE, told(TURNING, motion="stopped", moving=False, steering=-9),
+     FAIL, ""),
     ("Right 9", RESTED, {}, told(DRIVING, steering=9), FAIL, ""),
     # R-speed-zero: a probe may name the direction that is set although the wheels stand still.
     ("Speed 0", DRIVING, {}, told(DRIVING, speed=0, moving=False), PASS, ""),
-]
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("done", "before", "shown", "look", "verdict", "reading"), STATES)
+def test_every_point_about_the_state_is_held_here() -> None:
+    assert {point for row in STATES for point in row[2]} == set(STATE_POINTS)
+
+
+@pytest.mark.parametrize(("what", "before", "shown", "look", "verdict", "reading"), STATES)
 def test_a_state_gets_the_verdict_of_the_choice_that_the_device_has_shown(
     protocol: Protocol,
-    done: str,
+    what: str,
     before: State,
     shown: Shown,
     look: Look,
     verdict: Verdict,
     reading: str,
 ) -> None:
-    name, *values = done.split()
-    model = choosing(protocol, shown)
+    name, *values = what.split()
+    model = model_of(protocol, *shown.items())
 
-    expected_state = model.after(
-        ExpectedState(before), frame_effect(protocol, name, *map(int, values))
-    )
+    expected_state = model.after(ExpectedState(before), done(protocol, name, *map(int, values)))
 
     axis = judge_state(model, expected_state, look)
     assert (axis.verdict, axis.reading or "") == (verdict, reading)
@@ -336,14 +292,14 @@ def test_a_state_gets_the_verdict_of_the_choice_that_the_device_has_shown(
 
 
 def test_what_no_choice_would_show_contradicts_none(protocol: Protocol) -> None:
-    model = choosing(protocol, {})
+    model = model_of(protocol)
 
     for look in (told(RESTED, speed=100), told(RESTED, led=2), told(DRIVING)):
         assert contradiction(model, ExpectedState(DRIVING), FAULT, look) == ("", "")
 
 
 def test_what_is_judged_elsewhere_is_not_judged_again(protocol: Protocol) -> None:
-    model = choosing(protocol, {})
+    model = model_of(protocol)
     look = told(RESTED, moving=True)
 
     assert judge_state(model, ExpectedState(RESTED), look).verdict is FAIL
@@ -352,7 +308,7 @@ def test_what_is_judged_elsewhere_is_not_judged_again(protocol: Protocol) -> Non
 
 @pytest.mark.parametrize("facet", ["speed", "steering", "led"])
 def test_what_nobody_knows_is_not_held_against_the_device(protocol: Protocol, facet: str) -> None:
-    model = choosing(protocol, {})
+    model = model_of(protocol)
     look = told(RESTED, **{facet: 3})
 
     assert judge_state(model, ExpectedState(RESTED), look).verdict is FAIL
@@ -396,7 +352,7 @@ STRAIGHT = DRIVING.but(steering=0)
 def test_wheels_are_judged_by_their_signs_and_by_which_is_faster(
     protocol: Protocol, state: State, left: int, right: int, verdict: Verdict
 ) -> None:
-    model = choosing(protocol, {})
+    model = model_of(protocol)
 
     axis = judge_state(model, ExpectedState(state), told(state, left=left, right=right))
 
@@ -412,7 +368,7 @@ def test_what_the_probe_does_not_tell_is_not_held_against_the_device(
 ) -> None:
     look = told(state, **dict.fromkeys(facets))
 
-    assert judge_state(choosing(protocol, {}), ExpectedState(state), look).verdict is PASS
+    assert judge_state(model_of(protocol), ExpectedState(state), look).verdict is PASS
 
 
 # -- whole runs -----------------------------------------------------------------------------------
@@ -630,22 +586,6 @@ def test_the_exit_code_follows_the_contract(
     for order in permutations(verdicts):
         assert exit_code(order) == code
         assert exit_code(order, strict=True) == strict
-
-
-@pytest.mark.parametrize(
-    ("verdict", "label"),
-    [
-        (SKIPPED, "skipped"),
-        (PASS, "pass"),
-        (INFORMATIONAL, "informational"),
-        (NON_STRICT, "non-strict"),
-        (INCONCLUSIVE, "inconclusive"),
-        (FAIL, "fail"),
-        (ERROR, "error"),
-    ],
-)
-def test_a_verdict_is_written_as_the_contract_writes_it(verdict: Verdict, label: str) -> None:
-    assert verdict.label == label
 
 
 @given(st.lists(st.sampled_from(Verdict), min_size=1))

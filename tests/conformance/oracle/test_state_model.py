@@ -80,22 +80,6 @@ def test_a_choice_that_is_the_default_changes_nothing(protocol: Protocol) -> Non
 
 MOTIONS = {"Forward", "Backward", "RotateRight", "RotateLeft"}
 
-# For each point: what is done, from where, for the choice to show; what the state then differs in.
-CHANGES: dict[str, tuple[set[str], dict[str, int]]] = {
-    "R-fault-state speed": ({"fault"}, {"speed": 0}),
-    "R-fault-state steering": ({"fault"}, {"steering": 40}),
-    "R-led-state fault": ({"fault"}, {"led": 0}),
-    "R-stop-speed": ({"Stop"}, {"speed": 0}),
-    "R-stop-steering": ({"Stop"}, {"steering": 40}),
-    "R-led-state stop": ({"Stop"}, {"led": 0}),
-    "R-drive-steering": ({"Forward", "Backward"}, {"steering": 0}),
-    "R-rotate-steering": ({"RotateRight", "RotateLeft"}, {"steering": 0}),
-}
-
-
-def test_every_point_about_the_state_is_held_here() -> None:
-    assert set(STATE_POINTS) == {*CHANGES, "R-speed-moving", "R-steer-rotating"}
-
 
 def test_a_later_speed_replaces_the_one_that_waits(protocol: Protocol) -> None:
     model = model_of(protocol, ("R-speed-moving", "next-motion"))
