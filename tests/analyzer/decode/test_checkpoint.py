@@ -47,7 +47,7 @@ def test_a_session_that_is_resumed_gives_the_records_that_were_left(
     if state is None:  # it looks for frame boundaries
         return
 
-    written = decoded(encoded(state), each_protocol)
+    due, written = first.deadline, decoded(encoded(state), each_protocol)
     assert written == state
     left = told(first, events[place:])
     if by_columns:
@@ -57,26 +57,9 @@ def test_a_session_that_is_resumed_gives_the_records_that_were_left(
     decoder.resume(state)
 
     assert session.saved() == decoder.saved() == state
-    assert session.deadline == decoder.deadline
+    assert session.deadline == decoder.deadline == due
     assert told(session, events[place:]) == left
     assert records_of(told(decoder, events[place:], [7])) == left
-
-
-@pytest.mark.sample(1)
-@given(ACTS, st.integers(0, 60))
-def test_columns_and_a_session_fall_due_at_the_same_time(
-    each_protocol: Protocol, acts: list[Act], place: int
-) -> None:
-    events = played(each_protocol, acts)[:place]
-    session, decoder = Session(each_protocol), StreamDecoder(each_protocol)
-    for event in events:
-        session.feed(event)
-    decoder.feed(events)
-
-    due = session.deadline
-    assert decoder.deadline == due
-    if due is not None:
-        assert records_of(decoder.advance(due)) == session.advance(due)
 
 
 def test_a_frame_that_grows_falls_due_a_time_out_after_its_last_byte(protocol: Protocol) -> None:

@@ -15,17 +15,30 @@ from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event, conversation, decoded, devices, hosts, kinds
 
+# What the host says (ms), what the device answers, and to which instruction after how long (ms).
+PAIRS: dict[str, tuple[list[tuple[int, str]], list[tuple[int, str]], list[tuple[int, int]]]] = {
+    "the last byte counts": ([(0, "11"), (10, "05")], [(13, "00")], [(0, 3)]),
+    "silence": ([(0, "20"), (2000, "00")], [(2001, "00")], [(1, 1)]),
+    "a frame that is cut short may go unanswered": (
+        [(0, "11"), (100, "20"), (110, "90")],
+        [(101, "00"), (111, "01")],
+        [(1, 1), (2, 1)],
+    ),
+    "codes tell that an answer is lost": ([(0, "20"), (200, "90")], [(201, "01")], [(1, 1)]),
+}
 
-def test_latency_counts_from_the_last_byte_of_the_instruction(protocol: Protocol) -> None:
-    events = [
-        Chunk(0, "host", b"\x11"),
-        Chunk(10 * MS, "host", b"\x05"),
-        Chunk(13 * MS, "device", b"\x00"),
-    ]
 
-    (record,) = devices(decoded(Session(protocol), events))
+@pytest.mark.parametrize("name", PAIRS)
+def test_an_answer_is_paired_with_its_instruction(protocol: Protocol, name: str) -> None:
+    said, answered, pairs = PAIRS[name]
+    events = [Chunk(t * MS, "host", bytes.fromhex(data)) for t, data in said]
+    events += [Chunk(t * MS, "device", bytes.fromhex(data)) for t, data in answered]
 
-    assert record.value.latency == 3 * MS
+    records = decoded(Session(protocol), sorted(events, key=lambda event: event.t))
+
+    assert [(r.value.instruction, (r.latency or 0) // MS) for r in devices(records)] == pairs
+    assert all(record.value.agrees for record in devices(records))
+    assert kinds(records).count("unanswered") == len(hosts(records)) - len(pairs)
 
 
 ERROR, WARNING, INFO = Severity.ERROR, Severity.WARNING, Severity.INFO
@@ -64,54 +77,12 @@ def test_what_is_odd_is_one_fault(protocol: Protocol, name: str) -> None:
     assert words in faults[0].reason
 
 
-def test_after_silence_counting_begins_anew(protocol: Protocol) -> None:
-    events = [
-        Chunk(0, "host", b"\x20"),
-        Chunk(2000 * MS, "host", b"\x00"),
-        Chunk(2001 * MS, "device", b"\x00"),
-    ]
-
-    (record,) = devices(decoded(Session(protocol), events))
-
-    assert record.value.instruction == 1
-
-
 def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:
     events = [Chunk(0, "device", b"\x00"), Chunk(5 * MS, "host", b"\x20")]
 
     first, second = decoded(Session(protocol), events)
 
     assert ([first], [second]) == (hosts([first]), devices([second]))
-
-
-def test_a_frame_cut_short_may_go_unanswered_without_shifting_the_rest(protocol: Protocol) -> None:
-    events = [
-        Chunk(0, "host", b"\x11"),
-        Chunk(100 * MS, "host", b"\x20"),
-        Chunk(101 * MS, "device", b"\x00"),
-        Chunk(110 * MS, "host", b"\x90"),
-        Chunk(111 * MS, "device", b"\x01"),
-    ]
-
-    records = decoded(Session(protocol), events)
-
-    assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == [
-        (1, True),
-        (2, True),
-    ]
-    assert "unanswered" in kinds(records)
-
-
-def test_one_lost_answer_is_found_where_codes_tell(protocol: Protocol) -> None:
-    events = [
-        Chunk(0, "host", b"\x20"),  # its answer is lost
-        Chunk(200 * MS, "host", b"\x90"),
-        Chunk(201 * MS, "device", b"\x01"),
-    ]
-
-    (record,) = devices(decoded(Session(protocol), events))
-
-    assert (record.value.instruction, record.value.agrees) == (1, True)
 
 
 @pytest.mark.slow

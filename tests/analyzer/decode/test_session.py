@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from hypothesis import given
@@ -43,33 +43,19 @@ def _events(drawn: Iterable[tuple[int, tuple[str, bytes]]]) -> list[Event]:
 
 
 @given(EVENTS, st.booleans())
-def test_every_host_byte_is_in_exactly_one_record_in_order(
+def test_every_byte_is_in_exactly_one_record_in_order(
     protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]], attached: bool
 ) -> None:
     events = _events(drawn)
-    sent = b"".join(e.data for e in events if isinstance(e, Chunk) and e.direction == "host")
+    chunks = [event for event in events if isinstance(event, Chunk)]
+    sent = b"".join(event.data for event in chunks if event.direction == "host")
+    answered = [(e.t, byte) for e in chunks if e.direction == "device" for byte in e.data]
 
-    records = hosts(decoded(Session(protocol, attached=attached), events))
+    records = decoded(Session(protocol, attached=attached), events)
 
-    assert b"".join(record.data for record in records) == sent
-    assert b"".join(bytes.fromhex(record.value.hex) for record in records) == sent
-
-
-@given(EVENTS, st.booleans())
-def test_every_device_byte_is_in_exactly_one_record(
-    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]], attached: bool
-) -> None:
-    events = _events(drawn)
-    answered = [
-        (event.t, byte)
-        for event in events
-        if isinstance(event, Chunk) and event.direction == "device"
-        for byte in event.data
-    ]
-
-    records = devices(decoded(Session(protocol, attached=attached), events))
-
-    assert [(record.value.t, record.value.byte) for record in records] == answered
+    assert b"".join(record.data for record in hosts(records)) == sent
+    assert b"".join(bytes.fromhex(record.value.hex) for record in hosts(records)) == sent
+    assert [(record.value.t, record.value.byte) for record in devices(records)] == answered
 
 
 @given(
@@ -128,68 +114,58 @@ def test_each_instruction_is_answered_at_most_once_and_in_order(
     assert answered == sorted(set(answered))
 
 
-def test_the_time_out_can_be_chosen(protocol: Protocol) -> None:
-    events = [Chunk(0, "host", b"\x11"), Chunk(51 * MS, "host", b"\x00")]
-
-    (record,) = hosts(decoded(Session(protocol, timeout=60 * MS), events))
-
-    assert record.data == b"\x11\x00"
+BEGUN, REST = Chunk(0, "host", b"\x11"), Chunk(2 * MS, "host", b"\x05")
 
 
-def test_lost_device_bytes_leave_the_host_frame_alone(protocol: Protocol) -> None:
-    events: list[Event] = [
-        Chunk(0, "host", b"\x11"),
-        Line(MS, "gap", "device"),
-        Chunk(2 * MS, "host", b"\x05"),
-    ]
+@pytest.mark.parametrize(
+    ("events", "chosen", "times"),
+    [
+        ([BEGUN, Chunk(51 * MS, "host", b"\x05")], {"timeout": 60 * MS}, (0, 51)),
+        ([BEGUN, Line(MS, "gap", "device"), REST], {}, (0, 2)),
+        ([Chunk(10 * MS, "host", b"\x11"), REST], {}, (10, 10)),  # what comes from the past
+        ([BEGUN, REST], {"attached": True}, (0, 2)),  # it is unclear until the end
+    ],
+)
+def test_two_bytes_are_one_frame(
+    protocol: Protocol, events: list[Event], chosen: dict[str, Any], times: tuple[int, int]
+) -> None:
+    (record,) = hosts(decoded(Session(protocol, **chosen), events))
 
-    (record,) = hosts(decoded(Session(protocol), events))
+    assert (record.value.kind, record.data) == ("instruction", b"\x11\x05")
+    assert (record.value.t // MS, record.value.end // MS) == times
 
-    assert record.data == b"\x11\x05"
 
-
-def test_a_device_with_less_patience_than_ours_answers_the_frame_cut_short(
-    protocol: Protocol,
+@pytest.mark.parametrize(
+    ("begun", "answer", "kinds", "pairs"),
+    [
+        (b"\x11", b"\x04", ["truncated", "instruction"], [(0, True), (1, True)]),
+        (b"\x9f", b"\x00", ["garbage", "instruction"], [(None, None), (0, True)]),
+    ],
+)
+def test_an_answer_in_the_midst_of_a_frame_shows_that_the_device_gave_it_up(
+    protocol: Protocol, begun: bytes, answer: bytes, kinds: list[str], pairs: list[Any]
 ) -> None:
     events = [
-        Chunk(0, "host", b"\x11"),
-        Chunk(15 * MS, "device", b"\x04"),
+        Chunk(0, "host", begun),
+        Chunk(15 * MS, "device", answer),
         Chunk(40 * MS, "host", b"\x20"),
         Chunk(41 * MS, "device", b"\x00"),
     ]
 
     records = decoded(Session(protocol), events)
 
-    assert [r.value.kind for r in hosts(records)] == ["truncated", "instruction"]
-    assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == [
-        (0, True),
-        (1, True),
-    ]
+    assert [r.value.kind for r in hosts(records)] == kinds
+    assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == pairs
 
 
-def test_ok_in_the_midst_of_a_frame_with_a_faulty_header_shows_it_too(protocol: Protocol) -> None:
-    events = [
-        Chunk(0, "host", b"\x9f"),
-        Chunk(MS, "device", b"\x00"),
-        Chunk(30 * MS, "host", b"\x20"),
-        Chunk(31 * MS, "device", b"\x00"),
-    ]
-
-    records = decoded(Session(protocol), events)
-
-    assert [r.value.kind for r in hosts(records)] == ["garbage", "instruction"]
+FAULTY = ("break", "parity", "framing", "overrun", "unplugged")
 
 
-@pytest.mark.parametrize("event", ["break", "parity", "framing", "overrun", "unplugged"])
-def test_what_goes_wrong_on_a_line_is_a_fault(protocol: Protocol, event: str) -> None:
-    records = decoded(Session(protocol), [Line(0, event, "host")])
-
-    assert len(kinds(records)) == 1
-
-
-@pytest.mark.parametrize("event", ["open", "close", "modem"])
-def test_what_merely_happens_on_a_line_is_no_fault(protocol: Protocol, event: str) -> None:
-    assert kinds(decoded(Session(protocol), [Line(0, event)])) == []
+@pytest.mark.parametrize("event", [*FAULTY, "open", "close", "modem"])
+def test_what_goes_wrong_on_a_line_is_a_fault_and_what_merely_happens_is_none(
+    protocol: Protocol, event: str
+) -> None:
+    assert len(kinds(decoded(Session(protocol), [Line(0, event, "host")]))) == (event in FAULTY)
 
 
 @pytest.mark.parametrize("tap", ["host", "device", ""])
@@ -209,14 +185,6 @@ def test_answers_held_when_a_tap_is_unplugged_come_before_all_that_follows(
 
     assert [record.byte for record in devices(records)] == [0, 1, 2]
     assert b"".join(record.data for record in hosts(records)) == begun + b"\x20"
-
-
-def test_an_event_from_the_past_counts_as_coming_with_the_last(protocol: Protocol) -> None:
-    events = [Chunk(10 * MS, "host", b"\x11"), Chunk(5 * MS, "host", b"\x05")]
-
-    (record,) = hosts(decoded(Session(protocol), events))
-
-    assert (record.value.t, record.value.end) == (10 * MS, 10 * MS)
 
 
 def test_at_a_known_beginning_or_after_silence_frames_come_out_at_once(protocol: Protocol) -> None:
@@ -240,34 +208,17 @@ def test_a_frame_that_is_unclear_comes_out_when_the_host_pauses(protocol: Protoc
     assert (record.value.kind, record.value.t) == ("instruction", 10 * MS)
 
 
-def test_a_frame_that_is_unclear_comes_out_at_the_end(protocol: Protocol) -> None:
-    events = [Chunk(0, "host", b"\x11\x07")]
-
-    (record,) = hosts(decoded(Session(protocol, attached=True), events))
-
-    assert (record.value.kind, record.data) == ("instruction", b"\x11\x07")
-
-
-def test_no_more_than_four_of_the_longest_frames_are_held(protocol: Protocol) -> None:
-    # Every second byte looks like a frame, and every one like the data of another.
-    unclear = bytes([0x41, 0x51]) * protocol.longest_frame * 4
-
-    session = Session(protocol, attached=True)
-    records = hosts(session.feed(Chunk(0, "host", unclear)))
-
-    held = len(unclear) - sum(len(record.data) for record in records)
-    assert held < 2
-
-
 def test_the_last_byte_of_four_of_the_longest_frames_decides_what_was_unclear(
     protocol: Protocol,
 ) -> None:
     most = 4 * protocol.longest_frame
+    # Every second byte looks like a frame, and every one like the data of another.
     unclear = bytes([0x41, 0x51]) * most
     session = Session(protocol, attached=True)
 
     assert session.feed(Chunk(0, "host", unclear[: most - 1])) == []
-    assert session.feed(Chunk(0, "host", unclear[most - 1 : most]))
+    found = hosts(session.feed(Chunk(0, "host", unclear[most - 1 :])))
+    assert len(unclear) - sum(len(record.data) for record in found) < 2
 
 
 def test_another_grammar_is_followed(horn: Protocol) -> None:

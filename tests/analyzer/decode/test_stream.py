@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Sequence
-from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -12,21 +10,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
-from bilprov.analyzer.decode import columns, pairing, stream
+from bilprov.analyzer.decode import columns, pairing
 from bilprov.analyzer.decode.batch import Batch, Kinds, Records
 from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.replay.capture_decoding import capture_decoder
-from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol, load
-from tests.support import ROOT
-from tests.support.decoding import MS, Event, capture_session
+from tests.support.decoding import MS, Event
 from tests.support.traffic import ACTS, BATCHES, SETTINGS, Act, played, records_of, told
 
 # Slow: more than make quick has time for.
@@ -80,17 +74,35 @@ def kinds(found: Kinds) -> list[tuple[str, ...]]:
     return [found.kinds[code] for code in found.code.tolist()]
 
 
+SHIFTS = st.just([0]) | st.lists(
+    st.sampled_from([0, 1000, MS, 5 * MS, 16 * MS, 19 * MS, 20 * MS, 25 * MS]),
+    min_size=1,
+    max_size=6,
+)
+"""How much (ns) too early a tap stamps the answers, over and over."""
+
+
 @pytest.mark.sample(2)
 @pytest.mark.slow
-@given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS)
+@given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS, SHIFTS)
 def test_columns_hold_the_records_of_a_session(
     each_protocol: Protocol,
     acts: list[Act],
     batches: list[int],
     looks: frozenset[int],
     chosen: dict[str, Any],
+    shifts: list[int],
 ) -> None:
-    same(each_protocol, played(each_protocol, acts), batches, looks, **chosen)
+    stamped = [
+        replace_time(event, max(0, event.t - shifts[place % len(shifts)]))
+        if isinstance(event, Chunk) and event.direction == "device" and any(shifts)
+        else event
+        for place, event in enumerate(played(each_protocol, acts))
+    ]
+    if any(shifts):
+        stamped.sort(key=lambda event: event.t)
+
+    same(each_protocol, stamped, batches, looks, **chosen)
 
 
 def conversation(protocol: Protocol, count: int, seed: int) -> list[Event]:
@@ -105,37 +117,6 @@ def conversation(protocol: Protocol, count: int, seed: int) -> list[Event]:
             Chunk(number * MS + 1000, "device", answer),
         ]
     return events
-
-
-@pytest.mark.sample(1)
-@pytest.mark.slow
-@given(
-    ACTS,
-    BATCHES,
-    SETTINGS,
-    st.lists(
-        st.sampled_from([0, 1000, MS, 5 * MS, 16 * MS, 19 * MS, 20 * MS, 25 * MS]),
-        min_size=1,
-        max_size=6,
-    ),
-)
-def test_answers_that_a_tap_stamps_before_their_instructions_are_those_of_a_session(
-    each_protocol: Protocol,
-    acts: list[Act],
-    batches: list[int],
-    chosen: dict[str, Any],
-    shifts: list[int],
-) -> None:
-    events = played(each_protocol, acts)
-    stamped = [
-        (max(0, event.t - shifts[place % len(shifts)]), event)
-        if isinstance(event, Chunk) and event.direction == "device"
-        else (event.t, event)
-        for place, event in enumerate(events)
-    ]
-    stamped.sort(key=lambda one: one[0])
-
-    same(each_protocol, [replace(event, t=t) for t, event in stamped], batches, **chosen)
 
 
 def test_early_answers_are_columns_too(protocol: Protocol) -> None:
@@ -216,15 +197,6 @@ def replace_time(event: Event, t: int) -> Event:
     return Chunk(t, event.direction, event.data) if isinstance(event, Chunk) else event
 
 
-def test_little_is_left_to_a_session(protocol: Protocol, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stream, "LEAST", 512)
-    events = conversation(protocol, 20, 1)
-
-    parts = same(protocol, events, [3])
-
-    assert {type(batch) for batch in parts} == {Records}
-
-
 def test_frames_of_many_chunks_and_chunks_of_many_frames(each_protocol: Protocol) -> None:
     random = Random(3)
     stream = random.randbytes(150_000)
@@ -255,57 +227,6 @@ def test_a_grammar_whose_state_fits_into_no_column_is_decoded_by_a_session(
     parts = same(huge, conversation(huge, 300, 1))
 
     assert {type(batch) for batch in parts} == {Records}
-
-
-@pytest.fixture(scope="module")
-def captured(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Every capture of the tree."""
-    samples = ROOT / "captures" / "samples"
-    found = list(samples.glob("*.mcap"))
-    for packed in samples.rglob("*.mcap.gz"):
-        path = tmp_path_factory.mktemp("samples") / packed.stem
-        path.write_bytes(gzip.decompress(packed.read_bytes()))
-        found.append(path)
-    assert len(found) == 2
-    return found
-
-
-def damaged(events: list[Event], random: Random) -> list[Event]:
-    """The events with some bits flipped and some bytes lost, from a random one to a random one."""
-    low, high = sorted(random.sample(range(len(events) + 1), 2))
-    out: list[Event] = []
-    for event in events[low:high]:
-        if isinstance(event, Chunk) and random.random() < 0.02:
-            data = bytearray(event.data)
-            place = random.randrange(len(data))
-            if random.random() < 0.5:
-                data[place] ^= 1 << random.randrange(8)
-            else:
-                del data[place]
-            event = replace_data(event, bytes(data))
-        out.append(event)
-    return out
-
-
-def replace_data(event: Chunk, data: bytes) -> Chunk:
-    return Chunk(event.t, event.direction, data)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_captures_cut_flipped_and_with_lost_bytes(
-    protocol: Protocol, captured: list[Path], seed: int
-) -> None:
-    random = Random(seed)
-    for path in captured:
-        capture = open_capture(path)
-        events = list(capture.events())
-        if seed:
-            events = damaged(events, random)
-        expected = told(capture_session(capture, protocol), events)
-
-        decoder = capture_decoder(capture, protocol)
-        batches = [random.randrange(1, 300) for _ in range(5)]
-        assert records_of(told(decoder, events, batches)) == expected
 
 
 @pytest.mark.parametrize("size", [1, 100])

@@ -17,12 +17,10 @@ from bilprov.analyzer.edit.compare import FAR, RUN, aligned
 from bilprov.analyzer.replay.comparison import Exchange
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
-from tests.support import ROOT
 from tests.support.car import car_state
-from tests.support.commands import command, process
+from tests.support.commands import command
 from tests.support.decoding import Event, conversation
 
-SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 TALK = [(bytes([0x11, n]), b"\0") for n in range(40)] + [(b"\x20", b"\0"), (b"\x90", b"\1")]
 # An instruction without an answer, and then so long a silence that none will come.
 PAUSE = [(b"", b"")] * 60 + [(b"\x00", b"\0")]
@@ -102,17 +100,6 @@ def test_where_only_one_holds_answers_nothing_was_judged(tmp_path: Path) -> None
     for path in tmp_path.iterdir():
         path.unlink()
     assert compared(tmp_path, TALK, TALK[:-1], heard="host")[0] == 1
-
-
-@pytest.mark.waits
-def test_a_verdict_that_cannot_be_shown_is_2() -> None:
-    with Path("/dev/full").open("wb") as full:
-        code = "import sys, os; os.dup2({}, 1); import bilprov; bilprov.main({!r})".format(
-            full.fileno(), ["capture", "diff", str(SAMPLE), str(SAMPLE)]
-        )
-        result = process(code=code, pass_fds=[full.fileno()])
-    assert result.returncode == 2
-    assert b"the exit code is 2" in result.stderr
 
 
 REST = car_state("stopped", 0, 0, 0)

@@ -33,7 +33,6 @@ from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_decoding import opened_at
 from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import MS, Chunk, Line
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import write_capture
@@ -373,27 +372,6 @@ def test_a_file_s_name_is_shown_with_its_control_characters_escaped(tmp_path: Pa
     assert "\\x1b[31mred.mcap holds" in said
 
 
-@pytest.mark.parametrize(("start", "end"), [("0.3", "1.2"), ("0.7192", "0.7699"), ("2", "99")])
-def test_a_part_of_the_sample_shows_the_lines_of_the_whole(
-    tmp_path: Path, start: str, end: str
-) -> None:
-    part = tmp_path / "part.mcap"
-    done("capture", "cut", SAMPLE, part, "--start", start, "--end", end)
-    window = ("--start", start, "--end", end)
-    assert lines_of(part, *window) == lines_of(SAMPLE, *window)
-
-
-@pytest.mark.parametrize("expression", ["faulty", "latency > 1ms", "direction == device", "t > 3"])
-def test_a_filtered_part_of_the_sample_shows_the_lines_that_the_filter_does(
-    tmp_path: Path, expression: str
-) -> None:
-    expression = expression.replace("1ms", "0.001")
-    part = tmp_path / "part.mcap"
-    done("capture", "cut", SAMPLE, part, "--filter", expression)
-    again = lines_of(part, "--filter", f"({expression}) and kind != gap")
-    assert again == lines_of(SAMPLE, "--filter", expression)
-
-
 def test_a_part_can_be_cut_again_and_be_converted(tmp_path: Path) -> None:
     part, again, full = (tmp_path / name for name in ("part.mcap", "again.mcap", "full.mcap"))
     done("capture", "cut", SAMPLE, part, "--filter", "state.moving")
@@ -448,18 +426,3 @@ def test_of_a_recorded_run_the_cases_and_looks_are_kept_but_it_is_not_judged_aga
     assert kept[: len(whole)] == [(m.topic, m.t, m.value) for m in whole]
     assert 0 < len(kept) < open_capture(run).contents.counts["/conformance/looks"] * 10
     assert "but an edited one" in done("recheck", part, code=2)
-
-
-def test_of_a_damaged_file_what_is_whole_is_cut(tmp_path: Path, protocol: Protocol) -> None:
-    path, part = tmp_path / "damaged.mcap", tmp_path / "part.mcap"
-    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as writer:
-        for n in range(100):
-            writer.chunk(Chunk(n * 200 * MS, "host", b"\x20"))
-    content = bytearray(path.read_bytes())
-    middle = len(content) // 2
-    content[middle : middle + 40] = bytes(40)
-    path.write_bytes(bytes(content))
-    said = done("capture", "cut", path, part, "--start", "1", "--end", "19")
-    assert "damaged" in said
-    window = ("--start", "1", "--end", "19")
-    assert lines_of(part, *window) == lines_of(path, *window)

@@ -103,21 +103,6 @@ def test_a_tap_of_each_side_gives_frames_with_their_answers(
     assert (metadata["port_host"], metadata["port_device"]) == ("/dev/host", "/dev/device")
 
 
-@pytest.mark.parametrize("at", ["0.3", "0.5", "0.719500", "1.5285"])
-def test_parts_that_were_cut_apart_are_decoded_as_the_whole_again(tmp_path: Path, at: str) -> None:
-    parts = tmp_path / "1.mcap", tmp_path / "2.mcap"
-    for path, side in zip(parts, ("--end", "--start"), strict=True):
-        assert command("capture", "cut", str(SAMPLE), str(path), side, at).returncode == 0
-    joined(*parts)
-    both = [record for record in read_capture(tmp_path / "joined.mcap") if is_frame(record)]
-    assert both == [record for record in read_capture(SAMPLE) if is_frame(record)]
-    joined_gaps, gaps = (
-        [event for event in open_capture(path).events() if isinstance(event, Line)]
-        for path in (tmp_path / "joined.mcap", SAMPLE)
-    )
-    assert joined_gaps == gaps  # none between the parts
-
-
 def test_parts_that_do_not_follow_each_other_are_decoded_anew_behind_a_gap(tmp_path: Path) -> None:
     early, late = tmp_path / "1.mcap", tmp_path / "2.mcap"
     command("capture", "cut", str(SAMPLE), str(early), "--start", "0.2", "--end", "0.4")

@@ -195,24 +195,6 @@ def test_without_pyarrow_the_line_that_brings_it_is_told(
     assert not list(tmp_path.iterdir())
 
 
-CLOSED = """
-import os, sys
-from bilprov.__main__ import main
-reader, writer = os.pipe()
-os.close(reader)
-os.dup2(writer, 1)
-main(["export", *sys.argv[1:], "-o", "-"])
-"""
-
-
-@pytest.mark.waits
-@pytest.mark.parametrize("style", FORMATS)
-def test_a_reader_that_goes_away_ends_it_quietly(style: str) -> None:
-    done = process(str(SAMPLE), "--format", style, code=CLOSED)
-
-    assert (done.returncode, done.stderr) == (0, b"")
-
-
 @pytest.mark.parametrize("style", ["csv", "jsonl"])
 def test_text_is_utf_8(tmp_path: Path, style: str) -> None:
     events = [Line(0, "break", "host", "Prüfstand"), Chunk(1, "host", b"\0")]

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Records
-from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.fields import fields_of
@@ -25,7 +24,6 @@ from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event, conversation, decoded, hosts
 from tests.support.framed_traffic import FRAMED
-from tests.support.traffic import ACTS, SETTINGS, Act, played
 
 TALK = [
     (b"\x11\x7f", b"\0"),
@@ -89,55 +87,6 @@ def test_a_filter_lets_pass_the_rows_that_it_describes(
     test = compile_filter(text, protocol)
 
     assert [getattr(record, "hex", "") for record in passing(test, talk)] == selected
-
-
-@pytest.mark.parametrize(
-    ("text", "kinds"),
-    [
-        ("speed == 1 or speed != 1", {"Speed"}),
-        ("speed not in (1, 2)", {"Speed"}),
-        ("not (speed not in {1}) and name == Speed or speed not in 0..1", {"Speed"}),
-        ("speed & 1 or speed > 0", {"Speed"}),
-        ("len >= 0", {"instruction"}),
-        ("name not contains Sp and id >= 0", {"instruction"}),
-        ("data contains 00 or data not contains 00", {"instruction"}),
-        ("data not in {40, 41}", {"instruction"}),
-        ("sequence >= 0 and kind != fault", {"instruction"}),
-        ("response >= 0", {"response"}),
-        ("latency > -1s", {"response"}),
-        ("agrees != true or agrees == true", {"response"}),
-        ("answers >= 0", {"response"}),
-        ("response & 1 == 1 or response == 0", {"response"}),
-    ],
-)
-def test_comparing_what_a_row_does_not_have_is_false(
-    protocol: Protocol, talk: list[Record], text: str, kinds: set[str]
-) -> None:
-    lines = map(json_line, passing(compile_filter(text, protocol), talk))
-
-    assert {line.name if kinds == {"Speed"} else line.kind for line in lines if line} == kinds
-
-
-def test_an_answer_of_no_code_is_a_response_and_none_of_the_names(protocol: Protocol) -> None:
-    records = decoded(Session(protocol), [Chunk(0, "device", b"\x55")])
-
-    assert passing(compile_filter("response != OK and response == 0x55", protocol), records)
-    assert not passing(compile_filter("name == OK or name != OK", protocol), records)
-
-
-def test_a_frame_that_is_cut_short_has_no_fields(protocol: Protocol) -> None:
-    events = [Chunk(0, "host", b"\x11"), Chunk(2000 * MS, "host", b"\x11\x05")]
-    cut, whole = hosts(decoded(Session(protocol), events))
-
-    assert passing(compile_filter("speed >= 0", protocol), [cut, whole]) == [whole]
-    assert passing(compile_filter("name == Speed", protocol), [cut, whole]) == [cut, whole]
-
-
-@pytest.mark.parametrize("text", ["t >= 0", "not name == Speed", "not kind == garbage"])
-def test_a_line_event_without_an_anomaly_never_passes(protocol: Protocol, text: str) -> None:
-    opened, broken = decoded(Session(protocol), [Line(0, "opened", ""), Line(MS, "break", "host")])
-
-    assert passing(compile_filter(text, protocol), [opened, broken]) == [broken]
 
 
 def wall(zone: str, text: str) -> int:
@@ -378,37 +327,6 @@ def test_any_text_is_a_filter_or_an_error_with_its_place(protocol: Protocol, tex
         assert 1 <= error.column <= len(text) + 1
         assert error.column - 1 + error.length <= len(text) + 1
         assert str(error).isprintable()
-
-
-@pytest.mark.slow
-@given(acts=ACTS, chosen=SETTINGS)
-@settings(max_examples=25)
-def test_every_anomaly_and_every_row_has_words_that_the_language_knows(
-    each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any]
-) -> None:
-    session = Session(each_protocol, **chosen)
-    records = decoded(session, played(each_protocol, acts))
-
-    fields = fields_of(each_protocol)
-    for line in filter(None, map(json_line, records)):
-        assert set(line.faults) <= set(fields["faults"].words)
-        assert line.kind in fields["kind"].words
-        assert line.name is None or line.name in fields["name"].words
-        for name, value in line.fields.items():
-            low, high = fields[name].low, fields[name].high
-            assert low is not None
-            assert high is not None
-            assert low <= value <= high
-
-
-def test_another_grammars_fields_and_names_are_known(horn: Protocol, protocol: Protocol) -> None:
-    events = conversation([(b"\x91\x02", b"\0"), (b"\x91\x00", b"\0")])
-    test = compile_filter("name == Horn and sound > 1", horn)
-
-    found = passing(test, decoded(Session(horn), events))
-    assert [record.hex for record in found] == ["91 02"]
-    with pytest.raises(FilterError):
-        compile_filter("sound > 1", protocol)
 
 
 def test_the_reach_of_a_field_is_what_its_bytes_can_carry(wide: Protocol) -> None:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from random import Random
-from statistics import median
 from typing import Any
 
 import pytest
@@ -23,7 +19,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import write_capture
 from tests.support.commands import command, process
-from tests.support.decoding import MS, Event, conversation
+from tests.support.decoding import MS, Event
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
 
@@ -39,47 +35,6 @@ def counted(*arguments: str) -> Any:
     result = command("stats", *arguments, "--json", "-")
     assert result.returncode == 0, result.stderr
     return json.loads(result.stdout)
-
-
-def test_the_counts_are_those_of_the_lines_that_replay_shows() -> None:
-    shown = command("replay", EXAMPLES, "--rate", "0", "--format", "jsonl").stdout
-    lines = [json.loads(line) for line in shown.splitlines()]
-    frames = [line for line in lines if line["sequence"] is not None and line["direction"]]
-    answers = [line for line in lines if line["kind"] == "response"]
-
-    (file,) = counted(EXAMPLES)["files"]
-
-    counts = file["counts"]
-    assert counts["frames"] == len(frames) > 0
-    assert counts["device_bytes"] == len(answers) > 0
-    names = Counter(line["name"] for line in frames if line["name"])
-    assert {n: c for n, c in counts["instructions"].items() if c and "unused" not in n} == names
-    expected = Counter(line["judgement"] for line in frames)
-    assert {name: count for name, count in counts["expected"].items() if count} == expected
-    given = Counter(line["name"] for line in answers)
-    assert {name: count for name, count in counts["responses"].items() if count} == given
-    assert counts["agreeing"] == sum(line["agrees"] is True for line in answers)
-    assert counts["anomalies"] == Counter(kind for line in lines for kind in line["faults"])
-    for side in ("host", "device"):
-        odd = (kind for line in lines if line["direction"] == side for kind in line["faults"])
-        assert counts["by_direction"][side] == Counter(odd)
-    said = {line["sequence"]: line["name"] for line in frames}
-    for name, one in counts["by_instruction"].items():
-        if "unused" not in name:
-            mine = [line for line in answers if said[line["answers"]] == name]
-            assert one["frames"] == counts["instructions"][name]
-            assert one["responses"] == Counter(line["name"] for line in mine)
-            ends = {line["latency"] for line in mine}
-            if ends:
-                assert (one["latency"]["min"], one["latency"]["max"]) == (min(ends), max(ends))
-    bins = counts["latency_bins"]
-    assert sum(one["count"] for one in bins) == len(answers)
-    rates = file["rates"]
-    assert sum(rates["frames"]) == len(frames)
-    assert rates["step"] == 1
-    latencies = sorted(line["latency"] for line in answers)
-    assert (counts["latency"]["min"], counts["latency"]["max"]) == (latencies[0], latencies[-1])
-    assert counts["latency"]["median"] == pytest.approx(median(latencies), abs=1e-6)
 
 
 def test_load_percentiles_and_time_moving_are_those_worked_out_by_hand(tmp_path: Path) -> None:
@@ -172,45 +127,6 @@ def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protoco
     assert len(told) > 1
 
 
-def rows_of(*arguments: str) -> list[dict[str, str]]:
-    text = command("stats", *arguments, "--csv", "-").stdout.decode()
-    return list(csv.DictReader(io.StringIO(text, newline="")))
-
-
-def test_the_csv_has_every_number_of_the_json(tmp_path: Path) -> None:
-    other = written(tmp_path / "other.mcap", conversation([(b"\x20", b"\0"), (b"\x90", b"\0")]))
-    found = counted(EXAMPLES, other)
-    rows: dict[str, dict[tuple[str, ...], float]] = {}
-    for row in rows_of(EXAMPLES, other):
-        file = rows.setdefault(row["file"], {})
-        key = row["group"], row["key"], row["measure"]
-        assert key not in file
-        file[key] = float(row["value"])
-
-    parts = [(file["path"], file["counts"]) for file in found["files"]] + [("", found["total"])]
-    for path, counts in parts:
-        numbers = {("total", "", k): v for k, v in counts.items() if isinstance(v, int | float)}
-        numbers |= {("total", "", f"load.{side}"): v for side, v in counts["load"].items()}
-        numbers |= {("response", n, "expected"): v for n, v in counts["expected"].items()}
-        numbers |= {("response", n, "given"): v for n, v in counts["responses"].items()}
-        for side, kinds in counts["by_direction"].items():
-            numbers |= {("anomaly", kind, side): v for kind, v in kinds.items()}
-        for name, one in {"": counts, **counts["by_instruction"]}.items():
-            numbers |= {("latency", name, k): v for k, v in (one["latency"] or {}).items()}
-            if name:
-                numbers["instruction", name, "frames"] = one["frames"]
-                numbers |= {("answer", name, n): v for n, v in one["responses"].items()}
-                numbers |= {
-                    ("instruction anomaly", name, n): v for n, v in one["anomalies"].items()
-                }
-        apart = {key: v for key, v in rows[path].items() if key[0] in ("latency bin", "rate")}
-        assert {key: v for key, v in rows[path].items() if key not in apart} == numbers
-        bins = [v for key, v in apart.items() if key[0] == "latency bin"]
-        frames = [v for key, v in apart.items() if key[2] == "frames"]
-        assert sum(bins) == counts["latency"]["count"]
-        assert sum(frames) == (counts["frames"] if path else 0)
-
-
 def test_a_name_in_the_csv_is_no_formula_and_controls_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "=cmd|'x'\x1b[31m"
     folder.mkdir()
@@ -221,21 +137,6 @@ def test_a_name_in_the_csv_is_no_formula_and_controls_nothing(tmp_path: Path) ->
 
     assert b"\r\n'=1+1.mcap,total,,frames,0\r\n" in result.stdout
     assert b"\x1b" not in absolute.stdout + command("stats", str(folder / "=1+1.mcap")).stdout
-
-
-def test_only_what_passes_the_filter_is_counted() -> None:
-    shown = command(
-        "replay", EXAMPLES, "--rate", "0", "--format", "jsonl", "--filter", "faulty"
-    ).stdout
-    lines = [json.loads(line) for line in shown.splitlines()]
-
-    found = counted(EXAMPLES, "--filter", "faulty")
-
-    assert found["filter"] == "faulty"
-    assert found["total"]["frames"] == len([x for x in lines if x["direction"] == "host"]) > 0
-    assert found["total"]["anomalies"] == Counter(kind for x in lines for kind in x["faults"])
-    shown = command("stats", EXAMPLES, "--filter", "faulty").stdout
-    assert b"Only what passes faulty is counted." in shown
 
 
 def busy(protocol: Protocol, seconds: int) -> list[Event]:
