@@ -31,6 +31,11 @@ DROPPED = {
 """A sentence for each former command that has no new name."""
 
 DROPPED_OPTIONS = {
+    "--ask": (
+        "ports --ask is gone: bilprov send PORT 90 --baud RATE asks once at a rate, and at a wrong "
+        "one a device may do anything"
+    ),
+    "--csv": "stats --csv is gone: stats --json has the same figures",
     "--budget": (
         "conform --budget is gone: what a slow line cannot hold is left out by itself, and --only "
         "or --level smoke make any run shorter"

@@ -25,13 +25,9 @@ from bilprov.analyzer.cli.stats import plot
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.examination import (
-    Answered,
-    Reply,
     examined,
     heard,
-    rates_of,
     subject,
-    told,
 )
 from bilprov.analyzer.doctor.finding import INDENT, Finding, Grade, conclusion, drawn, title
 from bilprov.analyzer.grammar_file import load_protocol
@@ -42,7 +38,7 @@ from bilprov.analyzer.screen.recording import Recording
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.version import kit_version
-from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
@@ -105,13 +101,12 @@ def browse_picture(protocol: Protocol) -> str:
 
 
 def doctor_picture(protocol: Protocol, machine: Machine, port: str) -> Iterator[RenderableType]:
-    """What `ports` reports of an adapter whose device answers at another rate than expected."""
-    rates = rates_of(port, line_settings(protocol).baud)
-    answered = Answered(57600, Reply.ANSWERS)
+    """What `ports` reports of an adapter on whose line another baud rate is."""
     opened = Finding("opening", Grade.FINE, f"opened with {line_settings(protocol)}")
-    silent = heard(protocol, {"host": port}, [], 2)
-    asking = told(protocol, port, rates, [answered])
-    findings = [*examined(subject(port, machine, [port])), opened, *silent, *asking]
+    framing = Line(1, "framing", "host", "31 counted by the driver")
+    events: list[Chunk | Line] = [Chunk(0, "host", bytes(40)), framing]
+    traffic = heard(protocol, {"host": port}, events, 2)
+    findings = [*examined(subject(port, machine, [port])), opened, *traffic]
     yield heading(title(port, machine))
     for finding in findings:
         yield drawn(finding)

@@ -44,7 +44,6 @@ NOT_RUN = {
     r"bilprov (conform emulator|simulate --firmware)": "needs firmware; tests/firmware runs it",
     r"bilprov lab score": "takes minutes; tests/conformance/mutation runs it",
     r"bilprov lab learn": "takes a minute; tests/conformance/learning runs it",
-    r"bilprov ports .*--ask": "takes a minute at all rates; tests/analyzer/doctor runs it",
 }
 # What a command needs beside Python.
 NEEDS = ("tshark", "jq")

@@ -10,16 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
-from bilprov.analyzer.cli.options import (
-    Finite,
-    LineOptions,
-    confirm_effect,
-    note,
-    note_each,
-    note_suspension,
-    text_format_option,
-)
+from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
+from bilprov.analyzer.cli.options import Finite, LineOptions, note_each, text_format_option
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.output.console import show, show_json, table
 from bilprov.captures.text import escape_controls, printable
@@ -29,7 +21,6 @@ if TYPE_CHECKING:
 
     from bilprov.analyzer.doctor.finding import Finding
     from bilprov.analyzer.transport.ports import PortInfo
-    from bilprov.spec.protocol import Protocol
 
 
 @dataclass(frozen=True)
@@ -38,8 +29,6 @@ class PortsOptions:
 
     names: tuple[str, ...] = argument(metavar="[PORT]...", nargs=-1, type=PortName())
     seconds: float = option(type=Finite(0), default=2.0, help="How long to listen at a port.")
-    ask: bool = flag("Send the link check at each common baud rate.")
-    yes: bool = flag("With --ask: the robot may move, do not ask.")
     line: LineOptions = group(LineOptions)
     style: str = text_format_option()
 
@@ -59,19 +48,14 @@ def ports(options: PortsOptions) -> int:
     the command reports whether they are swapped. Nothing is sent; opening raises DTR, which resets
     an Arduino. A port that another program holds is not opened.
 
-    With --ask the link check is sent at each common baud rate, and the device that answers is
-    homed. At a wrong rate it hears other bytes, and may drive.
-
     Exit code: 0 the list is shown, or the port can be used as it is, with or without advice; 2 it
     cannot; 130 Ctrl-C.
     """
-    names, ask, as_json = options.names, options.ask, options.style == "json"
+    names, as_json = options.names, options.style == "json"
     if not names:
-        if ask:
-            raise click.UsageError("--ask asks one device: name its PORT")
         _list(as_json=as_json)
         return 0
-    from bilprov.analyzer.doctor.examination import longest_time, of_line, of_system, rates_of
+    from bilprov.analyzer.doctor.examination import of_line, of_system
     from bilprov.analyzer.doctor.finding import usable
     from bilprov.analyzer.taps.sources import require_two_lines
     from bilprov.analyzer.transport.signals import Stopper
@@ -82,10 +66,6 @@ def ports(options: PortsOptions) -> int:
         raise click.UsageError("give one PORT, or two that are the host's tap and the device's")
     _require_ports(names)
     if len(names) > 1:
-        if ask:
-            raise click.UsageError(
-                "--ask asks one device: give one PORT; taps are never written to"
-            )
         try:
             require_two_lines(*names)
         except ValueError as error:
@@ -95,17 +75,10 @@ def ports(options: PortsOptions) -> int:
         findings.begin(name)
         findings.show(of_system(name))
     if usable(findings.found):
-        rates = rates_of(names[0], settings.baud) if ask else ()
-        if rates:
-            what, words = _what_may_move(protocol, names[0], rates, longest_time(protocol, rates))
-            confirm_effect(protocol, what, words, yes=options.yes)
-            if options.yes:
-                note(f"{what}: {words}" if words else what)
         if len(names) > 1:
             findings.begin("both taps")
         with Stopper() as stopper:
-            findings.show(of_line(protocol, names, settings, options.seconds, stopper, rates))
-        note_suspension(stopper)
+            findings.show(of_line(protocol, names, settings, options.seconds, stopper))
         if stopper.stopped:  # by a signal: no verdict was reached
             raise KeyboardInterrupt
     return findings.end(names)
@@ -175,22 +148,6 @@ def unseen(found: Sequence[PortInfo]) -> str:
     return f"{which} could not be examined: sudo shows every program that holds a port"
 
 
-def _what_may_move(
-    protocol: Protocol, port: str, rates: Sequence[int], seconds: float
-) -> tuple[str, str]:
-    """What is done to a device, and what that may change, in words."""
-    from bilprov.spec.by_effect import effect_words, link_check
-
-    first = f"the {protocol.device} at {port} is asked at {rates[0]} baud"
-    if len(rates) == 1:
-        return first, effect_words(protocol, filter(None, link_check(protocol)))
-    return (
-        f"{first} and {len(rates) - 1} other rates, for up to {seconds:.0f} s; at a wrong rate it "
-        "hears other bytes than are sent, and may do anything",
-        effect_words(protocol),
-    )
-
-
 def _require_ports(names: Sequence[str]) -> None:
     from bilprov.analyzer.transport.errors import SIM, missing
     from bilprov.analyzer.transport.machine import Machine
@@ -239,7 +196,7 @@ class Findings:
                 show(drawn(finding))
                 if finding.command:  # by itself: it must stay on one line to be copied
                     click.secho(" " * INDENT + escape_controls(finding.command), bold=True)
-                sys.stdout.flush()  # listening and asking take their time
+                sys.stdout.flush()  # listening takes its time
 
     def end(self, names: Sequence[str]) -> int:
         """Show whether the ports, or the files, can be used, and return the exit code."""

@@ -1,26 +1,18 @@
 """An examination of a port, or of a host's and a device's tap: first its system, then its line.
 
 Each check of the system is a row of `CHECKS`; it is made before the port is opened.
-The line is listened to for a moment, in which nothing is sent. Where it is asked for, the baud rate
-at which a device answers is found by the link check. At each rate stops are sent first: wherever
-the bytes arrive garbled, stops are what does least harm. Only where something answers are the other
-frames of the link check sent. The device is homed at the end.
+The line is listened to for a moment, in which nothing is sent.
 """
 
 from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
-from enum import Enum
-from functools import partial
 from shlex import quote
 
-from bilprov.analyzer.client.operations import Link, done, listen, send
-from bilprov.analyzer.client.port_link import PortLink
-from bilprov.analyzer.client.rest import halt, home_once
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.finding import Finding, Grade, refused
@@ -36,13 +28,10 @@ from bilprov.analyzer.transport.errors import (
 )
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.machine import MODEM_MANAGER, Held, Machine, for_braille
-from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port, paths_here
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.schemas import MS, Chunk, Direction, Line
+from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.captures.text import printable, quantity
-from bilprov.spec.by_effect import link_check
-from bilprov.spec.codec import judge, spaced
 from bilprov.spec.protocol import Protocol
 
 LATENCY_LIMIT = 4
@@ -246,7 +235,7 @@ def heard(
             last = printable(data[event.tap].decode("latin-1").strip())
             said = f"it sent {last!r}, then " if last else ""
             yield Finding("line", Grade.BLOCKS, said + event.detail)
-    yield from _miscounted(names, events, count)
+    yield from _miscounted(events, count)
     if not count:
         why = "a device speaks only when it is asked" if len(names) == 1 else "does the host drive?"
         sentence = f"not a byte was heard in {seconds:.3g} s: {why}"
@@ -280,9 +269,7 @@ def _said(events: Sequence[Chunk | Line], side: str) -> bytes:
     return b"".join(chunk.data for chunk in chunks if chunk.direction == side)
 
 
-def _miscounted(
-    names: Mapping[str, str], events: Sequence[Chunk | Line], count: int
-) -> Iterator[Finding]:
+def _miscounted(events: Sequence[Chunk | Line], count: int) -> Iterator[Finding]:
     """Errors that the driver has counted: framing errors mean another baud rate."""
     lines = [event for event in events if isinstance(event, Line)]
     for kind, means in _MEANS.items():
@@ -290,10 +277,7 @@ def _miscounted(
         if errors:
             counted = quantity(errors, f"{kind} error")
             sentence = f"the driver counted {counted} in {quantity(count, 'byte')}: {means}"
-            (name, *others) = names.values()
-            asks = kind == "framing" and not others
-            command = f"bilprov ports {quote(name)} --ask --yes" if asks else ""
-            yield Finding("line errors", Grade.BLOCKS, sentence, command)
+            yield Finding("line errors", Grade.BLOCKS, sentence)
 
 
 def _wired(
@@ -341,155 +325,6 @@ def _fitting(protocol: Protocol, chunks: Sequence[Chunk]) -> tuple[float, int]:
     return sum(bool(one.agrees) for one in answers) / max(1, len(answers)), len(answers)
 
 
-RATES = (9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000, 921600, 1000000)
-"""Baud rates that devices of this kind are set to, in bits/s."""
-
-_ROUNDS = 2  # a board that was reset when its port was opened boots during the first
-
-
-class Reply(Enum):
-    """What came back at one baud rate."""
-
-    NOTHING = "nothing"
-    GARBAGE = "bytes that are not answers"
-    ECHO = "what was sent"
-    ANSWERS = "answers"
-
-
-@dataclass(frozen=True, slots=True)
-class Answered:
-    """What came back to the link check at one baud rate: each frame, and the bytes after it."""
-
-    baud: int
-    reply: Reply
-    exchanges: tuple[tuple[bytes, bytes], ...] = ()
-
-
-def rates_of(name: str, baud: int) -> tuple[int, ...]:
-    """The baud rates to ask at: `baud` first, and no other where the port has none to be set."""
-    if name.lower().startswith(("socket:", "loop:")):
-        return (baud,)
-    return (baud, *(rate for rate in RATES if rate != baud))
-
-
-def longest_time(protocol: Protocol, rates: Sequence[int]) -> float:
-    """The time in s that asking at these rates takes if nobody answers."""
-    return _ROUNDS * len(rates) * protocol.timing.answer_longest / 1000
-
-
-def asked(
-    protocol: Protocol,
-    link: Link,
-    tune: Callable[[int], object],
-    rates: Sequence[int],
-    given_up: Callable[[], bool] = lambda: False,
-) -> tuple[Answered, ...]:
-    """Ask at each rate until answers come; give what came back, the last at the rate that is left.
-
-    `tune` sets the line's baud rate, and raises LinkError for one that it does not have; `given_up`
-    is called before each rate. A device that answers is homed at the end, and on every way out
-    stops are sent at the last rate. Raises LinkError if the port is lost.
-    """
-    found: list[Answered] = []
-    try:
-        for rate in (*rates,) * _ROUNDS:
-            if given_up():
-                break
-            try:
-                tune(rate)
-            except LinkError:
-                continue
-            answered = _link_check(protocol, link, rate, expected=rate == rates[0])
-            if answered.reply is not Reply.NOTHING:
-                found.append(answered)
-            if answered.reply in (Reply.ANSWERS, Reply.ECHO):
-                break
-        else:
-            tune(rates[0])
-    finally:
-        with suppress(LinkError):
-            done(home_once(protocol), link)
-    return tuple(found)
-
-
-def _link_check(protocol: Protocol, link: Link, rate: int, *, expected: bool) -> Answered:
-    """Home the device and, if anything comes back, send the link check.
-
-    At another rate than the `expected` one a stray 0 is no proof: a refusal has to be right too.
-    """
-    if not done(home_once(protocol), link):
-        return Answered(rate, Reply.NOTHING)
-    setting, unused, short = link_check(protocol)
-    longest, more = (
-        round(milliseconds * MS)
-        for milliseconds in (protocol.timing.answer_longest, protocol.timing.answer_deadline)
-    )
-    exchanges = []
-    for frame in filter(None, (unused, setting, short)):
-        done(send(frame), link)
-        came = [*done(listen(1, longest), link).codes, *done(listen(None, more), link).codes]
-        exchanges.append((frame, bytes(came)))
-    codes = {spec.code for spec in protocol.responses}
-    due = {frame: judge(protocol, frame).response.code for frame, _ in exchanges}
-    sure = any(due[frame] and came == bytes([due[frame]]) for frame, came in exchanges)
-    single = all(len(came) <= 1 and set(came) <= codes for _, came in exchanges)
-    if all(came[: len(frame)] == frame for frame, came in exchanges):
-        reply = Reply.ECHO
-    elif single and (sure or expected) and any(came for _, came in exchanges):
-        reply = Reply.ANSWERS
-    else:
-        reply = Reply.GARBAGE
-    return Answered(rate, reply, tuple(exchanges))
-
-
-def told(
-    protocol: Protocol, name: str, rates: Sequence[int], found: Sequence[Answered]
-) -> Iterator[Finding]:
-    """Yield what asking at the rates has shown of the device at the port `name`."""
-    last = found[-1] if found else None
-    if last is None:
-        tried = f"any of {len(rates)} baud rates" if len(rates) > 1 else f"{rates[0]} baud"
-        sentence = f"nobody answers at {tried}: check power, wiring (TX to RX) and common ground"
-        yield Finding("answers", Grade.BLOCKS, sentence)
-    elif last.reply is Reply.ECHO:
-        sentence = (
-            "what is sent comes back: a loop-back plug, TX and RX wired together, or an adapter "
-            "that hears itself"
-        )
-        yield Finding("echo", Grade.BLOCKS, sentence)
-    elif last.reply is Reply.GARBAGE:
-        came = " ".join(spaced(answer) for _, answer in last.exchanges if answer)[:60]
-        asked = dict.fromkeys(one.baud for one in found)  # each is asked at twice
-        sentence = (
-            f"something comes back at {', '.join(map(str, asked))} baud, but no "
-            f"answers ({came}): another baud rate, parity or protocol"
-        )
-        yield Finding("answers", Grade.BLOCKS, sentence)
-    else:
-        yield _at_rate(name, rates[0], last.baud)
-        yield from _unlike(protocol, name, last)
-
-
-def _at_rate(name: str, expected: int, baud: int) -> Finding:
-    if baud == expected:
-        return Finding("answers", Grade.FINE, f"a device answers at {baud} baud")
-    sentence = f"a device answers at {baud} baud, not at {expected}; give each command that rate"
-    command = f"bilprov conform {quote(name)} --baud {baud}"
-    return Finding("baud rate", Grade.BLOCKS, sentence, command)
-
-
-def _unlike(protocol: Protocol, name: str, answered: Answered) -> Iterator[Finding]:
-    """The first answer that is another one than a conforming device gives."""
-    for frame, came in answered.exchanges:
-        due = judge(protocol, frame).response
-        if came != bytes([due.code]):
-            what = f"answers {spaced(came)}" if came else "gives no answer"
-            sentence = f"to {spaced(frame)} it {what}, where {due.code:02x} {due.name} is due"
-            command = f"bilprov conform {quote(name)} --level smoke --baud {answered.baud}"
-            yield Finding("answers", Grade.ADVICE, sentence, command)
-            return
-
-
 def of_system(name: str, machine: Machine | None = None) -> Iterator[Finding]:
     """Yield what the system says of the port of that name; nothing for a URL."""
     path = path_in(name)
@@ -503,13 +338,10 @@ def of_line(
     settings: LineSettings,
     seconds: float,
     stopper: Stopper,
-    rates: Sequence[int] = (),
 ) -> Iterator[Finding]:
     """Open the ports and yield what is heard in `seconds`; `names` are one, or host and device.
 
-    What is under way when `stopper` stops it is not told, but a device is homed all the same.
-    Nothing is sent unless there are `rates`: at each the link check is sent to the first port until
-    a device answers, which is homed. Opening raises DTR, which resets an Arduino.
+    Nothing is sent. Opening raises DTR, which resets an Arduino.
     """
     with ExitStack() as stack:
         try:
@@ -521,18 +353,3 @@ def of_line(
         taps = Taps(ports[0], ports[1] if len(ports) > 1 else None)
         events = listened(taps, seconds, stopper)
         yield from heard(protocol, taps.names, events, min(seconds, taps.now() / 1e9))
-        if rates and not stopper.stopped:
-            yield from _of_answers(protocol, ports[0], rates, stopper)
-
-
-def _of_answers(
-    protocol: Protocol, port: Port, rates: Sequence[int], stopper: Stopper
-) -> Iterator[Finding]:
-    stopper.before_suspending(partial(halt, protocol, port))
-    try:
-        found = asked(protocol, PortLink(port), port.set_baud, rates, lambda: stopper.stopped)
-    except LinkError as error:
-        yield refused("answers", error)
-        return
-    if found or not stopper.stopped:
-        yield from told(protocol, port.name, rates, found)

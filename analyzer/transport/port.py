@@ -18,7 +18,6 @@ import termios
 import time
 import tty
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 from bilprov.analyzer.transport.errors import (
@@ -167,18 +166,6 @@ class Port(Closing):
                 self._handle.dtr = False
                 time.sleep(_PULSE)
                 self._handle.dtr = True
-
-    def set_baud(self, baud: int) -> None:
-        """Change the baud rate, and leave DTR alone, which opening anew would not.
-
-        Without effect on `socket://`. Raises LinkError for a rate that the port does not have.
-        """
-        self._require_open()
-        try:
-            self._handle.baudrate = baud
-        except FAULTS as error:
-            raise LinkError(f"{self.name} does not accept {baud} baud") from error
-        self.settings = replace(self.settings, baud=baud)
 
     def renew(self, other: Port) -> None:
         """Go on as another open port, which was opened in place of this one; this one is closed."""

@@ -132,7 +132,6 @@ def drive_capture(folder: Path) -> Path:
     return path
 
 
-EXAMINES = "ports --ask"
 COMMANDS = {
     "conform": _seeing("conform", "--level", "smoke"),
     "conform, faulty": _seeing(
@@ -142,7 +141,6 @@ COMMANDS = {
     "send, typed": _seeing("send", typed="\n".join(items(pause="pause=300")) + "\n"),
     "replay --to": Command(lambda port, probe, folder: replay_to(port, folder)),
     "lab learn": _seeing("lab learn"),
-    EXAMINES: _bilprov("ports", "--ask", "--yes", "--seconds", "0.2"),
     "plugin": Command(_plugin),
     "Robot": _driver(_DRIVE.format("pass")),
     "Robot, exception": _driver(_DRIVE.format("assert turn < 2")),
@@ -287,12 +285,8 @@ SIGNALS: dict[str, Callable[[Run], None]] = {
 
 Case = tuple[str, str, str]
 
-CASES: tuple[Case, ...] = tuple(
-    row
-    for row in product(COMMANDS, PHASES, WAYS)
-    if row[0] != EXAMINES or row[1] in ("before the first byte", "homing")
-)
-"""Each command, phase and way; `ports --ask` sends no motion, so it has two phases only."""
+CASES: tuple[Case, ...] = tuple(product(COMMANDS, PHASES, WAYS))
+"""Each command, phase and way."""
 
 SIGNAL_CASES: tuple[Case, ...] = tuple(product(SIGNALLED, DRIVING, SIGNALS))
 """Each command that is sent signals in each phase in which its robot moves, with each signal."""

@@ -1,4 +1,4 @@
-"""The doctor: what it finds on made-up machines, in traffic, by asking, and on real lines."""
+"""The doctor: what it finds on made-up machines, in traffic, and on real lines."""
 
 from __future__ import annotations
 
@@ -10,37 +10,26 @@ import shlex
 import shutil
 import socket
 import subprocess
-import termios
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bilprov.analyzer.client.operations import Listen, Operation, Received, Send
 from bilprov.analyzer.doctor.examination import (
-    RATES,
-    Reply,
     Subject,
-    asked,
     examined,
     heard,
     notes,
     of_line,
-    rates_of,
     subject,
-    told,
 )
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
-from bilprov.analyzer.transport.errors import NO_BRAILLE, LinkError, denied
+from bilprov.analyzer.transport.errors import NO_BRAILLE, denied
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Held, Machine
-from bilprov.analyzer.transport.port import PtyPair, open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached
 from tests.support.commands import command
@@ -243,7 +232,6 @@ def test_framing_errors_mean_another_baud_rate(protocol: Protocol) -> None:
     found, _ = heard(protocol, {"host": PORT}, events, 2)
     assert found.grade is Grade.BLOCKS
     assert found.sentence.startswith("the driver counted 2 framing errors in 2 bytes")
-    assert found.command == "bilprov ports /dev/ttyUSB0 --ask --yes"
 
 
 @pytest.mark.waits
@@ -259,152 +247,6 @@ def test_a_server_that_hangs_up_is_told_with_its_last_words(protocol: Protocol) 
     assert lost.sentence.startswith(f"it sent 'Port already in use', then {name} was closed")
 
 
-# Asking
-
-
-class Line8N1:
-    """A wire to a simulated device that is set to one baud rate, in virtual time.
-
-    At other rates either side hears what `garble` makes of the bytes.
-    """
-
-    def __init__(self, device: Simulator, baud: int, garble: Callable[[bytes], bytes]) -> None:
-        self.baud = self.tuned = baud
-        self.said: list[tuple[int, bytes]] = []
-        self._device, self._garble = device, garble
-        self._now = 0
-
-    def tune(self, baud: int) -> None:
-        if baud == 250000:
-            raise LinkError("no such rate")
-        self.tuned = baud
-
-    def do(self, operation: Operation) -> int | Received:
-        if isinstance(operation, Send):
-            self.said.append((self.tuned, operation.data))
-            self._device.receive(self._passed(operation.data), self._now)
-            return self._now
-        assert isinstance(operation, Listen)
-        return self._listen(operation.count, self._now + operation.patience)
-
-    def _listen(self, count: int | None, until: int) -> Received:
-        came = list[tuple[int, int]]()
-        while count is None or len(came) < count:
-            due = self._device.deadline()
-            if due is None or due > until:
-                self._now = until
-                break
-            self._now = max(self._now, due)
-            answers = self._passed(self._device.advance(self._now))
-            came += [(self._now, byte) for byte in answers]
-        return Received(tuple(came), self._now)
-
-    def _passed(self, data: bytes) -> bytes:
-        return data if self.tuned == self.baud else self._garble(data)
-
-
-GARBLES: list[Callable[[bytes], bytes]] = [
-    lambda data: b"",
-    lambda data: bytes(byte ^ 0xE6 for byte in data),
-    lambda data: bytes(2 * len(data)),
-]
-
-
-@pytest.mark.parametrize("garble", GARBLES, ids=["nothing", "bits", "zeros"])
-@pytest.mark.parametrize("baud", [9600, 57600, 115200])
-def test_the_rate_at_which_a_device_answers_is_found_and_the_device_homed(
-    each_protocol: Protocol, baud: int, garble: Callable[[bytes], bytes]
-) -> None:
-    device = Simulator(each_protocol)
-    wire = Line8N1(device, baud, garble)
-    rates = rates_of("/dev/ttyUSB0", 115200)
-    found = asked(each_protocol, wire, wire.tune, rates)
-    assert (found[-1].baud, found[-1].reply) == (baud, Reply.ANSWERS)
-    assert wire.tuned == baud
-    assert set(wire.said[-1][1]) == {each_protocol.pad_byte}
-    assert not device.state.moving
-    first, *more = told(each_protocol, "/dev/ttyUSB0", rates, found)
-    assert more == []
-    if baud == 115200:
-        assert first.grade is Grade.FINE
-    else:
-        assert first.grade is Grade.BLOCKS
-        assert first.command == f"bilprov conform /dev/ttyUSB0 --baud {baud}"
-
-
-def test_a_zero_at_an_unlikely_rate_is_no_answer(protocol: Protocol) -> None:
-    def garble(data: bytes) -> bytes:  # a break reads as 0, which is a code too
-        return b"" if wire.tuned == 115200 or not data else b"\0"
-
-    wire = Line8N1(Simulator(protocol), 57600, garble)
-    *others, right = asked(protocol, wire, wire.tune, rates_of("/dev/ttyUSB0", 115200))
-    assert {one.reply for one in others} == {Reply.GARBAGE}
-    assert (right.baud, right.reply) == (57600, Reply.ANSWERS)
-
-
-def test_where_nobody_answers_every_rate_is_tried_and_stops_are_sent_last(
-    protocol: Protocol,
-) -> None:
-    wire = Line8N1(Simulator(protocol), 1, lambda data: b"")
-    rates = rates_of("/dev/ttyUSB0", 115200)
-    assert asked(protocol, wire, wire.tune, rates) == ()
-    assert {rate for rate, _ in wire.said} == set(RATES) - {250000}
-    assert {byte for _, data in wire.said for byte in data} == {protocol.pad_byte}
-    assert wire.said[-1][0] == 115200
-    (found,) = told(protocol, "/dev/ttyUSB0", rates, ())
-    assert "nobody answers at any of 11 baud rates" in found.sentence
-
-
-def test_asking_that_is_given_up_still_homes_the_device(protocol: Protocol) -> None:
-    wire = Line8N1(Simulator(protocol), 57600, lambda data: b"")
-    assert asked(protocol, wire, wire.tune, (57600,), lambda: True) == ()
-    assert [set(data) for _, data in wire.said] == [{protocol.pad_byte}]
-
-
-def test_a_line_that_echoes_at_one_rate_is_asked_at_no_other(protocol: Protocol) -> None:
-    class Echo(Simulator):
-        def receive(self, data: bytes, now: int) -> None:
-            for byte in data:
-                self.answer(byte, now)
-
-    wire = Line8N1(Echo(protocol), 9600, lambda data: b"")
-    found = asked(protocol, wire, wire.tune, rates_of("/dev/ttyUSB0", 115200))
-    assert [(one.baud, one.reply) for one in found] == [(9600, Reply.ECHO)]
-    assert wire.tuned == 9600
-
-
-@pytest.mark.parametrize("baud", [9600, 31250])
-def test_each_rate_is_asked_at_once_a_round(baud: int) -> None:
-    rates = rates_of(PORT, baud)
-    assert sorted(rates) == sorted({*RATES, baud})
-    assert rates[0] == baud
-    assert rates_of("socket://127.0.0.1:5000", baud) == (baud,)
-
-
-def test_a_rate_at_which_garbage_comes_is_told_once(protocol: Protocol) -> None:
-    wire = Line8N1(Simulator(protocol), 1, lambda data: b"\xf8" * len(data))
-    rates = (115200, 9600)
-    found = asked(protocol, wire, wire.tune, rates)
-    assert [one.baud for one in found] == [115200, 9600, 115200, 9600]
-    assert wire.tuned == 115200
-    (garbage,) = told(protocol, "/dev/ttyUSB0", rates, found)
-    assert garbage.grade is Grade.BLOCKS
-    assert garbage.sentence.startswith("something comes back at 115200, 9600 baud, but no answers")
-
-
-def test_a_device_that_answers_otherwise_is_advised_to_be_tested(protocol: Protocol) -> None:
-    class Agreeable(Simulator):
-        def advance(self, now: int) -> bytes:
-            return bytes(len(super().advance(now)))
-
-    wire = Line8N1(Agreeable(protocol), 115200, lambda data: b"")
-    rates = rates_of("/dev/ttyUSB0", 115200)
-    found = asked(protocol, wire, wire.tune, rates)
-    fine, advice = told(protocol, "/dev/ttyUSB0", rates, found)
-    assert (fine.grade, advice.grade) == (Grade.FINE, Grade.ADVICE)
-    assert advice.command.startswith("bilprov conform /dev/ttyUSB0")
-
-
 # The command, on real lines
 
 
@@ -412,8 +254,6 @@ def test_a_device_that_answers_otherwise_is_advised_to_be_tested(protocol: Proto
 def test_a_robot_on_a_pty_is_usable_and_hears_nothing(protocol: Protocol) -> None:
     robot = PtyRobot(protocol)
     with served(robot) as name:
-        unasked = command("ports", name, "--ask", "--seconds", "0")  # without a --yes
-        assert (unasked.returncode, robot.frames) == (2, [])
         result = command("ports", name, "--seconds", "0.2")
     assert (result.returncode, result.stderr) == (0, b"")
     assert robot.frames == []
@@ -451,42 +291,3 @@ def test_an_interrupted_examination_gives_no_verdict() -> None:
     assert b"not a byte was heard in " in out
     assert b"in 600 s" not in out
     assert b"can be used" not in out
-
-
-@contextmanager
-def robot_at(protocol: Protocol, speed: int, pty: PtyPair) -> Iterator[None]:
-    """A robot at a pty's other end that is deaf unless the pty is set to its speed."""
-    robot = PtyRobot(protocol)
-    ended = threading.Event()
-
-    def serve() -> None:
-        now = 0
-        while not ended.wait(0.005):
-            now += 5_000_000
-            data = pty.read()
-            if data and termios.tcgetattr(pty.master)[5] == speed:
-                robot.receive(data, now)
-            os.write(pty.master, robot.advance(now))
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
-
-
-@pytest.mark.waits
-def test_the_baud_rate_of_a_real_line_is_found_and_advised(horn: Protocol, tmp_path: Path) -> None:
-    grammar = tmp_path / "horn.py"
-    grammar.write_text(horn.source, encoding="utf-8")
-    with open_pty() as pty, robot_at(horn, termios.B9600, pty):
-        asks = ("ports", pty.name, "--ask", "--yes", "--seconds", "0")
-        result = command("--grammar", str(grammar), *asks)
-        assert result.returncode == 2
-        said = result.stdout.decode()
-        assert b"and 10 other rates" in result.stderr
-        assert "a device answers at 9600 baud, not at 115200;" in said
-        assert f"bilprov conform {pty.name} --baud 9600\n" in said
-        assert command("--grammar", str(grammar), *asks, "--baud", "9600").returncode == 0
