@@ -93,7 +93,6 @@ CAPTURE_SURFACES: dict[str, tuple[str, Check]] = {
     "info, json": ("capture info --json {file}", json_values),
     "stats": ("stats {file}", seen),
     "stats, json": ("stats {file} --json -", json_values),
-    "stats, csv": ("stats {file} --csv -", csv_cells),
     "replay, lines": ("replay {file} --rate 0", seen),
     "replay, jsonl": ("replay {file} --rate 0 --format jsonl", json_values),
     "replay, csv": ("replay {file} --rate 0 --format csv", csv_cells),

