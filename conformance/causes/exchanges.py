@@ -188,7 +188,10 @@ class Exchanges:
                 self._silent_until(now)
             case Done(_, Observation(asked, _, look)):
                 self._silent_until(asked)
-                self._looks.append((asked, look))
+                if self._burst:
+                    self._looks.append((asked, look))
+                elif not self._lost:
+                    self._resynchronise(look)
             case Done():  # switched off and on, or its port was lost and found again
                 self._close()
                 self._power_on()
@@ -270,8 +273,6 @@ class Exchanges:
         burst, answers, looks = self._burst, self._answers, self._looks
         self._burst, self._answers, self._looks = [], [], []
         if not burst:
-            if looks and not self._lost:
-                self._resynchronise(looks[-1][1])
             return
         guilty: Exchange | None = None
         for exchange, codes in zip(burst, self._paired(burst, answers), strict=True):
@@ -372,7 +373,8 @@ class Exchanges:
                 continue  # no motion shows at speed 0
             candidates = (guilty,) if guilty else self._visible(facet, burst)
             for exchange in candidates:
-                exchange.looked = looks[0][0] - exchange.end
+                seen_after = (t - exchange.end for t, _ in looks if t >= exchange.end)
+                exchange.looked = next(seen_after, None)
             deviation = None
             if all(wrong):
                 deviation = Deviation(facet, "wrong", *found[-1][facet])

@@ -6,16 +6,23 @@ from dataclasses import replace
 
 import pytest
 
-from bilprov.analyzer.client.operations import Procedure, drive, followed
+from bilprov.analyzer.client.operations import (
+    Observation,
+    Procedure,
+    Received,
+    Send,
+    drive,
+    followed,
+)
 from bilprov.analyzer.client.rest import home_once
-from bilprov.captures.schemas import MS
+from bilprov.captures.schemas import MS, look_class
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes
 from bilprov.conformance.causes.exchanges import MOTION, Bag, Deviation, Exchanges, Timing
 from bilprov.conformance.causes.features import features, matches
 from bilprov.conformance.causes.relations import relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
-from bilprov.conformance.causes.trace import Trace
+from bilprov.conformance.causes.trace import Done, Mark, Trace
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
@@ -132,6 +139,36 @@ def test_a_setting_kept_in_a_signed_byte_is_named_as_that(protocol: Protocol) ->
     assert cause.sentence.startswith("steering is that of a signed number of 8 bits")
     assert len(cause.cases) == report.counts["fail"] > 10
     assert cause.send == ("41 ff",)
+
+
+def test_what_was_seen_before_a_frame_is_no_evidence_for_it(protocol: Protocol) -> None:
+    look = look_class(protocol.state_type)
+
+    def sent(at: int, frame: bytes) -> list[Done]:
+        return [
+            Done(Send(frame), at * MS),
+            Done(None, Received(((at * MS + MS, 0),), at * MS + MS)),
+        ]
+
+    def seen(at: int, *, moving: bool) -> Done:
+        return Done(None, Observation(at * MS, at * MS, look(at * MS, moving)))
+
+    events: list[Done | Mark] = [
+        Mark("moves", over=False),
+        *sent(10, bytes.fromhex("11 ff")),
+        *sent(20, bytes.fromhex("20")),
+        seen(300, moving=True),
+        Mark("moves", over=True),
+        Mark("stops", over=False),
+        seen(1000, moving=True),
+        *sent(1010, bytes.fromhex("00")),
+        seen(1300, moving=False),
+        Mark("stops", over=True),
+    ]
+    timing = Timing(50 * MS, 86_806, 250 * MS)
+    found = Exchanges(Model(protocol, Choices()), events, timing)
+    assert found.bags == []
+    assert [one.looked for one in found.all] == [None, 280 * MS, 290 * MS]
 
 
 class Recorded:
