@@ -60,6 +60,11 @@ def a_case(ident: str, verdict: Verdict, reason: str = "a reason", reading: str 
     )
 
 
+def with_axes(ident: str, axes: dict[str, Axis]) -> CaseResult:
+    """A case with these axes."""
+    return a_case(ident, Verdict.PASS).with_axes(axes)
+
+
 def every_verdict(protocol: Protocol, *, strict: bool = False) -> Report:
     """A report with each verdict once, and three failures."""
     results = [a_case(f"made/{verdict.label}", verdict) for verdict in Verdict]

@@ -13,7 +13,7 @@ from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.conformance.api import Options, conform, estimated, run_suite, select_cases
 from bilprov.conformance.cases.budget import Pace, before_the_cases, run_movement, seconds
 from bilprov.conformance.cases.coverage import BAD, COMBINED, VALID, covered
-from bilprov.conformance.cases.levels import level_cases, matching
+from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.dut.link import Environment, Observability
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import Target
@@ -61,16 +61,6 @@ def test_the_line_that_is_given_is_announced_and_its_cases_are_listed(protocol: 
     assert f"for about {said:.0f} s" in sentence(refused)
     ids = [row.split()[0] for row in listed.stdout.decode().splitlines()]
     assert [ident for ident in ids if not ident.startswith(OPENING)] == [c.id for c in cases]
-
-
-def test_globs_and_whole_ids_choose_alike() -> None:
-    fits = matching(["a/*", "b/1", "c/[12]"])
-
-    assert [i for i in ("a/1/2", "b/1", "b/11", "c/2", "c/3", "a") if fits(i)] == [
-        "a/1/2",
-        "b/1",
-        "c/2",
-    ]
 
 
 @pytest.mark.slow

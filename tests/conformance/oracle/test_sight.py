@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from functools import cache
-from io import StringIO
 from typing import Any
 
 import msgspec
 import pytest
-from rich.console import Console
 
 from bilprov.analyzer.client.operations import Observation, Observe
 from bilprov.captures.schemas import Look
@@ -20,15 +18,11 @@ from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.sight import Sight, facets_set, untold
 from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from bilprov.conformance.report.html.page import as_html
-from bilprov.conformance.report.json_report import as_json, parse_report
-from bilprov.conformance.report.junit import as_junit
-from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.report.summary import show
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from tests.support.car import car_state
+from tests.support.reports import with_axes
 
 PASS, NON_STRICT, FAIL = Verdict.PASS, Verdict.NON_STRICT, Verdict.FAIL
 INCONCLUSIVE, SKIPPED = Verdict.INCONCLUSIVE, Verdict.SKIPPED
@@ -202,26 +196,6 @@ def test_a_sequence_is_no_pass_where_the_probe_tells_only_whether_it_moves(
     )
 
 
-def test_every_form_of_the_report_says_from_which_look_on_nothing_was_seen(
-    protocol: Protocol,
-) -> None:
-    report = judged(LosingSight(protocol, "conforming", ("led",), 600))
-    told = (
-        f"From observation 600 of {looks_of(protocol, 'smoke'):,} on the probe did not "
-        "report the LED"
-    )
-    shown = StringIO()
-    show(report, Console(file=shown, width=200))
-
-    assert report.unseen[0].startswith(told)
-    assert told in shown.getvalue()
-    for text in (
-        as_markdown([report], protocol), as_html([report], protocol), as_junit([report], protocol)
-    ):  # fmt: skip
-        assert told in text
-    assert parse_report(as_json(report), "x.json").unseen == report.unseen
-
-
 # -- the rule by itself ---------------------------------------------------------------------------
 
 
@@ -232,17 +206,8 @@ def seen(sight: Sight, *looks: Look) -> Sight:
 
 
 def result(ident: str, **axes: Verdict) -> CaseResult:
-    told = {name: Axis(verdict, "expected", "seen") for name, verdict in axes.items()}
-    return CaseResult(
-        id=ident,
-        clause="",
-        requirement="",
-        verdict=max(axes.values()),
-        axes=told,
-        reading=None,
-        sent=(),
-        received=(),
-    )
+    judged = {name: Axis(verdict, "expected", "seen") for name, verdict in axes.items()}
+    return with_axes(ident, judged)
 
 
 DARK = CarLook(0, None)

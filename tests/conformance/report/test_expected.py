@@ -22,24 +22,13 @@ from bilprov.conformance.report.expected import (
 )
 from bilprov.conformance.report.run_report import Comparison
 from bilprov.spec.protocol import Protocol
-from tests.support.reports import every_verdict
+from tests.support.reports import every_verdict, with_axes
 
 FAIL = Verdict.FAIL
 
 
 def result(ident: str, **axes: tuple[Verdict, str]) -> CaseResult:
-    judged = {name: Axis(verdict, "e", "a", reason) for name, (verdict, reason) in axes.items()}
-    verdict = max(axis.verdict for axis in judged.values())
-    return CaseResult(
-        id=ident,
-        clause="1",
-        requirement="r",
-        verdict=verdict,
-        axes=judged,
-        reading=None,
-        sent=(),
-        received=(),
-    )
+    return with_axes(ident, {n: Axis(verdict, "e", "a", why) for n, (verdict, why) in axes.items()})
 
 
 def passed(ident: str) -> CaseResult:

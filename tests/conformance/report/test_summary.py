@@ -44,6 +44,15 @@ def unseen(protocol: Protocol) -> Report:
     return report
 
 
+def test_every_form_says_what_was_not_seen_and_what_to_know(protocol: Protocol) -> None:
+    told = "From observation 600 on the probe saw less", "the device never gives up a frame"
+    report = replace(every_verdict(protocol), unseen=told[:1], notices=told[1:])
+    written = (form([report], protocol) for form in (as_markdown, as_html, as_junit))
+
+    for text in (shown(report), as_json(report).decode(), *written):
+        assert [words for words in told if words not in text] == []
+
+
 def test_an_informational_case_is_listed_with_its_reason_if_all_are(protocol: Protocol) -> None:
     report = every_verdict(protocol)
     odd = a_case("made/odd", Verdict.INFORMATIONAL, "steers straight", "R-drive-steering")

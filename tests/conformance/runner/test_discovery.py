@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +17,7 @@ from bilprov.analyzer.client.operations import (
 )
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.choices import Choices, parse_allowed, verdict_of
@@ -31,7 +30,7 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
-from tests.support.faults import answers_with, late, made, sets
+from tests.support.faults import late, made, sets
 from tests.support.robots import ALL_SEEING, MS, CountingLink, run_over
 from tests.vectors import READING_IDS
 
@@ -206,14 +205,6 @@ def test_a_choice_that_needs_an_option_is_probed_only_with_it(protocol: Protocol
         assert len(set(readings(probed(protocol, variant.fault, variant.allow))) & ASKED) == 1
 
 
-def test_data_of_an_unused_id_that_are_run_fail_without_the_option(protocol: Protocol) -> None:
-    variant = variants(protocol)["R-drain-unused=run"]
-
-    assert readings(probed(protocol, variant.fault))["reading/drain-unused"].verdict is FAIL
-    allowed = readings(probed(protocol, variant.fault, variant.allow))
-    assert allowed["reading/drain-unused"].verdict is NON_STRICT
-
-
 def test_with_pipelining_no_nothing_is_sent_ahead(protocol: Protocol) -> None:
     variant = variants(protocol)["R-pipelining=no"]
 
@@ -242,26 +233,8 @@ def test_who_cannot_look_probes_the_answers_alone(protocol: Protocol) -> None:
 # -- devices that keep to nothing -----------------------------------------------------------------
 
 
-def every_second(change: React, matches: Callable[[Event], bool]) -> Fault:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-        if not matches(event):
-            return reaction
-        device.memory["turn"] = turn = 1 - device.memory.get("turn", 0)
-        return change(device, event, reaction) if turn else reaction
-
-    return Fault("x", "test", "", react=react)
-
-
 def stops(event: Event) -> bool:
     return event.judgement.frame == b"\0" and event.before.moving
-
-
-def test_a_device_that_shows_two_choices_of_a_state_fails(protocol: Protocol) -> None:
-    found = readings(probed(protocol, every_second(sets(speed=0), stops)))
-
-    assert found["reading/after-stop"].verdict is FAIL
-    assert "more than one choice" in found["reading/after-stop"].reason
-    assert [i for i, r in found.items() if r.verdict is FAIL] == ["reading/after-stop"]
 
 
 @pytest.mark.parametrize(
@@ -274,16 +247,6 @@ def test_a_device_that_still_moves_is_told_though_it_loses_nothing(
     result = readings(probed(protocol, fault_bank(protocol)[name]))[f"reading/{ident}"]
 
     assert (result.verdict, result.reason) == (FAIL, "still moves")
-
-
-def test_a_device_that_shows_two_choices_of_an_answer_fails(protocol: Protocol) -> None:
-    # Only where it stands alone: the probe that sends it in a burst has a point of its own.
-    def alone(event: Event) -> bool:
-        return event.judgement.frame == bytes.fromhex("92 00 00")
-
-    found = readings(probed(protocol, every_second(answers_with(3), alone)))
-
-    assert found["reading/unused-length"].verdict is FAIL
 
 
 @pytest.mark.parametrize(

@@ -25,8 +25,7 @@ from bilprov.conformance.dut.link import Device, Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
@@ -146,10 +145,7 @@ def jittery(device: Simulator, jitter: int, seed: int, delay: int = 0) -> NoisyD
 
 def robot(protocol: Protocol, name: str) -> Simulator:
     """The reference, a legal variant, or a faulty device."""
-    if not name:
-        return Simulator(protocol)
-    legal = variants(protocol).get(name)
-    return Simulator(protocol, legal.fault if legal else fault_bank(protocol)[name])
+    return Simulator(protocol, find_fault(protocol, name) if name else None)
 
 
 def failed(report: Report) -> list[tuple[str, str]]:
