@@ -265,6 +265,7 @@ with Robot(sys.argv[1]) as robot:
             "ended with 1",
         ),
         (("-m", "bilprov", "conform"), ("--level", "smoke", "--yes"), "ended with 3"),
+        (("-m", "bilprov", "lab", "learn"), ("--yes",), "ended with 3"),
         (("-c", ROBOT), (), "ended with 1"),
     ],
 )

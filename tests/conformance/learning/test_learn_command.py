@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -17,7 +16,6 @@ from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.firmware import needs
 from tests.support.robots import PATIENCE, at_rest, sentence, served_here
-from tests.support.wires import running
 
 FAULT = "ok-to-faults-while-forward"
 
@@ -123,24 +121,3 @@ def test_an_interrupted_run_stops_the_robot_and_is_inconclusive(protocol: Protoc
     assert out.decode().splitlines()[-1] == "it was not learned to the end: interrupted"
     assert b"Traceback" not in err
     assert at_rest(robot)
-
-
-@pytest.mark.waits
-def test_ctrl_z_stops_the_robot_and_ends_the_run(protocol: Protocol) -> None:
-    robot = Simulator(protocol)
-    with (
-        served_here(robot, pty=True) as (port, probe),
-        running("lab", "learn", port, "--probe", probe, "--yes") as run,
-    ):
-        until = time.monotonic() + PATIENCE
-        while not robot.state.moving and time.monotonic() < until:
-            time.sleep(0.001)
-        run.process.send_signal(signal.SIGTSTP)
-        os.waitid(os.P_PID, run.process.pid, os.WSTOPPED)
-        time.sleep(0.1)  # for what it has sent to arrive
-        resting = at_rest(robot)
-        code, _, err = run.end(signal.SIGCONT)
-
-    assert resting
-    assert code == 3
-    assert b"the program was suspended: the robot was stopped first" in err
