@@ -15,16 +15,13 @@ from bilprov.analyzer.cli.settings import state_folder
 from bilprov.analyzer.files import from_json, read_bounded, write_whole
 from bilprov.captures.text import escape_controls, quantity
 from bilprov.conformance.api import Options
-from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.oracle.verdicts import VOUCHED, Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
 _FOLDER = "last_runs"
 _DEVICES = 50  # the oldest run is forgotten where there are more
 _MOST = 1 << 22  # bytes of a file
-
-# What a case came to, for good: any other verdict says nothing of the device.
-_JUDGED = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT, Verdict.FAIL)
 
 
 class LastRun(msgspec.Struct, frozen=True):
@@ -45,7 +42,7 @@ class LastRun(msgspec.Struct, frozen=True):
         """
         if report.unusable:
             return self
-        judged = {result.id for result in report.results if result.verdict in _JUDGED}
+        judged = {r.id for r in report.results if r.verdict in (*VOUCHED, Verdict.FAIL)}
         if not (report.options.only or report.ended):
             judged |= self.failed.keys() - {result.id for result in report.results}
         kept = {ident: verdict for ident, verdict in self.failed.items() if ident not in judged}

@@ -25,13 +25,12 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.random_faults import PREFIX
 from bilprov.conformance.mutation.search import MOST, Search, search
 from bilprov.conformance.mutation.variants import mixtures
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import LABELS, VOUCHED, CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 
 RANDOM_FLOOR = 0.9  # share of the random faults that can show which must be caught
 FLOORS = {"smoke": 0.88}  # share of the named faults by level; at any other level all of them
 REFERENCE = CONFORMING.name
-_VOUCHED = {v.label for v in (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)}
 A = TypeVar("A")
 B = TypeVar("B")
 Task = tuple[str, str]  # a fault's name and a level
@@ -57,7 +56,7 @@ class Caught(msgspec.Struct, frozen=True):
     @property
     def passed(self) -> bool:
         """Whether the run vouches for the device, perhaps with remarks."""
-        return self.verdict in _VOUCHED
+        return LABELS[self.verdict] in VOUCHED
 
 
 class Score(msgspec.Struct, frozen=True):

@@ -46,6 +46,8 @@ class Verdict(Enum):
 
 
 _RANKS = {verdict: rank for rank, verdict in enumerate(Verdict)}
+VOUCHED = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)
+"""The verdicts of what conforms, perhaps with remarks."""
 LABELS: dict[str, Verdict] = {verdict.label: verdict for verdict in Verdict}
 
 

@@ -22,12 +22,11 @@ from pathlib import Path
 from bilprov.analyzer.files import read_bounded, why_not_writable, write_whole
 from bilprov.captures.text import escape_controls, printable
 from bilprov.conformance.cases.levels import CONDITIONAL_CASES, LONGEST_GLOB, matching
-from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import AXES, VOUCHED, CaseResult, Verdict
 from bilprov.conformance.report.run_report import Comparison, Report, compared
 from bilprov.spec.errors import UserError, one_line
 
 _SEPARATOR = " : "
-_FINE = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)
 _MOST = 10_000  # entries: each is compared with each case
 _BYTES = 1 << 20
 _FORM = "GLOB : AXIS: MESSAGE"
@@ -124,7 +123,7 @@ def match(
         for name, axis in left.items():
             reason = axis.reason or f"{axis.actual} instead of {axis.expected}"
             unexpected.append(f"{glob.escape(result.id)}{_SEPARATOR}{name}: {_plain(reason)}")
-    fine = {result.id for result in results if result.verdict in _FINE}
+    fine = {result.id for result in results if result.verdict in VOUCHED}
     if whole:
         fine |= set(CONDITIONAL_CASES) - {result.id for result in results}
     stale = [

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, TypeVar
 
-from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict
+from bilprov.conformance.oracle.verdicts import VOUCHED, CaseResult, Cause, Verdict
 from bilprov.conformance.report.run_report import Report
 
 
@@ -125,8 +125,6 @@ def by_reason(results: Sequence[CaseResult]) -> list[tuple[str, str, str]]:
     ]
 
 
-_FINE = (Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT)
-
 # By whether the case failed in the first run and in the last; None where it was not judged.
 _CASES = {
     (True, False): "fixed",
@@ -148,7 +146,7 @@ def changed_cases(cases: Sequence[Row]) -> dict[str, list[str]]:
 
 
 def _failed(result: CaseResult | None) -> bool | None:
-    if result is None or result.verdict not in (*_FINE, Verdict.FAIL):
+    if result is None or result.verdict not in (*VOUCHED, Verdict.FAIL):
         return None
     return result.verdict is Verdict.FAIL
 

@@ -66,7 +66,6 @@ def _block(text: str) -> str:
 
 
 def _clipped(text: str) -> str:
-    text = text
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} …"
 
 

@@ -145,39 +145,18 @@ def test_what_could_not_be_judged_is_skipped_with_its_reason(run: pytest.Pyteste
     result.stdout.fnmatch_lines(["SKIPPED*inconclusive: precondition lost: not seen moving*"])
 
 
-# A result that is put before, or instead of, that of one case.
-AT_LED_3 = """\
-import msgspec
-from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.pytest_plugin import bench
-
-put = bench.Bench.end
-
-def end(self, result):
-    if result.id == "valid/LED/3":
-        axis = Axis({axis})
-        axes = {{"answer": axis}}
-        {then}
-    put(self, result)
-
-bench.Bench.end = end
-"""
-
-
 def test_another_reading_passes_with_a_property(run: pytest.Pytester) -> None:
-    axis = "Verdict.NON_STRICT, 'e', 'a', 'slow', 'R-x'"
-    then = "result = msgspec.structs.replace(result, verdict=axis.verdict, axes=axes)"
-    run.makeconftest(AT_LED_3.format(axis=axis, then=then))
+    words = ("--robot-only", "valid/Stop", "--robot-fault", "R-stop-steering=kept")
 
-    result = on_sim(run, *FEW, "--junitxml", "j.xml", "-rP", alone=True)
+    result = on_sim(run, *words, "--junitxml", "j.xml", "-rP")
 
-    result.assert_outcomes(passed=14 + PROBES)
+    result.assert_outcomes(passed=1 + 5 + PROBES)
     (case,) = [
-        c for c in ET.parse(run.path / "j.xml").iter("testcase") if c.get("name") == ("valid/LED/3")
+        c for c in ET.parse(run.path / "j.xml").iter("testcase") if c.get("name") == "valid/Stop"
     ]
     told = {p.get("name"): p.get("value") for p in case.iter("property")}
-    assert told["verdict"] == "non-strict"
-    result.stdout.fnmatch_lines(["non-strict: slow"])
+    assert (told["verdict"], told["reading"]) == ("non-strict", "R-stop-steering")
+    result.stdout.fnmatch_lines(["non-strict: kept: another reading of R-stop-steering"])
 
 
 def test_a_line_that_cannot_be_used_is_one_error_and_nothing_passes(run: pytest.Pytester) -> None:
@@ -190,14 +169,9 @@ def test_a_line_that_cannot_be_used_is_one_error_and_nothing_passes(run: pytest.
 
 
 def test_an_answer_that_nobody_asked_for_is_a_test_of_its_own(run: pytest.Pytester) -> None:
-    changes = "id='line/unsolicited', verdict=axis.verdict, axes=axes"
-    then = f"put(self, msgspec.structs.replace(result, {changes}))"
-    axis = "Verdict.FAIL, 'no answer', '9', 'unasked'"
-    run.makeconftest(AT_LED_3.format(axis=axis, then=then))
+    result = on_sim(run, *FEW, "--robot-fault", "answers-again-after-30-ms")
 
-    result = on_sim(run, *FEW, alone=True)
-
-    result.assert_outcomes(passed=14 + PROBES, failed=1)
+    assert result.ret == 1
     result.stdout.fnmatch_lines(["FAILED conformance::line/unsolicited - *"])
 
 
