@@ -11,9 +11,7 @@ import pytest
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import device_target
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.random_faults import find_random_fault
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import Protocol, load
@@ -57,11 +55,7 @@ def renamed(text: str) -> str:
 
 def judged(protocol: Protocol, name: str, level: str) -> list[dict[str, object]]:
     """The cases and causes of a report, with the same names for both cars."""
-    variant = variants(protocol).get(name)
-    fault = variant.fault if variant else fault_bank(protocol).get(name)
-    if name.startswith("random"):
-        fault = find_random_fault(protocol, name)
-    device = Simulator(protocol, fault)
+    device = Simulator(protocol, find_fault(protocol, name) if name else None)
     report = json.loads(as_json(run_suite(device_target(protocol, device), Options(level=level))))
     text = json.dumps([report[key] for key in ("verdict", "cases", "causes", "counts", "coverage")])
     for own, other in (NAMES | WORDS).items():

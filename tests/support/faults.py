@@ -94,3 +94,9 @@ def stops_late(milliseconds: int) -> React:
 def made(protocol: Protocol, what: str, when: str = "") -> Fault:
     """The fault of these words."""
     return Fault("x", "test", "", **hooks(protocol, Row("", what, when)))
+
+
+EIGHT_BITS = Fault(
+    *("eight-bits", "test", "keeps its steering in eight bits"),
+    react=becomes(lambda _, state: state.but(steering=(state.steering + 128) % 256 - 128)),
+)

@@ -26,13 +26,14 @@ from bilprov.conformance.causes.trace import Done, Mark, Trace
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.explanations import explained
+from bilprov.conformance.mutation.explanations import both, explained
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
+from tests.support.faults import EIGHT_BITS
 
 SMOKE = Options(level="smoke")
 
@@ -51,25 +52,13 @@ NAMED = [
     ("every-16th-fault-missed", "stop", "does not stop", "at one in 16 of the faults"),
     ("sent-ahead-fault-does-not-stop", "stop", "does not stop", "a faulty frame, sent ahead"),
     ("no-stop-on-unknown-id", "stop", "does not stop", "unknown ID"),
-    (
-        "mixture:R-fault-state=speed-zeroed:by-motion",
-        "state",
-        "speed stays as it was",
-        "a faulty frame, while motion is backward or rotate left or stopped",
-    ),
-    (
-        "mixture:R-stop-steering=kept:by-frame",
-        "state",
-        "steering is 0",
-        "Stop, at one in 2 of the Stop frames",
-    ),
-    (
-        "no-stop-on-unknown-id-while-forward",
-        "stop",
-        "does not stop",
-        "unknown ID, while motion is forward",
-    ),
-]
+    ("mixture:R-fault-state=speed-zeroed:by-motion", "state", "speed stays as it was",
+     "a faulty frame, while motion is backward or rotate left or stopped"),
+    ("mixture:R-stop-steering=kept:by-frame", "state", "steering is 0",
+     "Stop, at one in 2 of the Stop frames"),
+    ("no-stop-on-unknown-id-while-forward", "stop", "does not stop",
+     "unknown ID, while motion is forward"),
+]  # fmt: skip
 
 
 def report_of(protocol: Protocol, fault: Fault) -> Report:
@@ -101,16 +90,7 @@ def test_a_device_that_conforms_has_no_causes(protocol: Protocol) -> None:
 
 def test_what_keeps_it_moving_stands_before_a_wrong_led(protocol: Protocol) -> None:
     bank = fault_bank(protocol)
-    led, drives_on = bank["led-b-stuck-off"], bank["no-stop-on-bad-data"]
-    assert led.react
-    assert drives_on.react
-
-    def both(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-        assert led.react
-        assert drives_on.react
-        return drives_on.react(device, event, led.react(device, event, reaction))
-
-    report = report_of(protocol, replace(led, react=both))
+    report = report_of(protocol, both(bank["led-b-stuck-off"], bank["no-stop-on-bad-data"]))
     axes = [cause.axis for cause in report.causes]
     assert axes[:2] == ["stop", "state"]
     assert "bad data" in report.causes[0].when
@@ -130,11 +110,7 @@ def test_causes_follow_the_grammar(horn: Protocol) -> None:
 
 
 def test_a_setting_kept_in_a_signed_byte_is_named_as_that(protocol: Protocol) -> None:
-    def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
-        kept = (reaction.state.steering + 128) % 256 - 128
-        return replace(reaction, state=reaction.state.but(steering=kept))
-
-    report = report_of(protocol, replace(fault_bank(protocol)["always-0"], react=react))
+    report = report_of(protocol, EIGHT_BITS)
     [cause] = report.causes
     assert cause.sentence.startswith("steering is that of a signed number of 8 bits")
     assert len(cause.cases) == report.counts["fail"] > 10

@@ -22,18 +22,10 @@ from bilprov.conformance.runner.settings import IDENT, settings
 from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from tests.support.faults import accepts, becomes, every, valid, when
+from tests.support.faults import EIGHT_BITS, accepts, becomes, every, valid, when
 from tests.support.robots import ALL_SEEING, Hidden, cases_of
 
 ONLY = Options(only=("valid/Speed/*", "valid/LED/*"))
-
-
-def _in_eight_bits(_: object, event: Event, reaction: Reaction) -> Reaction:
-    steering = (reaction.state.steering + 128) % 256 - 128
-    return replace(reaction, state=reaction.state.but(steering=steering))
-
-
-EIGHT_BITS = Fault("eight-bits", "test", "keeps its steering in eight bits", react=_in_eight_bits)
 
 
 def failed(report: Report) -> list[CaseResult]:
