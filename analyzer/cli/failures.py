@@ -38,7 +38,12 @@ def interrupts_kept() -> Iterator[None]:
             before(lost)
             return
         # Not at once: it would be raised in here, and be lost again.
-        threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
+        started = False
+        while not started:
+            # On a busy machine it may come before its timer's thread is known to have started.
+            with contextlib.suppress(KeyboardInterrupt):
+                threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
+                started = True
 
     sys.unraisablehook = ignored
     try:
