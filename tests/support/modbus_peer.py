@@ -16,11 +16,12 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 
 UNIT, SIZE = 17, 100
 ILLEGAL_DATA_ADDRESS = 2
-TURNAROUND = 0.1  # s that servers get to carry out a broadcast; this one loses what comes at once
+TURNAROUND = 1.0  # s that servers get to carry out a broadcast; this one loses what comes at once
+PATIENCE = 30.0  # s; who asks again, because a busy machine answers late, is answered twice
 
 
 def client(port: str) -> None:
-    line = ModbusSerialClient(port, framer=FramerType.RTU, baudrate=19200, timeout=2)
+    line = ModbusSerialClient(port, framer=FramerType.RTU, baudrate=19200, timeout=PATIENCE)
     assert line.connect()
     unit = {"device_id": UNIT}
     assert line.read_coils(0, count=SIZE, **unit).bits[:5] == [True, False, False, True, False]
