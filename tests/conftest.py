@@ -9,7 +9,9 @@ import os
 import pkgutil
 import platform
 import select
+import shutil
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
@@ -98,6 +100,17 @@ def _usual_signals() -> None:
     Only where tests run: an xdist controller goes on handing down what nohup has set.
     """
     usual_for_children()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _nothing_is_left(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Temporary files, of programs that tests start too, are gone when the last test has run."""
+    folder = str(tmp_path_factory.mktemp("temporary"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", folder)
+        patch.setenv("TMPDIR", folder)
+        yield
+    shutil.rmtree(folder)
 
 
 @pytest.fixture(autouse=True, scope="session")

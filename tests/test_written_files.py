@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,7 @@ CAPTURES = {
 }
 RECORDED = {"conform --record": f"conform sim {FEW} --record", "sniff -w": "sniff {port} -w"}
 PROFILE = "conform --profile"  # one that exists is read first: a device is none
-NOW_AND_THEN = pytest.mark.sample(6)
+NOW_AND_THEN = pytest.mark.sample(3)
 
 
 @pytest.fixture(scope="module")
@@ -203,3 +204,15 @@ def test_ones_own_link_is_followed(victim: Path, runs: Path, tmp_path: Path) -> 
 
     assert link.is_symlink()
     assert not open_capture(victim).unfinished
+
+
+# -- the tests' own -------------------------------------------------------------------------------
+
+
+def test_temporary_files_of_tests_are_in_a_folder_that_goes_away_with_them(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    asked = process(code="import tempfile; print(tempfile.gettempdir())").stdout.decode().strip()
+
+    assert asked == tempfile.gettempdir()
+    assert Path(asked).is_relative_to(tmp_path_factory.getbasetemp())

@@ -60,7 +60,7 @@ def make(out: Path, target: str, *words: str) -> None:
 @cache
 def _header() -> Path:
     """The C header of the grammar, which every firmware includes."""
-    out = Path(tempfile.mkdtemp(prefix="bilprov-header-"))
+    out = Path(tempfile.mkdtemp(prefix="bilprov-firmware-"))
     make(out, f"{out}/protocol.h")
     return out / "protocol.h"
 
@@ -86,7 +86,7 @@ END = record(0, 1, b"")
 @cache
 def compiled(source: str, *words: str) -> Path:
     """The ELF file of a program for the board's chip; `words` are more options of the compiler."""
-    folder = Path(tempfile.mkdtemp(prefix="bilprov-compiled-"))
+    folder = Path(tempfile.mkdtemp(prefix="bilprov-firmware-"))
     (folder / "a.c").write_text(source)
     fixed = ["avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", "-Os", "-o", "a.elf", "a.c"]
     subprocess.run([*fixed, *words], cwd=folder, check=True)
