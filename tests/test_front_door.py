@@ -9,11 +9,14 @@ import subprocess
 import sys
 import threading
 import tomllib
+from collections.abc import Callable
 from contextlib import closing
 from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
+from types import SimpleNamespace
 
+import click
 import pytest
 
 import bilprov
@@ -91,6 +94,7 @@ def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
     assert loaded(*arguments) & HEAVY == set()
 
 
+@pytest.mark.sample(5)
 @pytest.mark.waits
 @pytest.mark.parametrize("line", UNUSED)
 def test_a_command_loads_nothing_that_it_does_not_use(line: str) -> None:
@@ -133,22 +137,27 @@ def test_an_installation_gets_the_version_that_the_command_shows() -> None:
     assert shown == f"bilprov {getattr(import_module(module), attribute)}\n"
 
 
-BROKEN_COMMAND = """
-import sys, bilprov, types
-from bilprov import __main__ as front_door
-import click
-module = types.ModuleType("broken")
-def body(*, error={error}):
-    raise error
-module.broken = click.command("broken")(body)
-sys.modules["bilprov.broken"] = module
-front_door.COMMANDS["broken"] = front_door.Row("broken", "")
-bilprov.main(["broken"])
-"""
+Failing = Callable[[BaseException], Done]
 
 
-def test_a_bug_shows_its_traceback_and_does_not_blame_the_device() -> None:
-    result = process(code=BROKEN_COMMAND.format(error="KeyError('oops')"))
+@pytest.fixture
+def failing(monkeypatch: pytest.MonkeyPatch) -> Failing:
+    """Runs a command that raises an exception."""
+
+    def run(error: BaseException) -> Done:
+        def body() -> None:
+            raise error
+
+        module = SimpleNamespace(broken=click.command("broken")(body))
+        monkeypatch.setitem(sys.modules, "bilprov.broken", module)
+        monkeypatch.setitem(front_door.COMMANDS, "broken", front_door.Row("broken", ""))
+        return command("broken")
+
+    return run
+
+
+def test_a_bug_shows_its_traceback_and_does_not_blame_the_device(failing: Failing) -> None:
+    result = failing(KeyError("oops"))
     assert result.returncode == 2
     said = result.stderr.decode()
     assert "Traceback" in said
@@ -157,33 +166,40 @@ def test_a_bug_shows_its_traceback_and_does_not_blame_the_device() -> None:
 
 
 OPEN = "too many files are open: close some, or raise the limit (ulimit -n)"
-SYSTEM = {
-    "OSError(28, 'No space left on device', 'x')": "x: No space left on device",
-    "OSError(24, 'Too many open files', 'x')": f"x cannot be opened, because {OPEN}",
-    "OSError(24, 'Too many open files')": OPEN,
-    "MemoryError()": (
-        "memory ran out: close other programs, raise its limit (ulimit -v), or ask for less"
-    ),
-}
+NO_MEMORY = "memory ran out: close other programs, raise its limit (ulimit -v), or ask for less"
 
 
-@pytest.mark.parametrize("error", SYSTEM)
-def test_a_fault_of_the_system_is_one_sentence(error: str) -> None:
-    result = process(code=BROKEN_COMMAND.format(error=error))
-    assert said(result) == f"bilprov: {SYSTEM[error]}"
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (OSError(28, "No space left on device", "x"), "x: No space left on device"),
+        (OSError(24, "Too many open files", "x"), f"x cannot be opened, because {OPEN}"),
+        (OSError(24, "Too many open files"), OPEN),
+        (MemoryError(), NO_MEMORY),
+    ],
+    ids=repr,
+)
+def test_a_fault_of_the_system_is_one_sentence(
+    failing: Failing, error: Exception, sentence: str
+) -> None:
+    assert said(failing(error)) == f"bilprov: {sentence}"
 
 
 @pytest.mark.parametrize(
     ("error", "status"),
-    [("SystemExit(3)", 3), ("SystemExit()", 0), ("click.exceptions.Exit(1)", 1)],
+    [
+        (SystemExit(3), 3),
+        (SystemExit(), 0),
+        (click.exceptions.Exit(1), 1),
+        (KeyboardInterrupt(), 130),
+    ],
+    ids=repr,
 )
-def test_a_command_ends_with_the_exit_code_it_asks_for(error: str, status: int) -> None:
-    assert process(code=BROKEN_COMMAND.format(error=error)).returncode == status
-
-
-def test_ctrl_c_ends_quietly_with_130() -> None:
-    result = process(code=BROKEN_COMMAND.format(error="KeyboardInterrupt()"))
-    assert (result.returncode, result.stdout, result.stderr) == (130, b"", b"")
+def test_a_command_ends_quietly_with_the_exit_code_it_asks_for_and_ctrl_c_with_130(
+    failing: Failing, error: BaseException, status: int
+) -> None:
+    result = failing(error)
+    assert (result.returncode, result.stdout, result.stderr) == (status, b"", b"")
 
 
 def test_a_signal_in_the_middle_ends_quietly_with_130(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ast
 from collections import Counter
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import cache, lru_cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
@@ -150,20 +150,25 @@ class Import(NamedTuple):
 MODULES = {module_name(path) for path in product()} - {"bilprov"}
 
 
-@lru_cache
+@lru_cache(1)
+def nodes(source: str) -> tuple[ast.AST, ...]:
+    """All that a text is made of."""
+    return tuple(ast.walk(ast.parse(source)))
+
+
+@cache
 def imports(source: str) -> list[Import]:
     """Every import of a text; a string that names a module of ours is one, too."""
-    tree = ast.parse(source)
     functions = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
     run = {
         id(inner)
-        for node in ast.walk(tree)
+        for node in nodes(source)
         if isinstance(node, functions)
         for inner in ast.walk(node)
     }
     return [
         Import(name, node.lineno, id(node) in run or isinstance(node, ast.Constant))
-        for node in ast.walk(tree)
+        for node in nodes(source)
         if isinstance(node, ast.Import | ast.ImportFrom | ast.Constant)
         for name in _named(node)
     ]
@@ -217,14 +222,14 @@ def _is_in(path: str, home: str) -> bool:
 
 def _impure_calls(path: str, source: str) -> Iterator[str]:
     """`spec` meets no file and no terminal."""
-    for node in ast.walk(ast.parse(source)) if path.startswith("spec/") else ():
+    for node in nodes(source) if path.startswith("spec/") else ():
         if isinstance(node, ast.Call) and ast.unparse(node.func) in IMPURE_CALLS:
             yield f"{path}:{node.lineno} calls {ast.unparse(node.func)}(): spec is pure"
 
 
 def _instructions_named(path: str, source: str) -> Iterator[str]:
     """An instruction's name stands in the grammar; all others ask the Protocol."""
-    for node in ast.walk(ast.parse(source)) if path not in NAMES_AT_HOME else ():
+    for node in nodes(source) if path not in NAMES_AT_HOME else ():
         if isinstance(node, ast.Constant) and node.value in INSTRUCTION_NAMES:
             yield f"{path}:{node.lineno} says {node.value!r}: ask the Protocol"
 

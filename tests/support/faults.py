@@ -85,12 +85,6 @@ def becomes(change: Callable[[Event, State], State]) -> React:
     return lambda device, event, reaction: replace(reaction, state=change(event, reaction.state))
 
 
-def stops_late(milliseconds: int) -> React:
-    """A moving robot stops that much after the answer to a fault."""
-    moving = condition("faulty, moves != stopped")
-    return when(moving, does_effect("stops-after-the-answer", milliseconds))
-
-
 def made(protocol: Protocol, what: str, when: str = "") -> Fault:
     """The fault of these words."""
     return Fault("x", "test", "", **hooks(protocol, Row("", what, when)))

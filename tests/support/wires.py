@@ -7,8 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -61,15 +61,6 @@ class Running:
         """Wait for its end."""
         out, err = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, out, err
-
-    def result_of(self, act: Callable[[], object]) -> tuple[int, bytes, bytes]:
-        """Do something until the program has ended, which may not listen yet; gives its result."""
-        until = time.monotonic() + PATIENCE
-        while self.process.poll() is None and time.monotonic() < until:
-            act()
-            with suppress(subprocess.TimeoutExpired):
-                self.process.wait(0.2)
-        return self.result()
 
 
 @contextmanager
