@@ -453,7 +453,7 @@ def ended(*words: str) -> tuple[object, bytes]:
     return stop.value.code, out.buffer.getvalue()
 
 
-@pytest.mark.sample(12)
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("what", ARGUMENTS)
 def test_an_argument_or_the_name_of_a_file_does_nothing(what: str) -> None:
     with tempfile.TemporaryDirectory() as folder:

@@ -145,7 +145,7 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], dict[s
     return made
 
 
-@pytest.mark.sample(16)
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("surface", CAPTURE_SURFACES)
 @pytest.mark.parametrize("name", EVERY)
 def test_a_captures_texts_do_nothing(

@@ -451,7 +451,7 @@ def program(text: str, port: str) -> Iterator[subprocess.Popen[bytes]]:
             process.kill()
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("number", ENDED)
 def test_a_program_that_is_ended_homes_first_and_a_second_signal_waits(
     protocol: Protocol, number: int

@@ -19,7 +19,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import process
+from tests.support.commands import command
 from tests.support.robots import (
     TIMED_PROBES,
     Hidden,
@@ -61,7 +61,7 @@ def test_the_reference_conforms_in_real_time_with_nothing_inconclusive(
     cases = select_cases(protocol, options)
     with simulate() as robot:
         words = ("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-")
-        result = process(*words, "--level", level, timeout=500)
+        result = command(*words, "--level", level)
         state = robot.state()
 
     _, verdicts = judged(result.stdout)
@@ -78,9 +78,8 @@ def test_a_line_that_holds_answers_back_is_told_with_what_that_takes(protocol: P
     late = NoisyDevice(robot, Noise(), 1, delay=8 * MS)  # in each direction
     late.probe = robot.probe  # type: ignore[attr-defined]  # what is served has a probe
     with served_here(late, pty=True) as (port, probe):
-        result = process(
+        result = command(
             *("conform", port, "--probe", probe, "--yes", "--level", "smoke", "--only", "valid/*"),
-            timeout=60,
         )
 
     told = rb"an answer takes (1[6-9]|[2-9]\d|\d\d\d) ms: the run takes about \d+ s more"
@@ -92,7 +91,7 @@ def test_a_slow_probe_is_measured_and_counted_before_anybody_is_asked(protocol: 
         served_here(Simulator(protocol), pty=True) as (port, _),
         ProbeServer(b'{"moving": false}\n', delay=0.1) as probe,
     ):
-        result = process("conform", port, "--probe", probe.name, "--level", "smoke")
+        result = command("conform", port, "--probe", probe.name, "--level", "smoke")
 
     told = re.search(r"will move for about (\d+) s", sentence(result))
     assert told, result.stderr
@@ -106,7 +105,7 @@ def test_a_recorded_run_tells_what_was_announced_unless_it_is_patient(
 ) -> None:
     path = tmp_path / "run.mcap"
     with simulate() as robot:
-        result = process(
+        result = command(
             *("conform", robot.port, "--probe", robot.probe, "--yes", "--only", "valid/LED/1"),
             *("--record", str(path), *(["--patient"] if patient else [])),
         )
@@ -140,14 +139,14 @@ EITHER = {
 }
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("fault", "only", "code"), FAULTS, ids=lambda value: str(value)[:30])
 def test_a_fault_over_tcp_is_judged_as_in_virtual_time(
     protocol: Protocol, fault: str, only: list[str], code: int
 ) -> None:
     globs = [word for glob in only for word in ("--only", glob)]
     with simulate(*(["--fault", fault] if fault else [])) as robot:
-        result = process(
+        result = command(
             *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"), *globs
         )
         state = robot.state()
@@ -193,7 +192,7 @@ def test_a_command_switches_the_power_off_and_on(protocol: Protocol, tmp_path: P
     with served_here(device) as (port, probe):
         power = f"exec:touch {switch}; while [ -e {switch} ]; do sleep 0.01; done"
         words = ("--probe", probe, "--power", power, "--yes", "--json", "-")
-        result = process("conform", port, *words, "--level", "smoke")
+        result = command("conform", port, *words, "--level", "smoke")
 
     assert unwell(result) == {}  # nor is anything skipped
     assert device.cycles > 0
@@ -202,7 +201,7 @@ def test_a_command_switches_the_power_off_and_on(protocol: Protocol, tmp_path: P
 def test_a_power_switch_that_does_not_work_is_no_robot_s_fault() -> None:
     with simulate() as robot:
         words = ("--probe", robot.probe, "--power", "exec:exit 7", "--yes", "--level", "smoke")
-        result = process("conform", robot.port, *words)
+        result = command("conform", robot.port, *words)
         state = robot.state()
 
     assert result.returncode == 2
@@ -230,7 +229,7 @@ DEAR = [
 ]
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(("fault", "only", "code"), DEAR, ids=lambda value: str(value)[:30])
 def test_a_fault_over_a_pty_with_a_command_as_probe_is_judged_as_in_virtual_time(
     protocol: Protocol, tmp_path: Path, fault: str, only: list[str], code: int
@@ -240,7 +239,7 @@ def test_a_fault_over_a_pty_with_a_command_as_probe_is_judged_as_in_virtual_time
     with simulate(*(["--fault", fault] if fault else []), pty=True) as robot:
         probe.write_text(PROBE.format(port=robot.probe.rpartition(":")[2]))
         shell = f"exec:{sys.executable} -S -E {probe}"
-        result = process("conform", robot.port, "--probe", shell, "--yes", "--json", "-", *globs)
+        result = command("conform", robot.port, "--probe", shell, "--yes", "--json", "-", *globs)
         state = robot.state()
 
     found, verdicts = judged(result.stdout)

@@ -24,7 +24,7 @@ from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from tests.support import ROOT
-from tests.support.commands import command, process
+from tests.support.commands import command
 from tests.support.messages import Message, messages
 from tests.support.recordings import attachments_of, forged, recorded
 from tests.support.robots import FEW_LOOKS, judged_exit, sentence, simulate
@@ -54,7 +54,7 @@ FAMILIES = {fault.family: name for name, fault in BANK.items()}
 FEW_OF_EACH = sorted({*FAMILIES.values(), *list(BANK)[::20]})
 
 
-@pytest.mark.sample(10)
+@pytest.mark.sample(5)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FEW_OF_EACH)
 def test_a_faulty_device_comes_out_as_faulty_as_it_was(
@@ -147,7 +147,7 @@ def test_another_grammar_travels_with_the_recording(tmp_path: Path, horn: Protoc
 def test_a_run_in_real_time_comes_out_the_same(tmp_path: Path, pty: bool) -> None:
     run, report, again = (tmp_path / name for name in ("run.mcap", "run.json", "again.json"))
     with simulate(pty=pty) as served:
-        ran = process(
+        ran = command(
             *("conform", served.port, "--probe", served.probe, "--yes", "--record", str(run)),
             *("--json", str(report), "--only", "truncated/LED/0", "--only", "unused-id/9/*"),
         )

@@ -177,6 +177,7 @@ WAYS_OUT: dict[str, Callable[[Terminal], None]] = {
 }
 
 
+@pytest.mark.sample(4)
 @pytest.mark.waits
 @pytest.mark.parametrize("way", WAYS_OUT)
 def test_every_way_out_leaves_the_robot_at_rest(protocol: Protocol, way: str) -> None:

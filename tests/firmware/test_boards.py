@@ -10,7 +10,7 @@ import pytest
 
 from bilprov.conformance.dut.boards import EmulatorError, libsimavr
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from tests.support.commands import command, process
+from tests.support.commands import command
 from tests.support.firmware import AVR, built
 from tests.support.robots import sentence
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.waits
 def test_a_board_under_simavr_conforms_asks_nobody_and_brings_its_probe(tmp_path: Path) -> None:
     target = f"emulator:simavr:{built()}"
     record = tmp_path / "run.mcap"
-    result = process(
+    result = command(
         *("conform", target, "--level", "smoke", "--json", "-", "--record", str(record))
     )
 

@@ -20,7 +20,7 @@ from bilprov.conformance.cli.shell.items import _resumed
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command, process
+from tests.support.commands import command
 from tests.support.robots import PATIENCE, ProbeServer, plugged, served_here, simulate, until
 from tests.support.wires import json_lines, running
 
@@ -31,7 +31,7 @@ BACK = "was lost and is there again, and the robot was stopped there first"
 
 def test_the_robot_is_left_at_rest_although_it_was_sent_forward() -> None:
     with simulate() as served:
-        result = process("send", served.port, "Speed 255", "Forward", "--together", "--yes")
+        result = command("send", served.port, "Speed 255", "Forward", "--together", "--yes")
         state = served.state()
 
     assert result.returncode == 0
@@ -46,7 +46,7 @@ def test_what_a_device_does_once_after_power_on_shows_where_it_is_not_homed_firs
     answers = []
     for more in (["--unhomed"], []):
         with served_here(Simulator(protocol, fault)) as (port, _):
-            result = process("send", port, "00", "--yes", *more)
+            result = command("send", port, "00", "--yes", *more)
         answers.append((result.returncode, result.stdout.count("← 00".encode())))
 
     assert answers == [(1, 2), (0, 1)]
@@ -173,7 +173,7 @@ def test_ctrl_c_does_not_wait_for_a_command_that_looks(protocol: Protocol) -> No
 def test_a_robot_that_drives_too_long_without_an_instruction_is_stopped() -> None:
     with simulate() as served:
         moves = ("Speed 80", "Forward", "pause=60000", "Speed 9")
-        result = process("send", served.port, *moves, "--yes", "--max-drive", "0.2")
+        result = command("send", served.port, *moves, "--yes", "--max-drive", "0.2")
         state = served.state()
 
     assert result.returncode == 1
@@ -185,7 +185,7 @@ def test_a_robot_that_drives_too_long_without_an_instruction_is_stopped() -> Non
 
 def test_a_pause_at_rest_is_no_drive() -> None:
     with simulate() as served:
-        result = process("send", served.port, "Speed 8", "pause=400", "--yes", "--max-drive", "0.1")
+        result = command("send", served.port, "Speed 8", "pause=400", "--yes", "--max-drive", "0.1")
 
     assert result.returncode == 0, result.stderr
 
@@ -255,7 +255,7 @@ def test_a_port_that_is_lost_in_the_last_homing_is_no_success(
         served_here(device, pty=True) as (line, _),
         Adapter(port, line, [begin + 2], 0.3),
     ):
-        result = process(*words)
+        result = command(*words)
 
     assert result.returncode == 1, result.stderr
     told = BACK if wait else UNANSWERED_STOPS

@@ -53,7 +53,7 @@ def test_regular_traffic_of_a_drawn_layout_is_columns_alone(seed: int) -> None:
     assert {type(batch) for batch in parts} == {ColumnBatch}
 
 
-@pytest.mark.sample(40)
+@pytest.mark.sample(20)
 @pytest.mark.parametrize("seed", range(60))
 @pytest.mark.parametrize("name", [*SHIPPED, None])
 def test_odd_traffic_is_that_of_a_session(name: str | None, seed: int) -> None:
@@ -77,7 +77,7 @@ def test_odd_traffic_is_that_of_a_session(name: str | None, seed: int) -> None:
     )
 
 
-@pytest.mark.sample(12)
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("name", SHIPPED)
 def test_answers_that_a_tap_stamps_before_their_requests_are_those_of_a_session(

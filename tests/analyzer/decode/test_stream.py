@@ -82,7 +82,7 @@ SHIFTS = st.just([0]) | st.lists(
 """How much (ns) too early a tap stamps the answers, over and over."""
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @given(ACTS, BATCHES, st.frozensets(st.integers(0, 60), max_size=5), SETTINGS, SHIFTS)
 def test_columns_hold_the_records_of_a_session(
@@ -156,7 +156,7 @@ LATE, LONGEST, SHORT, CUT = 100 * MS, 1000 * MS, 20 * MS, 50 * MS
 ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)]
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("pause", ENDS)
 @pytest.mark.parametrize("skew", [0, 20 * MS])
 def test_at_the_ends_of_all_times_columns_hold_the_records_of_a_session(

@@ -156,7 +156,7 @@ def test_a_window_keeps_the_events_and_is_decoded_as_the_whole(
     assert decoded[: len(expected)] == expected
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.usefixtures("columns_at_once")
 @FEW

@@ -93,7 +93,7 @@ def test_the_details_have_a_scroll_bar_where_they_need_it(screen: Browser) -> No
     operated(screen, steps, (80, 24))
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize(
     ("keys", "row"),
     [
@@ -550,7 +550,7 @@ def test_a_long_filter_can_be_stopped(protocol: Protocol) -> None:
     operated(screen, steps)
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("size", [*SIZES, (39, 9), (20, 5), (10, 2), (1, 1)])
 def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int]) -> None:
     screen = browser(protocol, decoded(protocol, drive()))

@@ -19,7 +19,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
-from tests.support.commands import process
+from tests.support.commands import command
 from tests.support.robots import simulate, unwell
 from tests.support.wires import PATIENCE, Running, running
 
@@ -337,6 +337,7 @@ class Deaf(PtyPair):
 # the suite over the line
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("robot", "faults", "globs", "ends"),
     [
@@ -360,7 +361,7 @@ def test_the_reference_conforms_over_a_slow_line_and_no_faulty_robot_over_a_bad_
         (path,) = served_by(line, 1)
         only = [word for glob in globs for word in ("--only", glob)]
         probe = ["--probe", served.probe, "--yes", "--level", "smoke", "--json", "-"]
-        result = process("conform", path, *probe, *only)
+        result = command("conform", path, *probe, *only)
         line.end()
     assert result.returncode in ends, result.stderr
     if not robot:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.transport.ports import open_port, wait_readable
-from tests.support.commands import process
+from tests.support.commands import command
 from tests.support.firmware import AVR, built
 from tests.support.robots import PATIENCE, emulate, judged_exit, simulate, unwell
 from tests.support.wires import running
@@ -125,13 +125,13 @@ LINES: list[Behind] = [behind_raw_tcp, behind_rfc2217, behind_socat, behind_a_pt
 lines = pytest.mark.parametrize("behind", LINES, ids=lambda line: line.__name__)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @lines
 def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> None:
     with simulate(pty=True) as served, behind(served.port, tmp_path) as url:
         # 0xFF, Speed 255, is the byte that telnet escapes.
         only = ["--only", "valid/Speed/25*", "--only", "bad-data/LED/8"]
-        result = process("conform", url, "--probe", served.probe, "--yes", "--json", "-", *only)
+        result = command("conform", url, "--probe", served.probe, "--yes", "--json", "-", *only)
     assert unwell(result) == {"power-on/Forward": "skipped"}
 
 
@@ -146,7 +146,7 @@ def test_a_board_conforms_behind_it_unless_it_has_a_bug(
 ) -> None:
     with emulate(built(switches)) as served, behind(served.port, tmp_path) as url:
         smoke = ["--level", "smoke", "--fail-fast", "--json", "-"]
-        result = process("conform", url, "--probe", served.probe, "--yes", *smoke)
+        result = command("conform", url, "--probe", served.probe, "--yes", *smoke)
     report = json.loads(result.stdout)
     assert judged_exit(result.returncode, report) == ends, (result.stdout + result.stderr).decode()
 

@@ -95,7 +95,7 @@ def test_the_device_that_is_the_machine_itself_passes(protocol: Protocol) -> Non
     assert "no probe reported the robot's motion" in report.proof
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_a_device_with_one_other_transition_is_found(protocol: Protocol, seed: int) -> None:

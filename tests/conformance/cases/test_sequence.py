@@ -457,8 +457,9 @@ def sent(sequence: SequenceCase) -> tuple[object, ...]:
 
 
 @pytest.mark.slow
-def test_another_seed_makes_other_walks_with_the_same_ids(protocol: Protocol) -> None:
-    one, two = (sequences_of(protocol, "standard", seed) for seed in SEEDS)
+@pytest.mark.parametrize("level", ["smoke", pytest.param("standard", marks=DEEP)])
+def test_another_seed_makes_other_walks_with_the_same_ids(protocol: Protocol, level: str) -> None:
+    one, two = (sequences_of(protocol, level, seed) for seed in SEEDS)
 
     assert [sequence.id for sequence in one] == [sequence.id for sequence in two]
     same = {a.id for a, b in zip(one, two, strict=True) if sent(a)[1:] == sent(b)[1:]}

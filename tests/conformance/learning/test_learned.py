@@ -108,7 +108,7 @@ def test_a_faulty_robot_differs_by_shortest_sequences_that_show_the_fault_again(
 
 
 @pytest.mark.slow
-@pytest.mark.sample(1)
+@pytest.mark.sample(0)
 @pytest.mark.parametrize(
     ("variant", "states"),
     [
@@ -243,6 +243,7 @@ def test_a_bad_line_changes_nothing_about_the_machine(protocol: Protocol) -> Non
 
     assert learned.machine is not None
     assert (len(learned.machine), learned.differences) == (36, ())
+    assert "R-drive-steering" in [point.partition(" ")[0] for point, _, _ in learned.choices]
     assert learned.sent.flaky > 0
     assert learned.verdict is Verdict.INCONCLUSIVE
 

@@ -49,7 +49,7 @@ def test_what_a_device_does_by_itself_shows(protocol: Protocol) -> None:
     assert late.difference.endswith("is due")
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(4)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, fault in BANK.items() if not fault.needs])
 def test_a_fault_of_the_bank_shows_unless_it_needs_a_soak(name: str, protocol: Protocol) -> None:

@@ -426,7 +426,7 @@ def run(protocol: Protocol, name: str, only: str, *, strict: bool = False) -> Re
     return conform(Simulator(protocol, fault), grammar=protocol, options=options)
 
 
-@pytest.mark.sample(12)
+@pytest.mark.sample(6)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "only", "verdict", "axis", "reading", "reason"), [*CHOICES, *SOMETIMES]

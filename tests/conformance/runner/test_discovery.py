@@ -156,7 +156,7 @@ def test_the_reference_shows_the_default_of_every_point(protocol: Protocol) -> N
     assert {result.verdict for result in found.values()} == {PASS}
 
 
-@pytest.mark.sample(10)
+@pytest.mark.sample(5)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [None, *sorted(SHOWS)])
 def test_each_variant_shows_its_own_choices_and_no_other(

@@ -147,7 +147,7 @@ FAULTY = (
 
 
 @pytest.mark.slow
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("brief", [False, True], ids=["all facets", "moving only"])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", GOOD)
@@ -162,7 +162,7 @@ def test_no_good_robot_fails(protocol: Protocol, lie: str, name: str, seed: int,
 
 
 @pytest.mark.slow
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", FAULTY)
 @pytest.mark.parametrize("lie", LIES)

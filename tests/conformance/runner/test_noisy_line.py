@@ -59,7 +59,7 @@ def test_the_same_seed_is_the_same_run(protocol: Protocol):
     assert run(1) != run(2)
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.slow
 @pytest.mark.parametrize("line", LINES)
 @pytest.mark.parametrize("seed", range(3))
@@ -68,7 +68,7 @@ def test_noise_never_fails_the_reference(line: str, seed: int):
     assert code in (0, 3), told
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("line", LINES)
 @pytest.mark.parametrize("fault", ["speed-starts-it", "code-in-ascii", "ok-to-unknown-id"])
 def test_noise_never_lets_a_faulty_device_pass(line: str, fault: str):

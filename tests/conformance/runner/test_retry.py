@@ -218,7 +218,7 @@ def test_a_device_that_hangs_while_it_is_tried_again_fails_there_and_the_rest_is
         assert at_rest(device)
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(4)
 @pytest.mark.slow
 @pytest.mark.parametrize("asks", [*range(0, 420, 30), *range(420, 700, 17)])
 def test_an_interrupt_while_it_is_tried_again_is_never_a_pass(
@@ -295,7 +295,7 @@ def played(device: Simulator, items: Sequence[str]) -> list[tuple[tuple[int, ...
 
 
 @pytest.mark.slow
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", STATELESS)
 def test_the_reproducer_is_short_and_shows_the_failure_on_a_fresh_device(
     protocol: Protocol, name: str

@@ -114,6 +114,7 @@ def test_slow_answers_are_announced_anew_and_then_no_surprise(protocol: Protocol
     assert (report.exit, report.ended) == (0, None)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),

@@ -152,7 +152,7 @@ def failed(report: Report) -> list[tuple[str, str]]:
     return [(r.id, r.reason) for r in report.results if r.verdict is Verdict.FAIL]
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("jitter", JITTERS)
 @pytest.mark.parametrize("name", GOOD)
@@ -163,7 +163,7 @@ def test_jitter_fails_no_good_robot(protocol: Protocol, name: str, jitter: int, 
     assert report.exit in (0, 3)
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("seed", range(1, 4))
 @pytest.mark.parametrize("jitter", JITTERS)
 @pytest.mark.parametrize("name", FAULTY)
@@ -201,7 +201,7 @@ def test_an_answer_that_no_device_gives_fails_over_any_line(protocol: Protocol) 
     assert report.exit == 1
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("seed", range(1, 5))
 @pytest.mark.parametrize(
     ("stop", "period"), [(300, 1000), (300, 1013), (200, 977), (100, 700), (50, 1000), (50, 333)]
