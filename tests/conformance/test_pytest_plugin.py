@@ -93,6 +93,7 @@ def test_each_case_is_a_test_that_passes(run: pytest.Pytester) -> None:
     )
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fault", ["led-order-reversed", "never-moves", "no-stop-on-bad-data"])
 def test_the_outcomes_are_the_verdicts_of_conform(
     run: pytest.Pytester, protocol: Protocol, fault: str

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import cache
 from itertools import pairwise
 
 import pytest
@@ -16,11 +17,17 @@ from bilprov.conformance.cases.steps import FrameClass, Step, frames_of, kind_of
 from bilprov.spec.protocol import Protocol
 
 
-def neighbours(protocol: Protocol, cases: Iterator[SequenceCase]) -> Iterator[tuple[str, Step]]:
+def neighbours(protocol: Protocol, cases: Iterable[SequenceCase]) -> Iterator[tuple[str, Step]]:
     """Each frame with the kind of the frame right before it, counted from what is sent."""
     for case in cases:
         for before, step in pairwise(case.steps):
             yield kind_of(protocol, before), step
+
+
+@cache
+def contexts(protocol: Protocol) -> tuple[SequenceCase, ...]:
+    """The sequences of frames after each kind, once for each protocol."""
+    return tuple(after_each_kind(protocol, 1, 1))
 
 
 def places(step: Step) -> Iterator[tuple[str, int]]:
@@ -35,7 +42,7 @@ def places(step: Step) -> Iterator[tuple[str, int]]:
 def test_each_faulty_header_comes_right_after_each_kind(each_protocol: Protocol) -> None:
     kinds = set(Inputs(each_protocol, 1).kinds)
     met = defaultdict(set)
-    for before, step in neighbours(each_protocol, after_each_kind(each_protocol, 1, 1)):
+    for before, step in neighbours(each_protocol, contexts(each_protocol)):
         if step.faulty and step.kind is not FrameClass.BAD_DATA:
             met[step.frame[0]].add(before)
 
@@ -50,7 +57,7 @@ def test_marked_values_stand_at_each_place_after_each_kind_and_all_values_at_eac
     protocol: Protocol,
 ) -> None:
     marked, values, lengths = defaultdict(set), defaultdict(set), defaultdict(set)
-    for before, step in neighbours(protocol, after_each_kind(protocol, 1, 1)):
+    for before, step in neighbours(protocol, contexts(protocol)):
         if not step.faulty or step.kind is FrameClass.BAD_DATA:
             continue
         identity, length = protocol.headers[step.frame[0]]
@@ -70,7 +77,7 @@ def test_marked_values_stand_at_each_place_after_each_kind_and_all_values_at_eac
 def test_frames_under_test_come_ahead_of_answers_and_after_them_and_what_leads_to_them_ahead(
     protocol: Protocol,
 ) -> None:
-    cases = list(after_each_kind(protocol, 1, 1))
+    cases = contexts(protocol)
     waited = [case for case in cases if not case.pipelined]
 
     assert len(cases) / 14 < len(waited) < len(cases) / 10
@@ -85,7 +92,7 @@ def test_frames_under_test_come_ahead_of_answers_and_after_them_and_what_leads_t
 def test_every_setting_and_motion_comes_after_each_kind(each_protocol: Protocol) -> None:
     inputs = Inputs(each_protocol, 1)
     met = defaultdict(set)
-    for before, step in neighbours(each_protocol, after_each_kind(each_protocol, 1, 1)):
+    for before, step in neighbours(each_protocol, contexts(each_protocol)):
         if not step.faulty:
             met[before, kind_of(each_protocol, step)].update(step.frame[1:2])
 
