@@ -89,9 +89,17 @@ SHOWN = {
 }
 
 
+ONE = "rotateleft-does-nothing"  # that is soon learned; the others only where every row is run
+
+
 @pytest.mark.slow
-@pytest.mark.sample(1)
-@pytest.mark.parametrize(("name", "frames"), SHOWN.items())
+@pytest.mark.parametrize(
+    ("name", "frames"),
+    [
+        pytest.param(name, frames, marks=[pytest.mark.sample(0)] * (name != ONE))
+        for name, frames in SHOWN.items()
+    ],
+)
 def test_a_faulty_robot_differs_by_shortest_sequences_that_show_the_fault_again(
     protocol: Protocol, name: str, frames: int
 ) -> None:
