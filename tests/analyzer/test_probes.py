@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import msgspec
@@ -125,23 +125,28 @@ def test_the_run_ends_as_an_error_and_keeps_its_report_and_recording(
     assert recheck(str(record)).exit == 0
 
 
-def test_one_connection_serves_the_whole_run() -> None:
-    with ProbeServer(b'{"moving": true}\n', b'{"moving": false}\n') as server:
+@contextmanager
+def probing(*answers: bytes) -> Iterator[tuple[TcpProbe, ProbeServer]]:
+    """A probe of a server that gives these answers."""
+    with ProbeServer(*answers) as server:
         probe = TcpProbe(server.name.removeprefix("tcp:"))
-        assert [look_of(probe).moving for _ in range(3)] == [True, False, False]
+        yield probe, server
         probe.close()
+
+
+def test_one_connection_serves_the_whole_run() -> None:
+    with probing(b'{"moving": true}\n', b'{"moving": false}\n') as (probe, server):
+        assert [look_of(probe).moving for _ in range(3)] == [True, False, False]
 
     assert server.requests == [b"state\n"] * 3
 
 
 def test_an_answer_may_come_in_pieces() -> None:
-    with ProbeServer(b'{"moving"', b": true}\n") as server:
-        probe = TcpProbe(server.name.removeprefix("tcp:"))
+    with probing(b'{"moving"', b": true}\n") as (probe, _):
         probe.ask()
         assert select.select([probe.fileno()], [], [], PATIENCE)[0]
         assert probe.take(7) is None
         assert look_of(probe) == CarLook(7, True)
-        probe.close()
 
 
 STOPPED, MOVING = b'{"moving": false}\n', b'{"moving": true}\n'
@@ -158,12 +163,10 @@ def settled_looks(probe: TcpProbe, count: int) -> list[bool | None]:
 
 def test_a_probe_without_numbers_is_not_believed_after_a_line_too_many() -> None:
     """The line too many may come after the next question: then it would be its answer."""
-    with ProbeServer(STOPPED, MOVING * 2, STOPPED, MOVING) as server:
-        probe = TcpProbe(server.name.removeprefix("tcp:"))
+    with probing(STOPPED, MOVING * 2, STOPPED, MOVING) as (probe, server):
         assert settled_looks(probe, 4) == [False, True, None, None]
         assert "sent 1 line more than it was asked for" in probe.remark
         assert "was ignored" in probe.remark
-        probe.close()
 
     assert set(server.requests) == {b"state\n"}
 
@@ -174,37 +177,39 @@ def test_lines_with_another_number_than_the_question_are_dropped() -> None:
         b'{"moving": %s, "number": %d}\n' % (b"true" if n % 2 else b"false", n) for n in range(5)
     ]
     late = [lines[0], lines[0] + lines[1] * 2, lines[2] * 2, lines[1] + lines[3], lines[4]]
-    with ProbeServer(*late) as server:
-        probe = TcpProbe(server.name.removeprefix("tcp:"))
+    with probing(*late) as (probe, server):
         assert [look_of(probe).moving for _ in range(5)] == [False, True, False, True, False]
         assert probe.remark == (
             "the probe sent 4 lines more than it was asked for; they were dropped by their numbers"
         )
-        probe.close()
 
     assert server.requests == [b"state\n", *(b"state %d\n" % n for n in range(1, 5))]
 
 
 def test_a_probe_that_answers_as_it_was_asked_is_no_remark() -> None:
-    with ProbeServer(STOPPED, MOVING) as server:
-        probe = TcpProbe(server.name.removeprefix("tcp:"))
+    with probing(STOPPED, MOVING) as (probe, _):
         assert settled_looks(probe, 3) == [False, True, True]
         assert probe.remark == ""
-        probe.close()
 
 
 def test_a_line_without_end_is_refused() -> None:
-    with ProbeServer(b"x" * (1 << 17)) as server:
-        probe = TcpProbe(server.name.removeprefix("tcp:"))
-        with pytest.raises(ProbeError, match="no end of line"):
-            look_of(probe)
-        probe.close()
+    with probing(b"x" * (1 << 17)) as (probe, _), pytest.raises(ProbeError, match="no end of line"):
+        look_of(probe)
 
 
 @pytest.fixture
 def pty() -> Iterator[str]:
     with open_pty() as pair:
         yield pair.name
+
+
+def observed(protocol: Protocol, pty: str, answer: bytes | None) -> object:
+    """What a link gives for a look at a probe that answers so."""
+    with ProbeServer(answer) as server, open_port(pty) as port, Stopper() as stopper:
+        probe = open_probe(server.name, port, protocol)
+        assert probe is not None
+        with closing(probe):
+            return PortLink(port, probe, stopper).do(Observe())
 
 
 @pytest.mark.parametrize(
@@ -219,16 +224,8 @@ def pty() -> Iterator[str]:
 def test_a_probe_that_fails_ends_the_run_but_not_the_line(
     protocol: Protocol, pty: str, answer: bytes | None, words: str
 ) -> None:
-    with ExitStack() as stack:
-        server = stack.enter_context(ProbeServer(answer))
-        port = stack.enter_context(open_port(pty))
-        stopper = stack.enter_context(Stopper())
-        probe = open_probe(server.name, port, protocol)
-        assert probe is not None
-        stack.callback(probe.close)
-
-        with pytest.raises(Ended, match=words) as ended:
-            PortLink(port, probe, stopper).do(Observe())
+    with pytest.raises(Ended, match=words) as ended:
+        observed(protocol, pty, answer)
 
     assert ended.value.error
     assert ended.value.line_works
@@ -236,15 +233,7 @@ def test_a_probe_that_fails_ends_the_run_but_not_the_line(
 
 
 def test_a_look_that_knows_nothing_comes_through_the_link(protocol: Protocol, pty: str) -> None:
-    with ExitStack() as stack:
-        server = stack.enter_context(ProbeServer(b'{"moving": null}\n'))
-        port = stack.enter_context(open_port(pty))
-        stopper = stack.enter_context(Stopper())
-        probe = open_probe(server.name, port, protocol)
-        assert probe is not None
-        stack.callback(probe.close)
-
-        seen = PortLink(port, probe, stopper).do(Observe())
+    seen = observed(protocol, pty, b'{"moving": null}\n')
 
     assert isinstance(seen, Observation)
     assert seen.look.moving is None

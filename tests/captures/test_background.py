@@ -6,7 +6,6 @@ import os
 import random
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from bilprov.captures.background import EVENT_BYTES, QUEUE_BYTES, BackgroundWrit
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Checkpoint, Chunk, Line
 from bilprov.captures.writer import CaptureWriter
+from tests.support.robots import until
 
 START = 1_790_000_000_000_000_000
 PATIENCE = 60.0  # s; what takes longer hangs
@@ -24,13 +24,6 @@ FITS = QUEUE_BYTES // (64 * 1024)
 
 def writer(path: Path) -> BackgroundWriter:
     return BackgroundWriter(CaptureWriter(path, start_wall=START, metadata={}, version="0.1.0"))
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def chunks(path: Path) -> list[Chunk]:
@@ -79,33 +72,41 @@ def test_what_waits_is_written_without_another_call(tmp_path: Path) -> None:
             until(lambda t=t: len(chunks(path)) == t + 1)  # type: ignore[misc]
 
 
+class Handing:
+    """A thread that hands over three times what the queue holds; the file is a pipe."""
+
+    def __init__(self, path: Path) -> None:
+        self.capture, self.count = writer(path), 0
+        self.pipe = onto_a_pipe(path)
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+        until(lambda: self.count >= FITS - 1)
+
+    def _run(self) -> None:
+        data = random.Random(1).randbytes(READ)
+        for n in range(3 * FITS):
+            self.capture.chunk(Chunk(n, "host", n.to_bytes(4, "big") + data[4:]))
+            self.count += 1
+        self.capture.close()
+
+    def join(self) -> None:
+        self.thread.join(PATIENCE)
+        assert not self.thread.is_alive()
+        assert self.count == 3 * FITS
+        assert self.capture.waited_ns > 0
+
+
 @pytest.mark.waits
 def test_a_full_queue_makes_the_reader_wait_and_drops_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    handed = 0
-    data = random.Random(1).randbytes(READ)
-    capture = writer(path)
-    pipe = onto_a_pipe(path)
-
-    def read_a_line() -> None:
-        nonlocal handed
-        for n in range(3 * FITS):
-            capture.chunk(Chunk(n, "host", n.to_bytes(4, "big") + data[4:]))
-            handed += 1
-        capture.close()
-
-    reader = threading.Thread(target=read_a_line, daemon=True)
-    reader.start()
-    until(lambda: handed >= FITS - 1)
+    handing = Handing(path)
     time.sleep(0.2)  # in which a reader that does not wait would have handed over all
-    held = handed
+    held = handing.count
     content = path.read_bytes()
-    with os.fdopen(pipe, "rb") as consumer:
+    with os.fdopen(handing.pipe, "rb") as consumer:
         content += consumer.read()
-    reader.join(PATIENCE)
-    assert not reader.is_alive()
+    handing.join()
     assert FITS - 1 <= held < FITS + 10  # the pipe and the chunk under way hold some
-    assert capture.waited_ns > 0
     path.write_bytes(content)
     assert [int.from_bytes(chunk.data[:4], "big") for chunk in chunks(path)] == [*range(3 * FITS)]
     assert not open_capture(path).unfinished
@@ -114,28 +115,13 @@ def test_a_full_queue_makes_the_reader_wait_and_drops_nothing(tmp_path: Path) ->
 @pytest.mark.waits
 def test_a_file_that_breaks_while_the_queue_is_full_ends_the_waiting(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    capture = writer(path)
-    pipe = onto_a_pipe(path)
-    data = random.Random(1).randbytes(READ)
-    handed = 0
-
-    def read_a_line() -> None:
-        nonlocal handed
-        for n in range(3 * FITS):
-            capture.chunk(Chunk(n, "host", data))
-            handed += 1
-
-    reader = threading.Thread(target=read_a_line, daemon=True)
-    reader.start()
-    until(lambda: handed >= FITS)
-    os.close(pipe)
-    reader.join(PATIENCE)
-    assert not reader.is_alive()
-    assert handed == 3 * FITS
-    assert capture.waited_ns > 0
-    capture.close()
-    capture.close()
-    assert capture.failure == f"Broken pipe: what was captured until 0.0 s is kept in {path}"
+    handing = Handing(path)
+    os.close(handing.pipe)
+    handing.join()
+    handing.capture.close()
+    assert (
+        handing.capture.failure == f"Broken pipe: what was captured until 0.0 s is kept in {path}"
+    )
 
 
 @pytest.mark.waits

@@ -124,9 +124,9 @@ def drawn(folder: Path, choose: random.Random, length: int) -> Path:
     return path
 
 
-@settings(max_examples=150)
+@settings(max_examples=200)
 @given(seed=st.integers(0, 1 << 64), length=st.sampled_from([0, 1, 20, 300]))
-def test_the_batches_of_any_capture_hold_its_events(
+def test_the_batches_of_any_capture_hold_its_events_and_its_front_gives_them_or_is_void(
     tmp_path_factory: pytest.TempPathFactory, seed: int, length: int
 ) -> None:
     choose = random.Random(seed)
@@ -134,38 +134,29 @@ def test_the_batches_of_any_capture_hold_its_events(
     try:
         capture = open_capture(path)
     except CaptureError:
+        with pytest.raises(CaptureError):
+            open_front(path)
         return
     events = list(capture.events())
-    assert [event for batch in capture.batches() for event in batch.single()] == events
+    assert single(capture) == events
+    front = open_front(path)
+    given = single(front)
+    whole = front.whole()
+    if whole is not None:
+        assert (whole, given) == (capture, events)
     indexed = open_indexed(path)
     if indexed is None:
         return
-    whole = list(indexed.events())
-    assert [event for batch in indexed.batches() for event in batch.single()] == whole
+    assert single(indexed) == list(indexed.events())
     found = indexed.checkpoint_before(choose.choice([10, 200, 1 << 62]))
     if found is not None:
         rest = [event for batch in indexed.batches(found) for event in batch.single()]
         assert rest == list(indexed.events(found))
 
 
-@settings(max_examples=150)
-@given(seed=st.integers(0, 1 << 64), length=st.sampled_from([0, 1, 20, 300]))
-def test_a_front_gives_what_a_surveyed_capture_gives_or_is_void(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, length: int
-) -> None:
-    path = drawn(tmp_path_factory.mktemp("drawn"), random.Random(seed), length)
-    try:
-        capture = open_capture(path)
-    except CaptureError:
-        with pytest.raises(CaptureError):
-            open_front(path)
-        return
-    front = open_front(path)
-    events = [event for batch in front.batches() for event in batch.single()]
-    whole = front.whole()
-    if whole is not None:
-        assert whole == capture
-        assert events == list(capture.events())
+def single(capture: Any) -> list[Any]:
+    """The events of all batches."""
+    return [event for batch in capture.batches() for event in batch.single()]
 
 
 @dataclass

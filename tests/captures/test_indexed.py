@@ -248,38 +248,36 @@ def flipped_in_the_summary(path: Path) -> None:
     path.write_bytes(bytes(content))
 
 
-def foreign(path: Path) -> None:
+def by_another(path: Path, library: str = "bilprovX", **options: bool) -> None:
     with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start(profile="", library="bilprovX")
-        channel = writer.register_channel(topics.HOST_RAW, topics.RAW_ENCODING, 0)
-        writer.add_message(channel, 5, b"x", 5)
-        writer.finish()
-
-
-def without_an_index(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = Writer(file, use_statistics=False, repeat_channels=False)
-        writer.start(profile="", library="bilprov 0")
+        writer = Writer(file, **options)
+        writer.start(profile="", library=library)
         writer.add_metadata("bilprov", {"start": "5"})
         channel = writer.register_channel(topics.HOST_RAW, topics.RAW_ENCODING, 0)
         writer.add_message(channel, 5, b"x", 5)
         writer.finish()
 
 
+def without_an_index(path: Path) -> None:
+    by_another(path, "bilprov 0", use_statistics=False, repeat_channels=False)
+
+
+def a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
 @pytest.mark.parametrize(
-    "make", [unfinished, flipped_in_the_summary, foreign, without_an_index, os.unlink]
+    "make",
+    [
+        *(unfinished, flipped_in_the_summary, by_another, without_an_index, os.unlink, a_pipe),
+        lambda path: path.write_bytes(b""),
+    ],
 )
 def test_any_other_file_is_left_to_the_survey(path: Path, make: Callable[[Path], Any]) -> None:
     make(path)
     assert open_indexed(path) is None
-
-
-def test_what_is_no_file_is_left_to_the_survey(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "fifo")
-    (tmp_path / "empty").touch()
-    for path in (tmp_path, tmp_path / "fifo", tmp_path / "empty", Path("a\0b")):
-        assert open_indexed(path) is None
+    assert open_indexed(path.parent) is open_indexed(Path("a\0b")) is None
 
 
 def test_a_file_that_changed_since_it_was_opened_is_an_error_of_ours(path: Path) -> None:

@@ -23,18 +23,15 @@ from construct import (
 )
 
 from benchmarks.construct_alone import question
-from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import SHIPPED, load_protocol
 from bilprov.spec.codec import Judgement, build, judge
 from bilprov.spec.data import DataSpec
-from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import agrees, read_reply, reply_size
 from bilprov.spec.safe_grammar import require_declarations
 from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
 from tests.frame_vectors import ReplyVector, RequestVector
 from tests.support import ROOT
-from tests.support.decoding import conversation, decoded, devices, hosts
 from tests.support.framed_traffic import FRAMED
 
 VECTORS: dict[str, ModuleType] = {
@@ -141,13 +138,22 @@ def test_each_instruction_and_outcome_is_in_a_vector(name: str) -> None:
     assert ("bad-checksum" in outcomes) is (protocol.layout.check is not None)
 
 
-@pytest.mark.parametrize("name", list(VECTORS))
-def test_a_grammar_is_a_page_of_declarations(name: str) -> None:
-    text = (ROOT / "spec" / SHIPPED[name]).read_text(encoding="utf-8")
-    body = [n for n in ast.parse(text).body if not isinstance(n, ast.ImportFrom | ast.Expr)]
+@pytest.mark.parametrize(
+    ("file", "most"),
+    [
+        *((f"spec/{SHIPPED[name]}", MOST_LINES) for name in VECTORS),
+        ("examples/relay_board.py", 100),
+        ("examples/roboclaw.py", 100),
+    ],
+)
+def test_a_grammar_is_a_page_of_declarations(file: str, most: int) -> None:
+    text = (ROOT / file).read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    body = [node for node in tree.body if not isinstance(node, ast.ImportFrom | ast.Expr)]
 
     require_declarations(text)
-    assert sum((one.end_lineno or 0) - one.lineno + 1 for one in body) <= MOST_LINES
+    assert ast.get_docstring(tree)
+    assert sum((one.end_lineno or 0) - one.lineno + 1 for one in body) <= most
 
 
 @pytest.mark.parametrize(("name", "vector"), REQUESTS + REPLIES, ids=identity)
@@ -186,8 +192,9 @@ def test_construct_alone_parses_a_request(name: str, vector: RequestVector) -> N
 
 
 @pytest.mark.parametrize(("name", "vector"), REQUESTS, ids=identity)
-def test_the_kit_judges_a_request(name: str, vector: RequestVector) -> None:
-    judged = judge(load_protocol(name), vector.frame)
+def test_the_kit_judges_a_request_and_builds_a_valid_one(name: str, vector: RequestVector) -> None:
+    protocol = load_protocol(name)
+    judged = judge(protocol, vector.frame)
     outcome = judged.outcome.name.lower().replace("_", "-")
 
     assert ("truncated" if judged.truncated else outcome) == vector.outcome
@@ -197,30 +204,9 @@ def test_the_kit_judges_a_request(name: str, vector: RequestVector) -> None:
         assert judged.instruction
         assert by_name(judged.instruction, dict(judged.fields)) == vector.fields
         assert judged.address == vector.address
-
-
-@pytest.mark.parametrize(("name", "vector"), REQUESTS, ids=identity)
-def test_a_valid_request_is_built_of_its_fields(name: str, vector: RequestVector) -> None:
-    protocol = load_protocol(name)
-    if vector.outcome != "valid" or vector.name is None:
-        return
-    fields = numbers(protocol.by_name[vector.name], vector.fields)
-    to = {} if vector.address is None else {"address": vector.address}
-
-    assert build(protocol, vector.name, {**fields, **to}) == vector.frame
-
-
-@pytest.mark.parametrize("name", list(VECTORS))
-def test_requests_are_cut_out_of_a_stream(name: str) -> None:
-    protocol = load_protocol(name)
-    frames = [one.frame for one in VECTORS[name].REQUESTS if one.outcome == "valid"]
-    cutter = Framer(protocol, None)
-
-    taken = [one for byte in b"".join(frames) for one in cutter.feed(bytes([byte]), 0)]
-
-    assert [one.data for one in taken] == frames
-    assert {one.kind for one in taken} == {"instruction"}
-    assert cutter.held == b""
+        fields = numbers(judged.instruction, vector.fields)
+        to = {} if vector.address is None else {"address": vector.address}
+        assert build(protocol, str(vector.name), {**fields, **to}) == vector.frame
 
 
 @pytest.mark.parametrize(("name", "vector"), REPLIES, ids=identity)
@@ -308,15 +294,6 @@ def crc_xmodem(data: bytes) -> int:
     return crc
 
 
-@pytest.mark.parametrize("name", [RELAY, ROBOCLAW])
-def test_an_example_is_a_page_of_declarations(name: str) -> None:
-    text = (ROOT / "examples" / f"{name}.py").read_text(encoding="utf-8")
-
-    require_declarations(text)
-    assert ast.get_docstring(ast.parse(text))
-    assert len(text.splitlines()) <= 110
-
-
 @pytest.mark.parametrize("row", EXCHANGES, ids=lambda row: f"{row[0]}-{row[1]}")
 def test_the_check_of_each_frame_is_right(row: tuple[str, ...]) -> None:
     name, _, _, asked, answered, _ = row
@@ -340,14 +317,3 @@ def test_requests_and_answers_are_read_and_built(row: tuple[object, ...]) -> Non
     assert (request.valid, request.name) == (True, instruction)
     assert (reply.reason, dict(reply.fields)) == ("", fields)
     assert agrees(protocol, request, reply)
-
-
-@pytest.mark.parametrize("name", [RELAY, ROBOCLAW])
-def test_a_conversation_is_paired(name: str) -> None:
-    rows = [row for row in EXCHANGES if row[0] == name]
-    exchanges = [(bytes.fromhex(row[3]), bytes.fromhex(row[4])) for row in rows]
-    records = decoded(Session(protocol_of(name)), conversation(exchanges))
-
-    assert [one.data for one in hosts(records)] == [asked for asked, _ in exchanges]
-    assert [one.data for one in devices(records)] == [answered for _, answered in exchanges]
-    assert [one for record in records for one in record.faults] == []

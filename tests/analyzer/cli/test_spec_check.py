@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+import resource
 from pathlib import Path
 
 import pytest
 
-from bilprov.captures.schemas import Chunk
+from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.writer import CaptureWriter
+from bilprov.spec.codec import build, judge
+from bilprov.spec.protocol import load
+from bilprov.spec.replies import build_reply
 from tests.analyzer.decode.test_foreign_traffic import FOLDER, TRAFFIC, events
 from tests.support import ROOT
-from tests.support.commands import Done, command
+from tests.support.commands import Done, command, process
+from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
 
 
 def checked(*words: str | Path) -> Done:
@@ -108,3 +113,94 @@ def test_a_grammar_that_captures_cannot_carry_is_told(tmp_path: Path) -> None:
         'declare: there is b"\\x33\\x3c" + b"\\x00\\x00\\x00" in line '
         f"{line}\n"
     )
+
+
+# --------------------------------------------------------------------------------------------------
+
+
+READERS = (
+    "replay a.mcap --rate 0",
+    "replay a.mcap --rate 0 --format jsonl --start 0.03",
+    "replay a.mcap --rate 0 --format csv --filter faulty",
+    "replay a.mcap --rate 0 --judge",
+    "replay a.mcap --rate 0 --judge --format jsonl",
+    "stats a.mcap b.mcap --json -",
+    "stats a.mcap",
+    "plot a.mcap --html -",
+    *(f"export a.mcap -o - --format {kind}" for kind in ("csv", "jsonl", "parquet", "pcapng")),
+    "capture cut a.mcap cut.mcap --start 0.02 --filter faulty",
+    "replay cut.mcap --rate 0",
+    "capture diff a.mcap b.mcap",
+    "capture diff a.mcap cut.mcap --json -",
+    "capture join a.mcap later.mcap -o joined.mcap",
+    "stats joined.mcap --json -",
+    "capture info a.mcap",
+    "capture check a.mcap --format json",
+    "capture repair a.mcap repaired.mcap",
+    "capture decode a.mcap decoded.mcap",
+    "decode a.mcap --format jsonl",
+    "spec check grammar.py a.mcap",
+)
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("grammar", FRAMED)
+def test_no_command_fails_at_a_damaged_capture(tmp_path: Path, grammar: str) -> None:
+    (tmp_path / "grammar.py").write_text(FRAMED[grammar], encoding="utf-8")
+    protocol = load(FRAMED[grammar], "grammar.py")
+    for name, seed in (("a", 1), ("b", 2)):
+        framed_capture(tmp_path / f"{name}.mcap", protocol, odd_traffic(protocol, seed))
+    framed_capture(tmp_path / "later.mcap", protocol, odd_traffic(protocol), later=60)
+
+    for line in READERS:
+        done = command(*line.split(), cwd=tmp_path)
+        sentences = done.stderr.decode().splitlines()
+        assert "Traceback" not in done.stderr.decode(), line
+        assert done.returncode in (0, 1), (line, sentences)
+
+
+@pytest.mark.parametrize("grammar", FRAMED)
+def test_the_bytes_of_an_unasked_answer_are_a_difference(tmp_path: Path, grammar: str) -> None:
+    protocol = load(FRAMED[grammar], "grammar.py")
+    unasked = b"\x33\xff\x14\x10\x80"
+    framed_capture(tmp_path / "a.mcap", protocol, [Chunk(0, "device", unasked)])
+    framed_capture(tmp_path / "b.mcap", protocol, [])
+
+    done = command("capture", "diff", "a.mcap", "b.mcap", "--json", "-", cwd=tmp_path)
+
+    (found,) = json.loads(done.stdout)["listed"]
+    assert (done.returncode, found["kind"]) == (1, "unasked")
+    assert (found["a"]["unasked"], found["b"]["unasked"]) == (unasked.hex(" "), "")
+
+
+def test_an_answer_with_other_data_is_another_answer(tmp_path: Path) -> None:
+    protocol = load(FRAMED["roboclaw"], "roboclaw.py")
+    asked = build(protocol, "MainBattery", {"address": 0x80})
+    for name, volts in (("a", 123), ("b", 124)):
+        answer = build_reply(protocol, judge(protocol, asked), {"voltage": volts})
+        events = [Chunk(0, "host", asked), Chunk(MS, "device", answer)]
+        framed_capture(tmp_path / f"{name}.mcap", protocol, events)
+
+    done = command("capture", "diff", "a.mcap", "b.mcap", cwd=tmp_path)
+
+    assert done.returncode == 1
+    assert b"voltage=123 (" in done.stdout
+
+
+@pytest.mark.waits
+def test_the_arrays_of_a_capture_get_the_memory_of_those_before() -> None:
+    """Memory that is new each time comes page by page, which takes longer than to fill it."""
+    code = """
+import resource, sys, numpy
+from bilprov.__main__ import _run
+
+_run(["stats", sys.argv[1]])
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for batch in range(25):
+    [numpy.ones(1_000_000) for array in range(4)]
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before, file=sys.stderr)
+"""
+    done = process("captures/samples/examples.mcap", code=code)
+
+    pages = 8_000_000 // resource.getpagesize()
+    assert int(done.stderr.splitlines()[-1]) < 10 * pages  # of 100 arrays

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -59,6 +59,21 @@ def test_pyserials_own_loop_is_a_line_with_an_echo() -> None:
         assert port.read() == b""
 
 
+@pytest.fixture
+def bus() -> Bus:
+    return Bus(load_protocol("modbus-rtu"))
+
+
+@pytest.fixture
+def meter(bus: Bus) -> Iterator[Device]:
+    """A client of the bus."""
+    with (
+        served_here(bus) as (port, _),
+        Device(port, grammar="modbus-rtu", address=17, echo=True) as client,
+    ):
+        yield client
+
+
 @pytest.mark.parametrize(
     ("echo", "came"),
     [
@@ -69,18 +84,13 @@ def test_pyserials_own_loop_is_a_line_with_an_echo() -> None:
     ids=["no echo, but an answer", "a collision", "a byte is lost"],
 )
 def test_an_echo_that_differs_is_told_and_the_next_request_is_answered(
-    echo: Callable[[bytes], bytes], came: str
+    bus: Bus, meter: Device, echo: Callable[[bytes], bytes], came: str
 ) -> None:
-    bus = Bus(load_protocol("modbus-rtu"))
-    with (
-        served_here(bus) as (port, _),
-        Device(port, grammar="modbus-rtu", address=17, echo=True) as meter,
-    ):
-        bus.echo = echo
-        with pytest.raises(LinkError) as raised:
-            meter.read_holding_registers(3, 1)
-        bus.echo = bytes
-        assert meter.read_holding_registers(3, 1) == (0,)
+    bus.echo = echo
+    with pytest.raises(LinkError) as raised:
+        meter.read_holding_registers(3, 1)
+    bus.echo = bytes
+    assert meter.read_holding_registers(3, 1) == (0,)
     assert f" carried {came}" in str(raised.value)
     assert str(raised.value).endswith(
         " where 11 03 00 03 00 01 76 9a was sent: another sender talked at the same time, or this "
@@ -88,15 +98,10 @@ def test_an_echo_that_differs_is_told_and_the_next_request_is_answered(
     )
 
 
-def test_an_echo_that_does_not_come_is_told() -> None:
-    bus = Bus(load_protocol("modbus-rtu"))
-    with (
-        served_here(bus) as (port, _),
-        Device(port, grammar="modbus-rtu", address=17, echo=True) as meter,
-    ):
-        bus.echo = lambda sent: sent[:3]
-        with pytest.raises(LinkError, match=r"^3 of the 8 bytes 00 05 .* came back from .* in 0.5"):
-            meter.write_single_coil(1, "on", address=0)
+def test_an_echo_that_does_not_come_is_told(bus: Bus, meter: Device) -> None:
+    bus.echo = lambda sent: sent[:3]
+    with pytest.raises(LinkError, match=r"^3 of the 8 bytes 00 05 .* came back from .* in 0.5"):
+        meter.write_single_coil(1, "on", address=0)
 
 
 def test_a_wrong_echo_keeps_no_other_motor_from_being_stopped() -> None:

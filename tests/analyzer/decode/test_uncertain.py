@@ -20,7 +20,7 @@ from bilprov.analyzer import api
 from bilprov.analyzer.cli.options import above_latency
 from bilprov.analyzer.client import device as of_device
 from bilprov.analyzer.decode.batch import Records
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
+from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
@@ -209,9 +209,3 @@ def test_an_answer_to_a_faster_replay_is_not_cut_by_a_pause_that_an_adapter_make
         done = command("replay", str(capture), "--to", port, "--yes", "--rate", "20")
     assert done.returncode == 0, done.stdout + done.stderr
     assert b"1 instruction sent, 0 differences" in done.stderr
-
-
-def test_records_tell_whether_they_are_certain(protocol: Protocol) -> None:
-    events = [Chunk(0, "host", b"\x80"), Chunk(MS, "device", b"\0"), Chunk(2 * MS, "host", b"\x81")]
-    found = decoded(Session(protocol), events)
-    assert not any(one.uncertain for one in found if isinstance(one, HostRecord | DeviceRecord))

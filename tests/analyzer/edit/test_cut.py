@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,7 +37,6 @@ from tests.support import ROOT
 from tests.support.captures import write_capture
 from tests.support.commands import command
 from tests.support.decoding import Event
-from tests.support.messages import messages
 from tests.support.traffic import ACTS, SETTINGS, played
 
 # A time-out of 0 is none that a capture can tell.
@@ -333,7 +331,6 @@ def number_of(line: JsonLine) -> int | None:
 
 
 SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
-OLDER = ROOT / "captures" / "samples" / "older" / "conform.mcap.gz"
 
 
 def gaps_of(path: Path) -> list[str]:
@@ -411,18 +408,3 @@ def test_a_stop_leaves_nothing(tmp_path: Path, protocol: Protocol) -> None:
     ):
         write_window(opened, Window(0, 1 << 40), copy)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_of_a_recorded_run_the_cases_and_looks_are_kept_but_it_is_not_judged_again(
-    tmp_path: Path,
-) -> None:
-    run, part = tmp_path / "run.mcap", tmp_path / "part.mcap"
-    run.write_bytes(gzip.decompress(OLDER.read_bytes()))
-    end = open_capture(run).contents.last - open_capture(run).start
-    done("capture", "cut", run, part, "--end", str(end / 3e9))
-    wanted = {"/conformance/cases", "/conformance/looks", "/conformance/asks"}
-    whole = [m for m in messages(open_capture(run), wanted) if m.t < end // 3 - 1_000_000]
-    kept = [(m.topic, m.t, m.value) for m in messages(open_capture(part), wanted)]
-    assert kept[: len(whole)] == [(m.topic, m.t, m.value) for m in whole]
-    assert 0 < len(kept) < open_capture(run).contents.counts["/conformance/looks"] * 10
-    assert "but an edited one" in done("recheck", part, code=2)

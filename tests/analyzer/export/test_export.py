@@ -7,32 +7,26 @@ import io
 import json
 import signal
 import sys
-import tempfile
 from collections.abc import Callable, Iterable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
 
 from bilprov.analyzer.cli.stats import CHOICES, FORMATS
-from bilprov.analyzer.decode.json_lines import encode, json_line
-from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.export.rows import Chosen, write_text
+from bilprov.analyzer.export.rows import Chosen
 from bilprov.analyzer.output.outputs import Window
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import write_capture
 from tests.support.commands import command, process
 from tests.support.csv_cells import plain
-from tests.support.decoding import Event, capture_session, conversation, decoded
+from tests.support.decoding import Event, conversation
 from tests.support.grammars import undeclared
 from tests.support.robots import until
 from tests.support.terminals import on_terminal
-from tests.support.traffic import ACTS, SETTINGS, Act, played
 from tests.support.wires import running
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
@@ -99,47 +93,6 @@ def csv_rows(data: bytes) -> list[dict[str, Any]]:
 
     reader = csv.DictReader(io.StringIO(data.decode(), newline=""))
     return [{name: value(name, cell) for name, cell in row.items() if cell} for row in reader]
-
-
-@pytest.mark.sample(1)
-@pytest.mark.slow
-@settings(max_examples=25)
-@given(ACTS, SETTINGS)
-def test_each_format_has_the_records_of_a_session_one_by_one(
-    each_protocol: Protocol, acts: list[Act], chosen: dict[str, Any]
-) -> None:
-    pytest.importorskip("pyarrow", reason="pip install 'bilprov[parquet]'")
-    from bilprov.analyzer.export.rows import write_parquet
-
-    with tempfile.TemporaryDirectory() as folder:
-        events = played(each_protocol, [act for act in acts if act.pause >= 0])
-        path = written(Path(folder) / "a.mcap", events, chosen)
-        capture = open_capture(path)
-        session: Session = capture_session(capture, each_protocol)
-        records = decoded(session, capture.events())
-        texts = [encode(line) for record in records if (line := json_line(record))]
-        lines = [json.loads(text) for text in texts]
-
-        said = written_by(partial(write_text, style="jsonl"), capture, each_protocol)
-        table = csv_rows(written_by(partial(write_text, style="csv"), capture, each_protocol))
-        rows = parquet_rows(written_by(write_parquet, capture, each_protocol))
-
-    assert said == b"".join(text + b"\n" for text in texts)
-    assert table == [flat(line) for line in lines]
-    times = [record.t for record in records if json_line(record)]
-    for row, t, line in zip(rows, times, lines, strict=True):
-        assert (row.pop("t_ns"), row.pop("time")) == (t, START + t)
-        assert row.pop("bytes") == bytes.fromhex(line["hex"])
-        latency = row.pop("latency_ns")
-        assert (None if latency is None else latency / 1e9) == line["latency"]
-        assert {key: value for key, value in row.items() if value not in (None, "", [])} == flat(
-            line
-        )
-    for direction in ("host", "device"):
-        raw = b"".join(e.data for e in events if isinstance(e, Chunk) and e.direction == direction)
-        for kept in (lines, table, rows):
-            mine = (row.get("hex", "") for row in kept if row.get("direction") == direction)
-            assert bytes.fromhex(" ".join(mine)) == raw
 
 
 def test_parquet_has_types_and_the_columns_that_are_asked_for(tmp_path: Path) -> None:

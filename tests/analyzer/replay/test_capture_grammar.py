@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -17,14 +16,12 @@ from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.captures.storage.records import STRING_BYTES
 from bilprov.spec.protocol import GrammarError, Protocol, grammar_hash, load
-from tests.support import ROOT
 from tests.support.commands import Done, command
 from tests.support.grammars import RELAY
 from tests.support.robots import sentence
 from tests.support.screens import terminal
 
 START = 1_790_000_000_000_000_000
-SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 
 # Two instructions, the second out of its range, with their answers.
 TRAFFIC = [(0, "host", "22 05"), (1, "device", "50"), (9, "host", "22 10"), (10, "device", "52")]
@@ -349,9 +346,3 @@ def test_a_text_too_long_for_the_metadata_is_left_out(tmp_path: Path) -> None:
 
     assert open_capture(path).grammar_text == ""
     assert b"recorded with another grammar" in given(READERS["replay"], path).stderr
-
-
-def test_python_reads_a_capture_of_the_kit_without_a_warning() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert "LED" in names(SAMPLE)

@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -30,7 +29,7 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.captures import about, write_capture
 from tests.support.commands import Done, command
-from tests.support.messages import Message, messages
+from tests.support.messages import messages
 from tests.support.recordings import attachments_of
 from tests.support.traffic import records_of
 
@@ -209,18 +208,3 @@ def test_a_capture_that_changes_while_it_is_read_leaves_no_new_one(
     ):
         write_window(opened, Window(), new, decoded=True)
     assert not list(tmp_path.glob("*new*"))
-
-
-def test_messages_keep_their_order(tmp_path: Path) -> None:
-    path = tmp_path / "old.mcap"
-    path.write_bytes((SAMPLES / "examples.mcap").read_bytes())
-
-    def order(path: Path) -> list[Message]:
-        kept = (topics.HOST_RAW, topics.DEVICE_RAW, topics.LINE)
-        return [
-            msgspec.structs.replace(message, sequence=0)
-            for message in messages(open_capture(path), kept)
-        ]
-
-    new, _ = converted(path)
-    assert order(new) == order(path)

@@ -19,7 +19,6 @@ from bilprov.analyzer.replay.recorder import (
     SECOND,
     STOPPED,
     Recorder,
-    RecordWriter,
     Throttle,
 )
 from bilprov.captures.reader import open_capture, open_indexed
@@ -206,35 +205,6 @@ def test_a_state_too_long_for_a_message_is_no_checkpoint_and_no_fault(
     recorder.close()
     counts = open_capture(recorder.path).contents.counts
     assert (counts["/checkpoint"], counts["/faults"]) == (written, 0)
-
-
-def test_below_the_limit_it_writes_what_is_written_of_a_run(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    draw = random.Random(3)
-    events: list[Chunk | Line] = [
-        Chunk(n * 10 * MS, "device" if n % 3 == 2 else "host", draw.randbytes(n % 4 + 1))
-        for n in range(300)
-    ]
-    events.insert(100, Line(events[100].t, "gap"))
-    live, whole = Session(protocol, timeout=50 * MS), Session(protocol, timeout=50 * MS)
-    with (
-        Recorder(tmp_path / "live.mcap", START, about(protocol)) as recorder,
-        RecordWriter(tmp_path / "run.mcap", START, about(protocol)) as run,
-    ):
-        for event in events:
-            recorder.events([event])
-            records = live.feed(event)
-            frames = sum(isinstance(record, HostRecord) for record in records)
-            recorder.decoded(frames, event.t, lambda records=records: records)  # type: ignore[misc]
-            run.event(event)
-            for record in whole.feed(event):
-                run.record(record)
-    first, second = (
-        list(messages(open_capture(tmp_path / name))) for name in ("live.mcap", "run.mcap")
-    )
-    assert first == second
-    assert len(of_topic(first, "/faults")) > 10
 
 
 @pytest.mark.parametrize(("size", "most"), [(4_096, 2), (16, 8)])

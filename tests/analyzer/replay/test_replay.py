@@ -10,7 +10,6 @@ import pytest
 
 from benchmarks.adapter import Adapter
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.replay.capture_decoding import paced
 from bilprov.analyzer.replay.comparison import (
     UNANSWERED_STOPS,
     Exchanges,
@@ -82,16 +81,6 @@ def test_a_frame_that_is_decided_by_silence_is_shown_while_the_replay_waits(capt
     with running("replay", str(path), "--format", "jsonl") as command:
         assert json_lines(command.stdout.readline())[0]["kind"] == "truncated"
         command.end()
-
-
-def test_events_inside_the_window_wait_for_their_time_and_no_others() -> None:
-    events = [Chunk(t * MS, "host", b"\0") for t in (0, 10, 20, 30, 9000)]
-    slept: list[float] = []
-
-    given = list(paced(events, 1e-3, sleep=slept.append, start=10 * MS, end=30 * MS))
-
-    assert [event.t // MS for event in given] == [0, 10, 20, 30]
-    assert len(slept) == 1  # 10 ms is the window's beginning, 20 ms is waited for
 
 
 @pytest.mark.parametrize("rate", ["0", "1"])
