@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import json
 import os
 import re
 import zlib
@@ -20,7 +19,6 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.storage.records import ATTACHMENT_BYTES, DATA_END
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.recheck import recheck
-from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.messages import messages
@@ -90,28 +88,6 @@ def test_a_byte_left_out_or_put_in_is_told(small: Path, tmp_path: Path) -> None:
             path.write_bytes(changed)
             with pytest.raises(CaptureError, match=TELLS):
                 recheck(str(path))
-
-
-def test_the_official_reader_reads_messages_attachments_and_metadata(
-    small: Path, protocol: Protocol, tmp_path: Path
-) -> None:
-    with small.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        count = sum(1 for _ in reader.iter_messages())
-        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-        summary = reader.get_summary()
-    attached = attachments_of(small)
-
-    assert summary is not None
-    assert summary.statistics is not None
-    assert count == summary.statistics.message_count > 100
-    assert list(attached) == ["run.json", "profile.json", "verdict.json"]
-    assert metadata["bilprov"]["grammar_text"] == protocol.source
-    assert metadata["bilprov"]["grammar_sha256"] == protocol.sha256
-    assert json.loads(attached["run.json"])["options"]["only"] == ["unused-id/9/0"]
-    assert json.loads(attached["profile.json"]) == json.loads(attached["verdict.json"])["profile"]
-    again = recorded(tmp_path / "again.mcap", protocol, "unused-id/9/0")
-    assert attached["verdict.json"] == as_json(again)
 
 
 def test_one_checksum_covers_all_data(small: Path) -> None:

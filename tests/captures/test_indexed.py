@@ -10,9 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
-from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from bilprov.captures import topics
@@ -290,11 +288,3 @@ def test_a_file_that_changed_since_it_was_opened_is_an_error_of_ours(path: Path)
     for read in (lambda: list(capture.events()), lambda: capture.checkpoint_before(1 << 62)):
         with pytest.raises(CaptureError, match="does not exist"):
             read()
-
-
-def test_the_official_reader_reads_checkpoints(path: Path) -> None:
-    with path.open("rb") as file:
-        rows = make_reader(file, validate_crcs=True).iter_messages(topics=[topics.CHECKPOINT])
-        read = [msgspec.json.decode(message.data, type=Checkpoint) for _, _, message in rows]
-    assert [value.t for value in read] == [n * STEP for n in range(7, 60, 6)]
-    assert all(value.whole for value in read)

@@ -419,17 +419,6 @@ def test_a_clock_step_does_not_change_the_order_of_our_own_files(tmp_path: Path)
     assert [event.t for event in open_capture(path)] == [3, 4, 5, 0, 1, 2]
 
 
-def test_the_contents_count_topics_bytes_and_time(small: Path) -> None:
-    capture = open_capture(small)
-    counts, sizes = capture.contents.counts, capture.contents.sizes
-    assert (counts["/line"], counts["/state"], counts["/faults"]) == (4, 4, 0)
-    assert (sum(counts.values()), capture.contents.last - capture.start) == (24, 23)
-    events = [event for event in capture if isinstance(event, Chunk)]
-    for direction in ("host", "device"):
-        raw = sum(len(e.data) for e in events if e.direction == direction)
-        assert sizes[f"/{direction}/raw"] == raw
-
-
 def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(tmp_path: Path) -> None:
     path, much = tmp_path / "a.mcap", random.Random(1).randbytes(1 << 16)
     with CaptureWriter(path, start_wall=START, metadata={}, version="1") as writer:

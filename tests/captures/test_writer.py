@@ -174,18 +174,6 @@ def test_late_values_do_not_flush_one_by_one(tmp_path: Path) -> None:
     capture.close()
 
 
-def test_a_chunk_holds_at_most_2000_messages(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with writer(path) as capture:
-        for t in range(4_500):
-            capture.chunk(Chunk(t, "host", b"x"))
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    assert summary.statistics.chunk_count == 3
-
-
 def test_closing_twice_is_once_and_writing_after_it_is_wrong_use(tmp_path: Path) -> None:
     capture = writer(tmp_path / "a.mcap")
     capture.close()

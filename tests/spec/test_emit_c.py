@@ -47,12 +47,6 @@ def test_it_says_what_the_document_says(protocol: Protocol) -> None:
     assert found["TRUNCATION_TIMEOUT_MS"] == TIMING["truncation_timeout"]
 
 
-def test_another_grammar_gives_another_header(horn: Protocol) -> None:
-    found = constants(c_header(horn))
-
-    assert (found["HORN"], found["HORN_SOUND_MIN"], found["HORN_SOUND_MAX"]) == (0x91, 0, 3)
-
-
 def framed(name: str) -> Protocol:
     return load_protocol(name if "." not in name else str(ROOT / "examples" / name))
 

@@ -47,14 +47,6 @@ def test_a_file_with_the_name_of_a_device_is_a_path(place: Path) -> None:
     assert "socket://car:1" in shown(place, CAR, "sniff socket://car:1")
 
 
-def test_neither_a_file_of_the_working_folder_nor_the_environment_sets_anything(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (place / "bilprov.toml").write_text("[decode]\nfrom = 'device'")
-    monkeypatch.setenv("BILPROV_DECODE_FROM", "device")
-    assert "instruction" in shown(place, "", "decode 00 --format jsonl")
-
-
 def test_the_users_file_is_in_the_home_where_no_other_place_is_set(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,7 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import load
 from bilprov.spec.replies import build_reply
-from tests.analyzer.decode.test_foreign_traffic import FOLDER, TRAFFIC, events
+from tests.analyzer.decode.test_foreign_traffic import FOLDER, events
 from tests.support import ROOT
 from tests.support.commands import Done, command, process
 from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
@@ -21,14 +21,6 @@ from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
 
 def checked(*words: str | Path) -> Done:
     return command("spec", "check", *map(str, words))
-
-
-@pytest.mark.parametrize("name", list(TRAFFIC))
-def test_recorded_traffic_decodes_whole(name: str) -> None:
-    result = checked(TRAFFIC[name][0], FOLDER / f"{name}.jsonl")
-
-    assert (result.returncode, result.stderr) == (0, b"")
-    assert b"decodes all of the bytes" in result.stdout
 
 
 def test_the_first_bytes_that_do_not_decode_are_told(tmp_path: Path) -> None:

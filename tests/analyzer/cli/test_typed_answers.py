@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -61,14 +60,6 @@ def test_answers_are_paired_with_their_requests_and_how_long_they_took_is_not_kn
     assert (first["agrees"], second["fields"]) == (True, {"value": 3})
     filtered = command(*words, "--request", "30 20 41 81 20", "--filter", "value == 3")
     assert filtered.stdout.decode().split()[2:] == ["14", "03", "10", "OK", "value=3"]
-
-
-def test_a_file_of_answers_is_decoded_with_the_requests(tmp_path: Path) -> None:
-    path = tmp_path / "answers.bin"
-    path.write_bytes(bytes.fromhex("1410140310"))
-    words = ("decode", str(path), "--from", "device", "--grammar", "stk500v1")
-    lines = command(*words, "--request", "3020418120").stdout.decode().splitlines()
-    assert [line.split()[-1] for line in lines] == ["OK", "value=3"]
 
 
 @pytest.mark.parametrize(("grammar", "answer", "asked", "alone", "known"), ANSWERS)

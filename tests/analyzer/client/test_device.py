@@ -104,20 +104,6 @@ def test_registers_are_written_and_read_on_a_port() -> None:
 
 
 @pytest.mark.waits
-def test_what_is_written_in_other_ways_is_read_back_on_a_port() -> None:
-    with opened("modbus-rtu", address=17) as (meter, _):
-        meter.write_single_register(4, 0x12)
-        meter.mask_write_register(4, and_mask=0xF2, or_mask=0x25)
-        assert meter.read_holding_registers(4, 1) == (0x17,)
-    with opened("dynamixel1", address=1) as (servos, _):
-        servos.reg_write(30, "05")
-        servos.action()
-        servos.sync_write(31, 1, "01 06 02 07", address=254)
-        assert servos.read(30, 2) == b"\x05\x06"
-        assert servos.read(30, 2, address=2) == b"\x00\x07"
-
-
-@pytest.mark.waits
 def test_a_device_that_the_grammar_brings_to_rest_is_left_at_rest() -> None:
     protocol = load(MOTORS, "motors.py")
     device = Scripted(protocol)

@@ -22,7 +22,6 @@ from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain
 from bilprov.spec.protocol import GrammarError, Protocol
 from bilprov.spec.safe_grammar import require_declarations
-from tests.analyzer.client.test_device import client_of
 from tests.support import ROOT
 from tests.support.commands import command
 from tests.support.decoding import conversation, decoded, devices
@@ -166,15 +165,6 @@ def test_a_servo_is_driven_by_the_names_of_its_registers() -> None:
         *("--grammar", str(FEETECH)),
     )
     assert sent.stdout.decode().splitlines()[-1].count("goal_position=512") == 1, sent.stderr
-
-
-def test_a_client_is_told_registers_by_name() -> None:
-    client, _, _ = client_of(SERVO)
-    client.send("Write", address=1, goal_velocity=1000)
-    reply = client.send("Read", address=1, register="goal_velocity")
-    assert reply is not None
-    assert dict(reply.values) == {"values": b"\xe8\x03", "goal_velocity": 1000}
-    assert client.read("goal_velocity", 2, address=1) == 1000
 
 
 def test_the_protocol_shows_its_registers() -> None:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.filters.completion import completions
 from bilprov.analyzer.filters.fields import fields_of
-from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.filters.syntax import place_at_end
 from bilprov.spec.protocol import Protocol
 from tests.support.expressions import expressions
@@ -116,12 +115,3 @@ def test_a_filter_can_be_typed_by_what_is_offered(
         text = data.draw(st.sampled_from(found)) + " "
 
     assert place_at_end(text) is not None, text
-
-
-def test_a_whole_filter_that_was_completed_compiles(protocol: Protocol) -> None:
-    text = ""
-    for typed in ("di", " !", " de", " a", " lat", " > 20"):
-        (text, *_) = offered(text + typed, protocol)
-
-    assert text == "direction != device and latency > 20us"
-    compile_filter(text, protocol)

@@ -203,9 +203,3 @@ def test_the_help_has_every_name(protocol: Protocol) -> None:
     for name, field in fields_of(protocol).items():
         if not field.key.startswith("fields."):
             assert {name, name.removeprefix("state.")} & set(words), name
-
-
-def test_bytes_without_a_recording_have_no_time_of_day() -> None:
-    shown = command("decode", "20", "--filter", "time >= 00:00")
-
-    assert (shown.returncode, shown.stdout, shown.stderr) == (0, b"", b"")

@@ -19,7 +19,6 @@ from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.output.outputs import JsonText
 from bilprov.analyzer.output.row_columns import (
-    COLUMNS,
     ColumnError,
     CsvText,
     Times,
@@ -30,7 +29,7 @@ from bilprov.analyzer.output.row_columns import (
     csv_cell,
     neutral,
 )
-from bilprov.analyzer.output.text_lines import HEX_WIDTH, LineRenderer, hex_width
+from bilprov.analyzer.output.text_lines import LineRenderer, hex_width
 from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
@@ -118,15 +117,6 @@ def test_each_kind_of_row_has_the_columns_of_its_kind_and_no_others(protocol: Pr
         ["response", None, None, None, "OK", "OK"],
         ["truncated", 1, 1, "", None, "TOO_FEW_DATA"],
     ]
-
-
-def test_columns_are_the_grammars_own_fields_too(each_protocol: Protocol) -> None:
-    names = {part.name for spec in each_protocol.instructions for part in spec.fields}
-
-    for name in names - set(COLUMNS):
-        plain, dotted = chosen_columns(f"{name},fields.{name}", columns_of(each_protocol))
-        assert (plain.name, dotted.name) == (name, f"fields.{name}")
-    assert set(COLUMNS) < set(columns_of(each_protocol))
 
 
 @pytest.mark.parametrize(
@@ -250,7 +240,3 @@ def test_the_bytes_have_the_columns_that_the_frames_of_the_grammar_need(
     grammar: str, width: int
 ) -> None:
     assert hex_width(load(FRAMED[grammar])) == width
-
-
-def test_the_columns_of_the_cars_bytes_stay(protocol: Protocol) -> None:
-    assert hex_width(protocol) == HEX_WIDTH

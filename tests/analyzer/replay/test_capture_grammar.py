@@ -10,7 +10,7 @@ import pytest
 
 from bilprov import read_capture
 from bilprov.analyzer.decode.records import HostRecord
-from bilprov.analyzer.replay.recorder import Recorder, RecordWriter, Rotation, session_metadata
+from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.captures import topics
 from bilprov.captures.reader import open_capture, open_indexed
 from bilprov.captures.schemas import MS, Chunk
@@ -140,19 +140,6 @@ def test_what_is_sniffed_and_what_is_recorded_of_a_run_carry_it(
     again = given(("recheck", "{}"), file.with_name("c.mcap"))
     assert again.returncode == 0, again.stderr
     assert again.stdout.startswith(b"the same: ")
-
-
-def test_each_part_of_a_recording_carries_it(tmp_path: Path, relay: Protocol) -> None:
-    rotation = Rotation(age=2_000 * MS)
-    with Recorder(tmp_path / "a.mcap", START, about(relay), rotation) as recorder:
-        for t in range(0, 9_000 * MS, 1_000 * MS):
-            recorder.events([Chunk(t, "host", bytes.fromhex("22 05"))])
-            recorder.checkpoint(t, lambda: None)
-
-    parts = sorted(tmp_path.glob("a.0*.mcap"))
-    assert len(parts) > 2
-    for path in (*parts, tmp_path / "a.mcap"):
-        assert open_capture(path).grammar_text == RELAY
 
 
 @pytest.mark.waits

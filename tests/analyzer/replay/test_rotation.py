@@ -171,6 +171,7 @@ def test_each_part_begins_with_a_checkpoint_and_the_state(
     for number, part in parts.items():
         capture = open_capture(part)
         first, *others = messages(capture)
+        assert capture.grammar_text == protocol.source
         held = [message.topic for message in others]
         assert held.count("/host/raw") or number == len(parts)
         assert (first.topic == topics.CHECKPOINT) == (number > 1)
