@@ -38,8 +38,8 @@ ROOMS = {  # the code, and the tests that are its own
         "analyzer/decode",
         [
             "tests/analyzer/decode",
-            "tests/analyzer/output/test_written_texts.py",
-            "tests/analyzer/cli/test_decode_command.py",
+            "tests/analyzer/output/test_row_columns.py",
+            "tests/analyzer/cli/test_text_commands.py",
         ],
     ),
     "filters": ("analyzer/filters", ["tests/analyzer/filters"]),
