@@ -28,7 +28,7 @@ from bilprov.analyzer.transport.line_settings import (
     timeout_in_ns,
 )
 from bilprov.analyzer.transport.machine import Machine
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_verified
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.captures.topics import CarLook as Look  # noqa: F401  # handed on
 from bilprov.spec import codec
@@ -103,7 +103,7 @@ def read_capture(path: str | Path, protocol: Grammar | None = None) -> Iterator[
     Times are ns since the capture's start. Raises CaptureError, in one sentence, when the file
     cannot be read as a capture, and GrammarError for a grammar in it that cannot be used.
     """
-    capture = open_capture(path)
+    capture = open_verified(path)
     carried = capture_protocol([capture], load_protocol()) if protocol is None else None
     if carried and (other := said_of_other(capture, carried)):
         warnings.warn(other, stacklevel=2)

@@ -92,11 +92,12 @@ class Capture:
     `volumes` are its files: of a recording that is kept in parts, those that are there. `path` is
     then the name that stands for all of them, and `contents` are those of all together.
 
-    `indexes` are those of its volumes if it was opened by them: then nobody looked for damage, so
-    that `damage` and `contents.sizes` are empty. Where a part turns out to be damaged, it is left
-    out and a Line `gap` is inserted, as after a survey.
+    `indexes` are those of its volumes if it was opened by them: then `damage` and `contents.sizes`
+    are empty, and unless it was verified nobody looked for damage. Where a part turns out to be
+    damaged, it is left out and a Line `gap` is inserted, as after a survey.
 
     `surveys` are those of its volumes if only its front is known (`open_front`), None otherwise.
+    `walked` counts the bytes of its files that were passed.
     """
 
     path: Path
@@ -109,6 +110,7 @@ class Capture:
     volumes: tuple[Volume, ...] = field(repr=False)
     indexes: tuple[Index, ...] = field(default=(), repr=False)
     surveys: list[Survey] | None = field(default=None, repr=False)
+    walked: list[int] = field(default_factory=lambda: [0], repr=False, compare=False)
 
     def __iter__(self) -> Iterator[Chunk | Line]:
         """The same as `events()`."""
@@ -136,8 +138,8 @@ class Capture:
 
     @property
     def passed(self) -> int:
-        """How many bytes of the files a survey has passed, while a front is read."""
-        return sum(survey.passed for survey in self.surveys or ())
+        """How many bytes of the files were passed, each time that they were read."""
+        return self.walked[0]
 
     def whole(self) -> Capture | None:
         """The capture with all that is in it, after the last of `batches`.
@@ -293,7 +295,7 @@ class Capture:
             # What is missing before the part of a checkpoint is no loss behind it.
             order.missing = "" if begins_there else volume.missing
             place = after.place if after and begins_there else None
-            blocks = _read_volume(volume, partial(self._read, order, place))
+            blocks = _read_volume(volume, partial(self._walk, order, place))
             if number > first:
                 begin = next(blocks, None)
                 if begin and not begin.lost and _resumes(next(begin.single())):
@@ -301,6 +303,16 @@ class Capture:
                 if begin:
                     yield begin
             yield from blocks
+
+    def _walk(
+        self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
+    ) -> Iterator[Messages]:
+        """Yield the messages of a file, and count how much of it was passed."""
+        before = 0
+        for block in self._read(order, place, file, contents):
+            self.walked[0] += file.tell() - before
+            before = file.tell()
+            yield block
 
     def _read(
         self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
@@ -455,6 +467,27 @@ def open_indexed(path: str | Path) -> Capture | None:
 def open_quickly(path: str | Path) -> Capture:
     """Open a capture by its index, or as `open_capture` does where that is not possible."""
     return open_indexed(path) or open_capture(path)
+
+
+def open_verified(path: str | Path) -> Capture:
+    """Open a capture by its index where a checksum covers all data, or as `open_capture` does.
+
+    In the first case nothing is damaged, and the sizes by topic are not known.
+    """
+    capture = open_indexed(path)
+    return capture if capture and _is_unchanged(capture) else open_capture(path)
+
+
+def _is_unchanged(capture: Capture) -> bool:
+    """Whether the checksums over all data of a capture's files are right."""
+    try:
+        for volume, index in zip(capture.volumes, capture.indexes, strict=True):
+            with volume.path.open("rb") as file:
+                if not index.covers(file):
+                    return False
+    except OSError as error:
+        raise _unreadable(capture.path, error) from error
+    return True
 
 
 def _index_of(path: Path) -> Index | None:

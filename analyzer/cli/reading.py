@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bilprov.captures.reader import Capture
     from bilprov.spec.protocol import Protocol
 
-_LONG = 1 << 20  # raw bytes from which on a bar is drawn
+_LONG = 1 << 18  # bytes of files from which on a bar is drawn
 _STEPS = 200  # of the bar
 _KEPT = {-3: 1 << 25, -1: 1 << 28}  # bytes: glibc's M_MMAP_THRESHOLD and M_TRIM_THRESHOLD
 
@@ -32,10 +32,10 @@ def opened_captures(
     `copied` is as in `protocol_of`; with `half_duplex` both directions are in one stream, and are
     told apart. Raises CaptureError, and GrammarError as `protocol_of` does.
     """
-    from bilprov.captures.reader import open_capture
+    from bilprov.captures.reader import open_verified
 
     _keep_memory()
-    captures = [open_capture(path) for path in paths]
+    captures = [open_verified(path) for path in paths]
     protocol = protocol_of(*captures, copied=copied)
     if half_duplex:
         captures = [split(capture, protocol) for capture in captures]
@@ -120,15 +120,8 @@ def reading(
     so many times. After Ctrl-C or SIGTERM the function raises click's Abort.
     """
     from bilprov.analyzer.transport.signals import Stopper
-    from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 
-    fronts = any(capture.surveys is not None for capture in captures)
-    total = times * sum(
-        capture.contents.size
-        if fronts
-        else sum(capture.contents.sizes.get(topic, 0) for topic in (HOST_RAW, DEVICE_RAW))
-        for capture in captures
-    )
+    total = times * sum(capture.contents.size for capture in captures)
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
         bar = None
@@ -140,13 +133,13 @@ def reading(
         def progress(size: int) -> None:
             if stopper.stopped:
                 raise click.Abort
-            if bar and fronts:
+            if bar:
                 bar.update(sum(capture.passed for capture in captures) - bar.pos)
-            elif bar:
-                bar.update(size)
 
         try:
             yield progress
+            if bar:
+                bar.update(total - bar.pos)  # also of what nobody had to read
         except click.Abort:
             note("stopped before the end")
             raise

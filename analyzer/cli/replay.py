@@ -49,7 +49,7 @@ from bilprov.analyzer.replay.capture_decoding import (
     said_about,
 )
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.reader import open_capture, open_quickly
+from bilprov.captures.reader import open_quickly, open_verified
 from bilprov.captures.schemas import MS, Chunk, Look
 from bilprov.captures.text import quantity
 from bilprov.captures.topics import HOST_RAW
@@ -137,10 +137,10 @@ class _Replay:
         self.style = options.shown.style(options.in_lines)
         timeout = options.truncation_timeout
         self.timeout = None if timeout is None else round(timeout * MS)
-        # All of it is opened for what is compared or judged. For the screen the index is enough, so
-        # that the first rows are there at once.
+        # All of it is verified for what is compared or judged. For the screen the index is enough,
+        # so that the first rows are there at once.
         seeks = self.window.first is not None and not options.in_lines
-        opened = open_quickly if seeks or self.style == "live" else open_capture
+        opened = open_quickly if seeks or self.style == "live" else open_verified
         capture = opened(options.path)
         self.protocol = protocol_of(capture)
         if options.half_duplex:

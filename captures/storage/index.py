@@ -22,6 +22,7 @@ from bilprov.captures.storage.recovery import RecordFile, read_footer
 
 SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
 
+_READ: Final = 1024 * 1024  # bytes at once, for a checksum
 _CHUNK_INDEX: Final = 0x08
 _PASSED: Final = {records.SCHEMA, 0x0A, 0x0D, 0x0E}  # indexes of attachments and metadata, offsets
 
@@ -45,6 +46,15 @@ class Index:
     data_crc: int
     summary: bytes = field(repr=False)
     entries: list[int] = field(repr=False)  # the offset of each chunk's entry in the summary
+
+    def covers(self, file: BufferedReader) -> bool:
+        """Whether the checksum over all data, which older kits did not write, is right."""
+        file.seek(0)
+        crc, left = 0, self.data_end
+        while left and (data := file.read(min(left, _READ))):
+            crc = zlib.crc32(data, crc)
+            left -= len(data)
+        return self.data_crc == crc
 
     def chunks_before(self, time: int, channel: int) -> Iterator[int]:
         """Yield the offsets of the chunks with messages on `channel` that begin before `time` (ns).

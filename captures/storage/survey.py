@@ -71,11 +71,6 @@ class Survey:
         """Whether anything so far is damaged or left out."""
         return bool(self._notes)
 
-    @property
-    def passed(self) -> int:
-        """How many bytes of the file are surveyed."""
-        return self._regions[-1][1] if self._regions else 0
-
     def blocks(self) -> Iterator[Messages]:
         """Yield the messages of the file, in blocks, with which the survey goes on."""
         for block in blocks_of(self._pieces()):

@@ -15,7 +15,7 @@ from mcap.writer import Writer
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Capture, open_capture, open_indexed
+from bilprov.captures.reader import Capture, open_capture, open_indexed, open_verified
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.topics import CarLook
 from bilprov.captures.writer import CaptureWriter
@@ -288,3 +288,17 @@ def test_a_file_that_changed_since_it_was_opened_is_an_error_of_ours(path: Path)
     for read in (lambda: list(capture.events()), lambda: capture.checkpoint_before(1 << 62)):
         with pytest.raises(CaptureError, match="does not exist"):
             read()
+
+
+def test_a_verified_capture_hides_no_damage(path: Path) -> None:
+    def told(opening: Callable[[Path], Capture]) -> object:
+        try:
+            return opening(path).damage
+        except CaptureError as error:
+            return str(error)
+
+    data = path.read_bytes()
+    assert open_verified(path).indexes
+    for at in range(0, len(data), 17):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        assert told(open_verified) == told(open_capture)

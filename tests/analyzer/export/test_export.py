@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
@@ -158,14 +159,12 @@ def test_text_is_utf_8(tmp_path: Path, style: str) -> None:
 
 def much(path: Path, kilobytes: int) -> Path:
     """A capture with so much of the host in regular traffic, and its answers."""
-    said = (b"\x11\x7f\x20\x81\x05\x00" * 1000)[:6000]
-    answered = bytes(4000)
-    pairs = range(kilobytes * 1_000 // len(said))
-    events = (
-        Chunk(at * 2 * MS + late, side, data)  # type: ignore[arg-type]
-        for at in pairs
-        for late, side, data in ((0, "host", said), (MS, "device", answered))
-    )
+    random, events = Random(1), list[Chunk | Line]()
+    for at in range(kilobytes * 1_000 // 6000):
+        said = bytearray(b"\x11" * 6000)
+        said[1::2] = random.randbytes(3000)  # so that the file is not packed to nothing
+        events.append(Chunk(at * 2 * MS, "host", bytes(said)))
+        events.append(Chunk(at * 2 * MS + MS, "device", bytes(3000)))
     return written(path, events)
 
 
