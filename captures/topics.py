@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -84,8 +83,7 @@ BESIDE = {"t": "t_ns", "latency": "latency_ns"}
 """Fields that a message has twice, the second time under a name that tells the unit."""
 
 
-@dataclass(frozen=True, slots=True)
-class Topic:
+class Topic(msgspec.Struct, frozen=True):
     """One row of the topic table: a topic and the messages that it carries.
 
     `channel` is the fixed channel id, from 1; `schema` is the schema's name, empty for raw bytes.
@@ -135,9 +133,13 @@ _STAND_FOR: dict[type, type[msgspec.Struct]] = {
 
 def topic_of(value: Written) -> Topic:
     """The topic of a value."""
-    kinds = (base for base in (State, Look) if isinstance(value, base))
-    kind: type[msgspec.Struct] = next(kinds, type(value))
-    return BY_VALUE[_STAND_FOR.get(kind, kind)]
+    return _topic_of(type(value))
+
+
+@cache
+def _topic_of(kind: type[msgspec.Struct]) -> Topic:
+    standing = next((base for base in (State, Look) if issubclass(kind, base)), kind)
+    return BY_VALUE[_STAND_FOR.get(standing, standing)]
 
 
 def encoded(value: Written) -> bytes:

@@ -8,18 +8,18 @@ from __future__ import annotations
 import operator
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import accumulate
 from typing import Any, ClassVar, TypeAlias
+
+import msgspec
 
 from bilprov.spec.errors import WrongValue, require_whole, shown
 
 _WIDTHS = (8, 16, 24, 32)
 
 
-@dataclass(frozen=True)
-class Sum:
+class Sum(msgspec.Struct, frozen=True):
     """The sum of the bytes, cut to `bits`.
 
     With `complement` 1 (or True) each bit of it is inverted, with 2 it is subtracted from zero:
@@ -51,8 +51,7 @@ class Sum:
         return total & (1 << self.bits) - 1
 
 
-@dataclass(frozen=True)
-class Fletcher:
+class Fletcher(msgspec.Struct, frozen=True):
     """The sum of the bytes, and above it the sum of that sum after each byte, both by `modulus`."""
 
     modulus: int = 256
@@ -75,8 +74,7 @@ class Fletcher:
         return (second % self.modulus << 8) + total % self.modulus
 
 
-@dataclass(frozen=True)
-class Xor:
+class Xor(msgspec.Struct, frozen=True, dict=True):
     """The exclusive or of `start` and each byte."""
 
     start: int = 0
@@ -99,8 +97,7 @@ class Xor:
         return reduce(operator.xor, data, self.start)
 
 
-@dataclass(frozen=True)
-class Crc:
+class Crc(msgspec.Struct, frozen=True, dict=True):
     """A cyclic redundancy check of `width` bits.
 
     `poly` is the polynomial without its highest term, most significant bit first, `init` the value

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any, TypeAlias
 
 import msgspec
+from msgspec.structs import replace
 
 from bilprov.spec.data import DataSpec, FieldSpec, Value, shown_value
 from bilprov.spec.fields import Memory, Outcome
@@ -606,8 +606,7 @@ class Steps(dict[bytes, Step]):
         key = frame[:1], len(frame)
         known = self._whatever_data.get(key)
         if known is not None:
-            replaced = msgspec.structs.replace
-            return replaced(known, judgement=replaced(known.judgement, frame=frame))
+            return replace(known, judgement=replace(known.judgement, frame=frame))
         step = self._step(judge(self._protocol, frame))
         if self._protocol.plain and step.judgement.outcome not in _BY_DATA:
             self._whatever_data[key] = step

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from math import prod
 from typing import Any, Literal, NamedTuple, TypeAlias
 
+import msgspec
 from construct import (
     Array,
     Bytes,
@@ -37,8 +37,7 @@ _MOST_BYTES = 1 << 16  # of a field
 How = Literal["fixed", "bytes in front", "elements in front", "expression", "rest"]
 
 
-@dataclass(frozen=True, slots=True)
-class Many:
+class Many(msgspec.Struct, frozen=True):
     """How many elements a field has: numbers, or bytes where `element` is None.
 
     `how` says what counts them: `fixed` elements; the number `prefix` in front, in bytes or in
@@ -49,7 +48,7 @@ class Many:
     how: How
     fixed: int = 0
     prefix: Number | None = None
-    expression: Callable[[Any], int] | None = field(default=None, compare=False)
+    expression: Callable[[Any], int] | None = None
 
     @property
     def width(self) -> int:
@@ -99,8 +98,7 @@ class Reported(NamedTuple):
         return dict(names).get(of) if isinstance(of, str) else of * self.factor + self.plus
 
 
-@dataclass(frozen=True, slots=True)
-class FieldSpec:
+class FieldSpec(msgspec.Struct, frozen=True):
     """One data field: its place in the data (bytes), its range, and the names of its bits.
 
     `reading` is the reading by which a value out of the range is bad data, "" if the document says
@@ -210,8 +208,7 @@ class FieldSpec:
         return int(mask)
 
 
-@dataclass(frozen=True, slots=True)
-class DataSpec:
+class DataSpec(msgspec.Struct, frozen=True):
     """Some fields one behind the other; `length` is the bytes that they have in any case."""
 
     fields: tuple[FieldSpec, ...] = ()

@@ -8,10 +8,10 @@ WrongValue, in one sentence, for an argument of a wrong type or size.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+import msgspec
 from construct import (
     Adapter,
     Construct,
@@ -178,8 +178,7 @@ class Sets:
         self.values = values
 
 
-@dataclass(frozen=True, slots=True)
-class Memory:
+class Memory(msgspec.Struct, frozen=True):
     """Cells of a device's memory `name`, so that what was written is read back.
 
     A request with the fields `at` and `value` writes them; one with `at`, whose answer has `value`,
@@ -207,7 +206,7 @@ class Memory:
     latest: bool = False
     by: tuple[str, ...] = ()
     only: str = ""
-    power_on: Mapping[int, int] = field(default_factory=dict)
+    power_on: Mapping[int, int] = {}
     keep: str = ""
     until: str = ""
     blocks: bool = False
@@ -274,8 +273,7 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
         self.effect = effect or Sets()
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(msgspec.Struct, frozen=True):
     """A response: its name, the outcome it stands for, the document's text and our description.
 
     It may stand for several outcomes, and with () for none: it tells the device's own condition.
@@ -332,8 +330,7 @@ def codes_in(code: int, flags: bool) -> list[int]:
     return bits if flags and code else [code]
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
+class Timing(msgspec.Struct, frozen=True):
     """Times in ms that the document leaves open; the named readings give the reasons."""
 
     truncation_timeout: float  # R-truncation-timeout: between two bytes of a frame
@@ -344,7 +341,7 @@ class Timing:
     stop_longest: float  # R-stop-latency: after the answer
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
+        for name in self.__struct_fields__:
             require_number(
                 f"Timing.{name} in ms", getattr(self, name), _SHORTEST_TIME, _LONGEST_TIME
             )
@@ -356,8 +353,7 @@ class Timing:
                 )
 
 
-@dataclass(frozen=True, slots=True)
-class LineDefaults:
+class LineDefaults(msgspec.Struct, frozen=True):
     """Default settings of the serial line (R-line)."""
 
     baud: int
@@ -373,8 +369,7 @@ class LineDefaults:
                 raise WrongValue(f"LineDefaults.{name} is {shown(value)}, allowed are {words}")
 
 
-@dataclass(frozen=True, slots=True)
-class Clauses:
+class Clauses(msgspec.Struct, frozen=True):
     """The clause of the document in which each kind of rule stands."""
 
     header: str
@@ -383,7 +378,7 @@ class Clauses:
     safety: str
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
+        for name in self.__struct_fields__:
             require_text(f"Clauses.{name}", getattr(self, name))
 
 

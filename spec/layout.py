@@ -7,10 +7,10 @@ cannot be read into a layout raises WrongValue.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
+import msgspec
 from construct import (
     BitsInteger,
     BitStruct,
@@ -23,6 +23,7 @@ from construct import (
     Struct,
     Switch,
 )
+from msgspec.structs import replace
 
 from bilprov.spec.checks import CheckFunction
 from bilprov.spec.data import DataSpec, Values, prose_of, unwrapped
@@ -39,8 +40,7 @@ _ASKED = b"\x01asked"
 _HERE = b"\x02here"
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
+class Part(msgspec.Struct, frozen=True):
     """One part of a frame besides its data.
 
     `offset` is from the frame's first byte, or from behind its last where it is negative: then the
@@ -114,8 +114,7 @@ class Part:
         return (value - self.plus) & self.most
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+class Check(msgspec.Struct, frozen=True):
     """The check of a frame: its place, its function, and what it counts.
 
     It covers the bytes from `first` on, as far as `last` bytes before the frame's end; with `asked`
@@ -166,8 +165,7 @@ class Check:
         return f"{self.part.name} is {found.hex(' ')}, right is {right.hex(' ')}"
 
 
-@dataclass(frozen=True)
-class Layout:
+class Layout(msgspec.Struct, frozen=True, dict=True):
     """The parts of a frame in order: `head` bytes, the data, `tail` bytes.
 
     `has_data` is false for an answer without a place for data. `covered` names the parts that a

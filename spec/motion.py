@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, NamedTuple
+
+import msgspec
 
 from bilprov.spec.errors import WrongValue, require_kind, require_name, shown
 from bilprov.spec.state import Effect, State
@@ -45,8 +46,7 @@ class Drive(NamedTuple):
     steering: Any
 
 
-@dataclass(frozen=True, kw_only=True)
-class Wheels:
+class Wheels(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """The declaration of a car with two wheels, which is steered by their speeds.
 
     `by` is the variable whose words are the kinds of motion: `turns` has how the wheels (left,
@@ -58,7 +58,7 @@ class Wheels:
     by: str
     speed: str
     steering: str
-    turns: Mapping[str, tuple[int, int]] = field(hash=False)
+    turns: Mapping[str, tuple[int, int]]
     still: str = ""
 
     def __post_init__(self) -> None:
@@ -68,6 +68,9 @@ class Wheels:
         for word, both in self.turns.items():
             if not (isinstance(both, tuple) and len(both) == 2 and {*both} <= {-1, 1}):
                 raise WrongValue(f"Wheels turns {shown(word)} by {shown(both)}, allowed is (1, -1)")
+
+    def __hash__(self) -> int:
+        return hash((self.by, self.speed, self.steering, self.still, *self.turns))
 
     def drive(self, values: Any) -> Drive:
         """The values of a state, or of a look, by what they are for."""

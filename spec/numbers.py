@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
+import msgspec
 from construct import Construct
 
 from bilprov.spec.errors import WrongValue
@@ -15,8 +15,7 @@ Order = Literal["big", "little"]
 _ORDERS: tuple[Order, ...] = ("big", "little")
 
 
-@dataclass(frozen=True, slots=True)
-class Number:
+class Number(msgspec.Struct, frozen=True):
     """A whole number of `size` bytes in a byte order, with two's complement if it is signed."""
 
     size: int

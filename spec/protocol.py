@@ -12,12 +12,13 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import construct
+import msgspec
 from construct import Construct, FixedSized, Struct, Switch
+from msgspec.structs import replace
 
 from bilprov.spec import fields, grammar
 from bilprov.spec.data import (
@@ -101,8 +102,7 @@ class GrammarError(UserError):
     """Raised for a grammar that cannot be used; the text is one sentence for the user."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InstructionSpec(DataSpec):
+class InstructionSpec(DataSpec, frozen=True, kw_only=True):
     """One instruction: its ID, names, prose, data, effect, and the data of its answer.
 
     `answer` is None where it is not answered at all. `writes` and `reads` are the memory that it
@@ -135,8 +135,7 @@ class InstructionSpec(DataSpec):
         return self.wrong(data) is None
 
 
-@dataclass(frozen=True, slots=True)
-class ResponseSpec:
+class ResponseSpec(msgspec.Struct, frozen=True):
     """One response: its code, names, prose and the outcomes it stands for.
 
     `code` is -1 where the answer has none.
@@ -161,8 +160,7 @@ NO_ANSWER = ResponseSpec(-1, "no answer", "", "nothing is answered", ())
 """What a frame gets that is not answered."""
 
 
-@dataclass(frozen=True)
-class Protocol:
+class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
     """The whole protocol as plain values.
 
     `source` is the grammar's text and `origin` its file name; two protocols are equal when their
@@ -175,30 +173,39 @@ class Protocol:
     """
 
     source: str
-    origin: str = field(compare=False)
-    name: str = field(compare=False)
-    version: str = field(compare=False)
-    document: str = field(compare=False)
-    instructions: tuple[InstructionSpec, ...] = field(compare=False)
-    responses: tuple[ResponseSpec, ...] = field(compare=False)
-    layout: Layout = field(compare=False, repr=False)
-    reply: Layout = field(compare=False, repr=False)
-    acknowledgement: Layout = field(compare=False, repr=False)
-    errors: tuple[Layout, ...] = field(compare=False, repr=False)
-    flags: bool = field(compare=False)
-    device: str = field(compare=False)
-    registers: Mapping[str, Mapping[int, FieldSpec]] = field(compare=False, repr=False)
-    variables: Mapping[str, VariableSpec] = field(compare=False)
-    at_rest: Condition | None = field(compare=False)
-    wheels: Wheels | None = field(compare=False)
-    on_fault: Effect = field(compare=False)
-    power_on: State = field(compare=False)
-    timing: Timing = field(compare=False)
-    line: LineDefaults = field(compare=False)
-    clauses: Clauses = field(compare=False)
+    origin: str
+    name: str
+    version: str
+    document: str
+    instructions: tuple[InstructionSpec, ...]
+    responses: tuple[ResponseSpec, ...]
+    layout: Layout
+    reply: Layout
+    acknowledgement: Layout
+    errors: tuple[Layout, ...]
+    flags: bool
+    device: str
+    registers: Mapping[str, Mapping[int, FieldSpec]]
+    variables: Mapping[str, VariableSpec]
+    at_rest: Condition | None
+    wheels: Wheels | None
+    on_fault: Effect
+    power_on: State
+    timing: Timing
+    line: LineDefaults
+    clauses: Clauses
 
     def __reduce__(self) -> tuple[Any, ...]:
         return load, (self.source, self.origin)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Protocol) and self.source == other.source
+
+    def __ne__(self, other: object) -> bool:  # a Struct has one of its own
+        return not self == other
+
+    def __hash__(self) -> int:
+        return hash(self.source)
 
     @cached_property
     def sha256(self) -> str:

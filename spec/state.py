@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeAlias, TypeVar
 
 import msgspec
+from msgspec.structs import replace
 
 from bilprov.spec.errors import (
     WrongValue,
@@ -34,8 +34,7 @@ _Made: TypeAlias = tuple[str, tuple[str, ...], bool, bool]
 """A variable, its words, whether it has a sign, whether it may be not known."""
 
 
-@dataclass(frozen=True, slots=True)
-class VariableSpec:
+class VariableSpec(msgspec.Struct, frozen=True):
     """One variable: its name and kind, and its smallest and largest value.
 
     A word counts as its place in `words`; `bits` names bits, most significant first. `unknown`
@@ -167,8 +166,7 @@ class AllOf(Condition):
     _decides = False
 
 
-@dataclass(frozen=True, slots=True)
-class Changed:
+class Changed(msgspec.Struct, frozen=True):
     """The new value of a variable: its old one times `factor`, and `plus` added.
 
     It is held in `low`..`high`, the bounds of the variable, which the loader fills in.
@@ -194,8 +192,7 @@ class Unknown:
     """The new value of a variable that is not told by the instruction."""
 
 
-@dataclass(frozen=True, slots=True)
-class From:
+class From(msgspec.Struct, frozen=True):
     """The value of a data field, times `factor`, as the new value of a state variable.
 
     A Word is set to the name of the value, from an Enum whose names are words of it; the loader
@@ -228,8 +225,7 @@ Source: TypeAlias = int | str | From | Changed | None
 """What a variable is set to: a value, what it is made of, or None where it is not known."""
 
 
-@dataclass(frozen=True, slots=True)
-class Effect:
+class Effect(msgspec.Struct, frozen=True):
     """Assignments to state variables: pairs of a variable and its Source."""
 
     assignments: tuple[tuple[str, Any], ...] = ()
@@ -289,10 +285,10 @@ def after(state: State, values: Assigned) -> State:
             new[name] = found
     if not new:
         return state
-    found = msgspec.structs.replace(state, **new)
+    found = replace(state, **new)
     at_rest = state.at_rest
     if at_rest is not None and at_rest.holds(found) is found.moving:
-        found = msgspec.structs.replace(found, moving=not found.moving)
+        found = replace(found, moving=not found.moving)
     return found
 
 
@@ -317,7 +313,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
         if cls.at_rest is None:
             return cls(**values)
         still = cls(**values, moving=False)
-        return still if cls.at_rest.holds(still) else msgspec.structs.replace(still, moving=True)
+        return still if cls.at_rest.holds(still) else replace(still, moving=True)
 
     def but(self, **values: Any) -> Self:
         """The same state with other values of some variables."""

@@ -9,8 +9,9 @@ and from anchors: an answer or a pause between two frames makes a possibility mo
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
+
+import msgspec
 
 from bilprov.spec.protocol import Protocol
 
@@ -31,8 +32,7 @@ SILENCE = 32.0
 """Likelihood ratio of a pause that would truncate a frame: truncated frames are rare."""
 
 
-@dataclass(frozen=True, slots=True)
-class Traffic:
+class Traffic(msgspec.Struct, frozen=True):
     """Probabilities of the bytes that a host sends, derived from a Protocol.
 
     `headers` has the probability of each byte as a header; `missing` that of each number of bytes
@@ -79,13 +79,12 @@ def traffic(protocol: Protocol) -> Traffic:
     )
 
 
-@dataclass(slots=True)
-class _Possibility:
+class _Possibility(msgspec.Struct):
     """One possible framing: its probability `weight` and the places where its frames begin."""
 
     weight: float
     missing: int
-    starts: list[int] = field(default_factory=list)
+    starts: list[int] = []
     header: int | None = None
     offset: int = 0
 

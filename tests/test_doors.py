@@ -13,7 +13,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from functools import cache
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
@@ -297,11 +297,11 @@ def require_usable_or_said(text: str) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """Dataclasses as dicts; what is no value, as the construct of a field, is left out."""
+    """Structs as dicts; what is no value, as the construct of a field, is left out."""
     if isinstance(value, tuple):
         return [plain(inner) for inner in value]
-    if is_dataclass(value):
-        return {name: getattr(value, name) for name in value.__slots__ if name != "effect"}
+    if isinstance(value, msgspec.Struct):
+        return {name: getattr(value, name) for name in value.__struct_fields__ if name != "effect"}
     return value
 
 

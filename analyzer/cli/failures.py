@@ -17,7 +17,6 @@ from collections.abc import Iterator
 import click
 from click import exceptions
 
-from bilprov.analyzer.cli.settings import as_set, is_setting
 from bilprov.analyzer.former_names import DROPPED_OPTIONS
 from bilprov.spec.errors import UserError, one_line
 
@@ -101,13 +100,11 @@ def _usage(error: click.ClickException) -> str:
         return DROPPED_OPTIONS[error.option_name]
     text = error.message if isinstance(error, _NO_SUCH) else error.format_message()
     text = plain_words(text)
-    if (
-        isinstance(error, click.BadParameter)
-        and error.ctx
-        and error.param
-        and is_setting(error.ctx, error.param.name)
-    ):
-        text = f"{text}, {as_set()}"
+    if isinstance(error, click.BadParameter) and error.ctx and error.param:
+        from bilprov.analyzer.cli.settings import as_set, is_setting
+
+        if is_setting(error.ctx, error.param.name):
+            text = f"{text}, {as_set()}"
     if text.startswith(_CLICK_BEGINS):
         text = text[0].lower() + text[1:]
     if isinstance(error, _NO_SUCH) and error.possibilities:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Literal, NamedTuple
+
+from msgspec.structs import replace
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.captures.schemas import Direction

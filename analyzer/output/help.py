@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from inspect import cleandoc
 from typing import Any
 
 import click
 
+_WIDTH = 80  # columns, where there is no terminal
 _WIDEST = 120  # columns; longer lines of prose are hard to read
 _TERM_WIDEST = 30  # columns of an option and its value; the help of a longer one begins below it
 _SHORT = re.compile(r"-\w")  # how an option begins that has a short spelling
@@ -27,9 +29,7 @@ class Page(click.HelpFormatter):
     """
 
     def __init__(self, width: int | None = None, max_width: int | None = None) -> None:
-        from shutil import get_terminal_size  # which takes long, and only a help page needs it
-
-        super().__init__(width=width or min(get_terminal_size().columns, _WIDEST))
+        super().__init__(width=width or min(terminal_width(), _WIDEST))
 
     def write_usage(self, prog: str, args: str = "", prefix: str | None = None) -> None:
         """Write the usage line."""
@@ -87,6 +87,19 @@ class Page(click.HelpFormatter):
             fg = None if bold else "cyan"
             lead = _NAMES.sub(lambda name: click.style(name[0], fg=fg, bold=bold or None), lead)
         self.write(f"{lead}{wrapped[len(indent) :]}\n")
+
+
+def terminal_width() -> int:
+    """The columns of the terminal, or what COLUMNS says; 80 where there is none.
+
+    As shutil's, whose import takes longer than the rest of a help page.
+    """
+    said = os.environ.get("COLUMNS", "")
+    if said.isdecimal() and int(said):
+        return int(said)
+    with suppress(OSError):
+        return os.get_terminal_size().columns or _WIDTH
+    return _WIDTH
 
 
 def examples_in(text: str) -> list[str]:

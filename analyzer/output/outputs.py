@@ -12,8 +12,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, TextIO
+
+import msgspec
 
 from bilprov.analyzer.decode.json_lines import encode_lines, json_lines
 from bilprov.analyzer.decode.records import Record, is_frame
@@ -147,8 +148,7 @@ def has_terminal() -> bool:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
+class Window(msgspec.Struct, frozen=True):
     """A window of time: its first ns, and the first ns after it; None where it has no bound."""
 
     first: int | None = None
@@ -164,8 +164,7 @@ class Window:
         return self.first is not None or self.after is not None
 
 
-@dataclass(slots=True)
-class Shown:
+class Shown(msgspec.Struct):
     """Passes records inside a window through a filter to an output, and counts the frames.
 
     Without a filter (`test` is None) all records pass; one without a JSON line passes no filter.

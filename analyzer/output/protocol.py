@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
+from msgspec.structs import asdict
 from rich.console import RenderableType
 from rich.text import Text
 
@@ -376,14 +377,14 @@ def errata_json(findings: Sequence[Finding]) -> dict[str, Any]:
         "found": [
             {
                 "id": finding.erratum.id if finding.erratum else None,
-                "example": asdict(finding.example),
+                "example": dataclasses.asdict(finding.example),
                 "sent": spaced(finding.sent),
                 "reason": finding.reason,
                 "nearest": spaced(finding.meant),
             }
             for finding in findings
         ],
-        "all": [asdict(erratum) for erratum in ERRATA],
+        "all": [dataclasses.asdict(erratum) for erratum in ERRATA],
     }
 
 

@@ -6,11 +6,11 @@ An answer in the layout of errors is not: what it is depends on all the ways to 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.spec.arrays.layouts import (

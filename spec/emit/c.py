@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+
+from msgspec.structs import asdict
 
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import OF_HEADERS, Outcome

@@ -10,8 +10,9 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict, astuple
 from typing import Any, TypeVar
+
+from msgspec.structs import asdict, astuple
 
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome

@@ -7,9 +7,9 @@ load must conform; only those that declare what the kit cannot hold are refused.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 
 from bilprov.analyzer.grammar_file import dissector_program
 from bilprov.conformance.api import Options, conform

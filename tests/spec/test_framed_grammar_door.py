@@ -100,7 +100,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ),
     ({SUM: "Checksum(Byte, Summ(8), this.covered.data)"}, "name 'Summ' is not"),
     ({"Outcome.UNKNOWN_ID": "Outcome.UNKNOWN"}, "AttributeError: UNKNOWN"),
-    ({'header="': 'headers="'}, "unexpected keyword argument 'headers'"),
+    ({'header="': 'headers="'}, "Unexpected keyword argument 'headers'"),
     ({"Const(b": "Const("}, "given non-bytes value"),
     (
         {"effect=Sets(on=1)": "effect=Sets(on=5)"},

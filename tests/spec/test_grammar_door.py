@@ -35,7 +35,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ({"truncation_timeout=50": 'truncation_timeout="a"'}, "Timing.truncation_timeout in ms is 'a'"),
     ({"truncation_shortest=5": "truncation_shortest=0"}, "more than 0.001"),
     ({"answer_deadline=100": "answer_deadline=1e999"}, "2 to the 32nd|at most 3.6e+06"),
-    ({"    stop_longest=100,\n": ""}, "missing 1 required"),
+    ({"    stop_longest=100,\n": ""}, "Missing required argument"),
     ({"TIMING = Timing(": "TIMES = Timing("}, "nothing uses 'TIMES'; did you mean TIMING?"),
     (
         {"POWER_ON = Sets(motion": "POWER_ON = [1]\nX = Sets(motion"},

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from fnmatch import fnmatchcase
 
 import pytest
+from msgspec.structs import replace
 
 from bilprov.conformance.api import Options, select_cases
 from bilprov.conformance.cases.budget import group
