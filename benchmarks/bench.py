@@ -1,9 +1,8 @@
 """The command: measures every row beside its peers in one run, and writes what came out.
 
 `python -m benchmarks.bench [--quick] [--only NAME] [--seconds N] [-o FOLDER] [--publish]`.
-FOLDER gets bench.json, bench.md and performance.svg. With --publish a run of all rows also renews
-the table in docs/performance.md and docs/performance.svg. Exit status: 1 if a row failed; no figure
-is asserted.
+FOLDER gets bench.json and bench.md. With --publish a run of all rows also renews the table in
+docs/performance.md. Exit status: 1 if a row failed; no figure is asserted.
 """
 
 from __future__ import annotations
@@ -19,21 +18,12 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 from benchmarks import browse, captures, decoding, first_lines, framed, latency, live
-from benchmarks.commands import ROOT, Skipped
-from benchmarks.plot import as_svg
-from benchmarks.report import (
-    Machine,
-    Row,
-    as_json,
-    as_markdown,
-    between_markers,
-    cells,
-    machine,
-)
+from benchmarks.commands import ROOT, Skipped, tell
+from benchmarks.report import Row, as_json, as_markdown, between_markers, cells, machine
 from benchmarks.setting import FULL, QUICK, Setting, Work
 
 _FOLDER = ROOT / "build/bench"
-_PAGE, _PLOT = ROOT / "docs/performance.md", ROOT / "docs/performance.svg"
+_PAGE = ROOT / "docs/performance.md"
 _SNIFF = "`sniff -w`'s path, both directions"
 _FOREIGN = "another program's capture, 64 frames a message,"
 WORKS = (
@@ -79,7 +69,7 @@ def main() -> int:
                 rows.append(measured(setting, work))
         except KeyboardInterrupt:
             interrupted = True
-            _tell("interrupted: the rows that were measured are written")
+            tell("interrupted: the rows that were measured are written")
     _write(options.folder, rows, on, mode)
     if options.publish and not interrupted and len(rows) == len(WORKS):
         _publish(rows, on, mode)
@@ -94,9 +84,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--only", default="*", metavar="NAME", help="rows by name, * for any")
     parser.add_argument("--seconds", type=float, metavar="N", help="on the fast line (60)")
     parser.add_argument("-o", dest="folder", type=Path, default=_FOLDER, metavar="FOLDER")
-    parser.add_argument(
-        "--publish", action="store_true", help="renew docs/performance.md and its plot"
-    )
+    parser.add_argument("--publish", action="store_true", help="renew docs/performance.md")
     options = parser.parse_args()
     if not any(fnmatch(work.name, options.only) for work in WORKS):
         parser.error(f"no row is {options.only}: there are {', '.join(w.name for w in WORKS)}")
@@ -114,30 +102,23 @@ def measured(setting: Setting, work: Work) -> Row:
         told = f"{type(error).__name__}: {error}"
         row = Row(work.name, work.words, note=told, state="failed")
     shown = "; ".join(filter(None, cells(row)[1:]))
-    _tell(f"{work.name:18} {shown} [{time.monotonic() - begun:.1f} s]")
+    tell(f"{work.name:18} {shown} [{time.monotonic() - begun:.1f} s]")
     return row
 
 
-def _write(folder: Path, rows: Sequence[Row], on: Machine, mode: str) -> None:
+def _write(folder: Path, rows: Sequence[Row], on: str, mode: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     told = json.dumps(as_json(rows, on, mode), indent=1, ensure_ascii=False)
     (folder / "bench.json").write_text(told + "\n", encoding="utf-8")
     (folder / "bench.md").write_text(as_markdown(rows, on, mode), encoding="utf-8")
-    (folder / "performance.svg").write_text(as_svg(rows), encoding="utf-8")
-    _tell(f"written: bench.json, bench.md and performance.svg in {folder}")
+    tell(f"written: bench.json and bench.md in {folder}")
 
 
-def _publish(rows: Sequence[Row], on: Machine, mode: str) -> None:
+def _publish(rows: Sequence[Row], on: str, mode: str) -> None:
     text = _PAGE.read_text(encoding="utf-8")
     told = between_markers(text, as_markdown(rows, on, mode, short=True))
     _PAGE.write_text(told, encoding="utf-8")
-    _PLOT.write_text(as_svg(rows), encoding="utf-8")
-    _tell(f"renewed: the table in {_PAGE} and {_PLOT}")
-
-
-def _tell(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
+    tell(f"renewed: the table in {_PAGE}")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarks import captures, lines, product
 from benchmarks.commands import Skipped, started
-from benchmarks.report import Goal, Row
+from benchmarks.report import OURS, Goal, Row
 from benchmarks.setting import Setting, Work
 
 _END, _HOME, _PAGE_UP, _PAGE_DOWN = b"\x1b[F", b"\x1b[H", b"\x1b[5~", b"\x1b[6~"
@@ -33,23 +33,20 @@ def browse(setting: Setting, work: Work) -> Row:
             slowest = max(_pressed(ours, key, patience) for key in _KEYS)
             filtered = _pressed(ours, _FILTER, patience, r"[\d,]+ of [\d,]+")
             memory = _peak_memory(process.pid) / 1e6
-    return Row(
-        work.name,
+    return work.row(
         f"{work.words}, {rows / 1e6:.3g} M rows",
         "s",
-        first_page,
+        {OURS: first_page},
+        Goal("first page in 1.5 s", first_page, 1.5, at_most=True),
+        Goal("a key in 100 ms", slowest * 1e3, 100, at_most=True),
+        Goal("a filter in 1 s", filtered, 1, at_most=True),
+        Goal("500 MB", memory, 500, at_most=True),
         figures={
             "s until all is read": all_read,
             "ms for the slowest key": slowest * 1e3,
             "s for a filter": filtered,
             "MB": memory,
         },
-        goals=(
-            Goal("first page in 1.5 s", first_page, 1.5, at_most=True),
-            Goal("a key in 100 ms", slowest * 1e3, 100, at_most=True),
-            Goal("a filter in 1 s", filtered, 1, at_most=True),
-            Goal("500 MB", memory, 500, at_most=True),
-        ),
     )
 
 

@@ -12,7 +12,7 @@ from zlib import crc32
 
 from benchmarks import peers, product, traffic
 from benchmarks.commands import ROOT, medians, run
-from benchmarks.report import C_LOOP, CONSTRUCT, Goal, Row
+from benchmarks.report import C_LOOP, CONSTRUCT, OURS, Goal, Row, times
 from benchmarks.setting import Made, Setting, Work
 from benchmarks.traffic import reads, waited
 from bilprov.captures.reader import open_capture
@@ -55,7 +55,7 @@ def sniffed(
     on_disk: dict[str, float] = {}
     name_json, name_raw = f"{CONSTRUCT} + JSON message a frame", "raw chunks alone"
     works: dict[str, Callable[[Path], Figures]] = {
-        "bilprov": lambda path: _ours(setting, path, before, chunks),
+        OURS: lambda path: _ours(setting, path, before, chunks),
         name_json: lambda path: _peer(
             path, lambda: peers.json_written(path, setting.construct, few)
         ),
@@ -71,21 +71,15 @@ def sniffed(
     rounds = min(3, setting.sizes.rounds)
     rates = medians(rounds, {name: lambda name=name: measured(name) for name in works})  # type: ignore[misc]
     gc.unfreeze()
-    ours = rates.pop("bilprov")
-    figures = {"B a frame on disk": on_disk.pop("bilprov")}
-    beside = {f"B a frame ({name})": size for name, size in on_disk.items()}
-    return Row(
-        work.name,
+    size_of_ours = on_disk.pop(OURS)
+    return work.row(
         work.words,
         "frames/s",
-        ours,
         rates,
-        figures,
-        beside,
-        (
-            Goal(f"{times_construct} x {name_json}", ours / rates[name_json], times_construct),
-            Goal(f"at most {most_bytes} B a frame", figures["B a frame on disk"], most_bytes, True),
-        ),
+        times(rates, name_json, times_construct),
+        Goal(f"at most {most_bytes} B a frame", size_of_ours, most_bytes, at_most=True),
+        figures={"B a frame on disk": size_of_ours},
+        beside={f"B a frame ({name})": size for name, size in on_disk.items()},
     )
 
 
@@ -232,24 +226,24 @@ def replayed(
                 lambda: peers.ceiling_replayed(made.path, setting.ceiling)
             )
         rates = medians(min(3, setting.sizes.rounds), speed)
-    ours = made.frames / ended.seconds
-    return Row(
-        work.name,
-        f"{made.frames / 1e6:.3g} M frames, {work.words}",
+    rates[OURS] = made.frames / ended.seconds
+    return work.row(
+        _with_frames_of(made, work),
         "frames/s",
-        ours,
         rates,
-        {
+        times(rates, CONSTRUCT, times_construct),
+        Goal("at most 300 MB", ended.memory / 1e6, 300, at_most=True),
+        figures={
             "MB at peak": ended.memory / 1e6,
             "MB with the small capture": little.memory / 1e6,
             "frames/s with the small capture": few.frames / little.seconds,
         },
-        goals=(
-            Goal(f"{times_construct} x {CONSTRUCT}", ours / rates[CONSTRUCT], times_construct),
-            Goal("at most 300 MB", ended.memory / 1e6, 300, True),
-        ),
         note=note,
     )
+
+
+def _with_frames_of(made: Made, work: Work) -> str:
+    return f"{made.frames / 1e6:.3g} M frames, {work.words}"
 
 
 _WAITED = (few_waited, much_waited)
@@ -261,22 +255,15 @@ waited_to_jsonl = partial(to_jsonl, times_construct=8, captures=_WAITED)
 
 def foreign_to_statistics(setting: Setting, work: Work) -> Row:
     """Another program's capture to statistics, beside the big one with its reads of 4 KiB."""
-    made = {"bilprov": foreign(setting), "reads of 4 KiB": big(setting)}
+    made = {OURS: foreign(setting), "reads of 4 KiB": big(setting)}
 
     def measured(one: Made) -> float:
         return one.frames / run(product.statistics(one.path)).seconds
 
     works = {name: partial(measured, one) for name, one in made.items()}
     rates = medians(min(3, setting.sizes.rounds), works)
-    ours = rates.pop("bilprov")
-    return Row(
-        work.name,
-        f"{made['bilprov'].frames / 1e6:.3g} M frames, {work.words}",
-        "frames/s",
-        ours,
-        rates,
-        goals=(Goal("0.8 x reads of 4 KiB", ours / min(rates.values()), 0.8),),
-    )
+    words, goal = _with_frames_of(made[OURS], work), times(rates, "reads of 4 KiB", 0.8)
+    return work.row(words, "frames/s", rates, goal)
 
 
 def _rate(work: Callable[[], int]) -> float:

@@ -23,6 +23,12 @@ _PATIENCE = 300.0  # s
 _TICK = os.sysconf("SC_CLK_TCK")
 
 
+def tell(line: str) -> None:
+    """Print a line at once."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
 class Skipped(Exception):
     """Raised for what cannot be measured here; the text says why."""
 

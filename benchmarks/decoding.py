@@ -8,8 +8,9 @@ import sys
 from benchmarks import product
 from benchmarks.ceiling import Judged
 from benchmarks.commands import medians, run, timed
-from benchmarks.report import C_LOOP, CONSTRUCT, Goal, Row
+from benchmarks.report import C_LOOP, CONSTRUCT, OURS, Row, times
 from benchmarks.setting import Setting, Work
+from benchmarks.traffic import Traffic
 
 
 class Disagree(Exception):
@@ -28,26 +29,16 @@ def columns(setting: Setting, work: Work) -> Row:
     few, sample = setting.sample.host, _frames(setting)
     _require_same("columns", judged(few), CONSTRUCT, setting.construct.judged(few))
     works = {
-        "bilprov": lambda: said.frames / timed(lambda: decode(said.host)),
+        OURS: lambda: said.frames / timed(lambda: decode(said.host)),
         CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
     }
     if setting.has_ceiling():
         _require_same("columns", judged(said.host), C_LOOP, setting.ceiling.judged(said.host))
         works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
     rates = medians(setting.sizes.rounds, works)
-    ours = rates.pop("bilprov")
     least = {CONSTRUCT: 400, C_LOOP: 0.12}
-    return Row(
-        work.name,
-        f"{work.words}, {len(said.host) / 1e6:.3g} MB",
-        "frames/s",
-        ours,
-        rates,
-        goals=tuple(
-            Goal(f"{least[name]:g} x {name}", ours / rate, least[name])
-            for name, rate in rates.items()
-        ),
-    )
+    goals = [times(rates, name, least[name]) for name in rates if name != OURS]
+    return work.row(_with_size(work, said), "frames/s", rates, *goals)
 
 
 def records(setting: Setting, work: Work) -> Row:
@@ -67,21 +58,17 @@ def records(setting: Setting, work: Work) -> Row:
         return said.frames / float(took)
 
     works = {
-        "bilprov": ours,
+        OURS: ours,
         CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
     }
     if setting.has_ceiling():
         works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
     rates = medians(min(3, setting.sizes.rounds), works)
-    rate = rates.pop("bilprov")
-    return Row(
-        work.name,
-        f"{work.words}, {len(said.host) / 1e6:.3g} MB",
-        "frames/s",
-        rate,
-        rates,
-        goals=(Goal(f"40 x {CONSTRUCT}", rate / rates[CONSTRUCT], 40),),
-    )
+    return work.row(_with_size(work, said), "frames/s", rates, times(rates, CONSTRUCT, 40))
+
+
+def _with_size(work: Work, said: Traffic) -> str:
+    return f"{work.words}, {len(said.host) / 1e6:.3g} MB"
 
 
 def _frames(setting: Setting) -> list[bytes]:

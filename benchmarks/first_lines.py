@@ -7,7 +7,7 @@ from functools import partial
 
 from benchmarks import captures, peers, product
 from benchmarks.commands import bilprov_words, first_line, medians, timed
-from benchmarks.report import Goal, Row
+from benchmarks.report import OURS, Goal, Row
 from benchmarks.setting import Made, Setting, Work
 from bilprov.captures.reader import open_capture
 
@@ -25,7 +25,7 @@ def seek(setting: Setting, work: Work) -> Row:
     found = medians(
         setting.sizes.rounds,
         {
-            "bilprov": lambda: first_line(_seeking(made)) * 1e3,
+            OURS: lambda: first_line(_seeking(made)) * 1e3,
             "small": lambda: first_line(_seeking(few)) * 1e3,
             "python alone": lambda: first_line(_PYTHON) * 1e3,
             "the mcap library's index alone": lambda: (
@@ -33,17 +33,17 @@ def seek(setting: Setting, work: Work) -> Row:
             ),
         },
     )
-    ours, little = found.pop("bilprov"), found.pop("small")
-    over = ours - found["python alone"]
-    return Row(
-        work.name,
-        f"{work.words}, {made.frames / 1e6:.3g} M frames",
-        "ms",
-        ours,
-        found,
-        {"ms over python": over, f"ms with {few.frames / 1e6:.3g} M frames": little},
-        goals=(Goal(f"python + {_SEEK} ms", over, _SEEK, at_most=True),),
-    )
+    more = {f"ms with {few.frames / 1e6:.3g} M frames": found.pop("small")}
+    return _row(work, f"{work.words}, {made.frames / 1e6:.3g} M frames", found, _SEEK, more)
+
+
+def _row(
+    work: Work, words: str, found: dict[str, float], most: float, more: dict[str, float]
+) -> Row:
+    """The row of a command that may take so many ms longer than Python alone."""
+    over = found[OURS] - found["python alone"]
+    goal = Goal(f"python + {most:g} ms", over, most, at_most=True)
+    return work.row(words, "ms", found, goal, figures={"ms over python": over} | more)
 
 
 def _seeking(made: Made) -> list[str]:
@@ -57,14 +57,11 @@ def start(setting: Setting, work: Work, *, words: list[str], over: float) -> Row
     found = medians(
         setting.sizes.starts,
         {
-            "bilprov": lambda: first_line(command) * 1e3,
+            OURS: lambda: first_line(command) * 1e3,
             "python alone": lambda: first_line(_PYTHON) * 1e3,
         },
     )
-    ours = found.pop("bilprov")
-    more = ours - found["python alone"]
-    goal = Goal(f"python + {over:g} ms", more, over, at_most=True)
-    return Row(work.name, work.words, "ms", ours, found, {"ms over python": more}, goals=(goal,))
+    return _row(work, work.words, found, over, {})
 
 
 help_page = partial(start, words=["--help"], over=60)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from benchmarks.commands import medians, timed
 from benchmarks.construct_alone import question
 from benchmarks.decoding import Disagree
-from benchmarks.report import CONSTRUCT, Goal, Row
+from benchmarks.report import CONSTRUCT, OURS, Row, times
 from benchmarks.setting import Setting, Work
 from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
@@ -88,19 +88,12 @@ def _measured(
     construct = _parser(protocol)
     _require_same(protocol, sample, construct)
     works = {
-        "bilprov": lambda: count / timed(lambda: _columns(protocol, events, count)),
+        OURS: lambda: count / timed(lambda: _columns(protocol, events, count)),
         CONSTRUCT: lambda: len(sample) / timed(lambda: [construct(one) for one in sample]),
     }
     rates = medians(setting.sizes.rounds, works)
-    ours = rates.pop("bilprov")
-    return Row(
-        work.name,
-        f"{work.words}, {size * count / 1e6:.3g} MB",
-        "exchanges/s",
-        ours,
-        rates,
-        goals=(Goal(f"{_GOAL} x {CONSTRUCT}", ours / rates[CONSTRUCT], _GOAL),),
-    )
+    words = f"{work.words}, {size * count / 1e6:.3g} MB"
+    return work.row(words, "exchanges/s", rates, times(rates, CONSTRUCT, _GOAL))
 
 
 def _events(said: list[Exchange]) -> Events:

@@ -12,7 +12,7 @@ from subprocess import PIPE, Popen
 
 from benchmarks import lines, product
 from benchmarks.commands import bilprov_words, started
-from benchmarks.report import Goal, Row
+from benchmarks.report import OURS, Goal, Row
 from benchmarks.setting import Setting, Work
 from benchmarks.traffic import Exchange, blocks
 
@@ -40,18 +40,14 @@ def to_json_line(setting: Setting, work: Work) -> Row:
             lambda exchange: _to_line(bare, beside, exchange),
         )
     (p50, p99), (bare50, bare99) = map(_p50_p99, took)
-    return Row(
-        work.name,
+    return work.row(
         f"{work.words}, p50",
         "us",
-        p50,
-        {"select + read + json": bare50},
-        {"us p99": p99},
-        {"us p99": bare99},
-        (
-            Goal("p50 at most 1.3 x the bare loop's", p50 / bare50, 1.3, at_most=True),
-            Goal("p99 at most 1.3 x the bare loop's", p99 / bare99, 1.3, at_most=True),
-        ),
+        {OURS: p50, "select + read + json": bare50},
+        Goal("p50 at most 1.3 x the bare loop's", p50 / bare50, 1.3, at_most=True),
+        Goal("p99 at most 1.3 x the bare loop's", p99 / bare99, 1.3, at_most=True),
+        figures={"us p99": p99},
+        beside={"us p99": bare99},
     )
 
 
@@ -80,18 +76,14 @@ def through_a_bridge(setting: Setting, work: Work) -> Row:
             os.close(bridged)
             os.close(direct)
     (p50, p99), (direct50, direct99) = map(_p50_p99, took)
-    return Row(
-        work.name,
+    return work.row(
         f"{work.words}, p50",
         "us",
-        p50 - direct50,
-        {},
-        {"us p99": p99 - direct99},
-        {"us p50 without a bridge": direct50, "us p99": direct99},
-        (
-            Goal("at most + 60 us at p50", p50 - direct50, 60, at_most=True),
-            Goal("at most + 200 us at p99", p99 - direct99, 200, at_most=True),
-        ),
+        {OURS: p50 - direct50},
+        Goal("at most + 60 us at p50", p50 - direct50, 60, at_most=True),
+        Goal("at most + 200 us at p99", p99 - direct99, 200, at_most=True),
+        figures={"us p99": p99 - direct99},
+        beside={"us p50 without a bridge": direct50, "us p99": direct99},
     )
 
 

@@ -8,12 +8,11 @@ from pathlib import Path
 
 from benchmarks import lines, product
 from benchmarks.captures import FAST
-from benchmarks.report import Goal, Row
+from benchmarks.report import OURS, Goal, Row
 from benchmarks.setting import Setting, Work
 from bilprov.captures.reader import open_capture
 from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 
-_BARE = "bare reader"
 _DISTINCT = 2_000_000  # host bytes, after which the traffic is sent again
 _BARE_SECONDS = 5.0
 
@@ -33,18 +32,14 @@ def _full(
     ready = lines.bursts(said, setting.protocol, byte_time)
     share, lost, late = _ours(setting, ready, seconds, style, write)
     bare_share, bare_lost = _bare(setting, ready, min(seconds, _BARE_SECONDS), write)
-    return Row(
-        work.name,
+    return work.row(
         f"{work.words}, {baud}, {seconds:g} s",
         "% of a core",
-        share * 100,
-        {_BARE: bare_share * 100},
-        {"B lost": float(lost)} | ({"B of them found no room": float(late)} if late else {}),
-        {"B lost": bare_lost},
-        (
-            Goal(f"at most {percent:g} % of a core", share * 100, percent, at_most=True),
-            Goal("no byte lost", lost, 0, at_most=True),
-        ),
+        {OURS: share * 100, "bare reader": bare_share * 100},
+        Goal(f"at most {percent:g} % of a core", share * 100, percent, at_most=True),
+        Goal("no byte lost", lost, 0, at_most=True),
+        figures={"B lost": lost, "B of them found no room": late},
+        beside={"B lost": bare_lost},
     )
 
 

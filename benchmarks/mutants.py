@@ -1,6 +1,6 @@
 """Do a room's own tests notice when one thing in its code is changed? Seeded mutants, one by one.
 
-`python -m benchmarks.mutants [--seed N] [--count N] [--room NAME] [--jobs N] [--json FILE]`: small
+`python -m benchmarks.mutants [--seed N] [--count N] [--room NAME] [--jobs N]`: small
 changes (`<` to `<=`, a statement left out) are drawn from the code of six rooms, as many of each.
 Each is made in a copy of the tree, where the room's tests then run, the cheapest file first; tests
 that alone take longer than `--slow` seconds (more of them on a busy machine) are left out. Prints
@@ -26,19 +26,19 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 
-ROOT = Path(__file__).resolve().parent.parent
+from benchmarks.commands import ROOT, tell
+
 ROOMS = {  # the code, and the tests that are its own
     "spec": ("spec", ["tests/spec"]),
     "oracle": ("conformance/oracle", ["tests/conformance/oracle", "tests/conformance/cases"]),
     "decode": (
         "analyzer/decode",
         [
-            "tests/analyzer/decode",
-            "tests/analyzer/output/test_row_columns.py",
+            *("tests/analyzer/decode", "tests/analyzer/output/test_row_columns.py"),
             "tests/analyzer/cli/test_text_commands.py",
         ],
     ),
@@ -46,27 +46,21 @@ ROOMS = {  # the code, and the tests that are its own
     "captures": ("captures", ["tests/captures"]),
     "runner": ("conformance/runner", ["tests/conformance/runner"]),
 }
-OPERATORS: dict[type[ast.AST], tuple[str, str]] = {  # as written, and what takes its place
-    ast.Lt: ("<", "<="),
-    ast.LtE: ("<=", "<"),
-    ast.Gt: (">", ">="),
-    ast.GtE: (">=", ">"),
-    ast.Eq: ("==", "!="),
-    ast.NotEq: ("!=", "=="),
-    ast.In: ("in", "not in"),
-    ast.NotIn: ("not in", "in"),
-    ast.Is: ("is", "is not"),
-    ast.IsNot: ("is not", "is"),
-    ast.Add: ("+", "-"),
-    ast.Sub: ("-", "+"),
-    ast.Mult: ("*", "//"),
-    ast.FloorDiv: ("//", "*"),
-    ast.LShift: ("<<", ">>"),
-    ast.RShift: (">>", "<<"),
-    ast.BitAnd: ("&", "|"),
-    ast.And: ("and", "or"),
-    ast.Or: ("or", "and"),
-}
+_PAIRS: tuple[tuple[type[ast.AST], str, type[ast.AST], str], ...] = (
+    (ast.Lt, "<", ast.LtE, "<="),
+    (ast.Gt, ">", ast.GtE, ">="),
+    (ast.Eq, "==", ast.NotEq, "!="),
+    (ast.In, "in", ast.NotIn, "not in"),
+    (ast.Is, "is", ast.IsNot, "is not"),
+    (ast.Add, "+", ast.Sub, "-"),
+    (ast.Mult, "*", ast.FloorDiv, "//"),
+    (ast.LShift, "<<", ast.RShift, ">>"),
+    (ast.And, "and", ast.Or, "or"),
+)
+# As written, and what takes its place.
+OPERATORS = {one: (old, new) for one, old, _, new in _PAIRS}
+OPERATORS |= {other: (old, new) for _, new, other, old in _PAIRS}
+OPERATORS[ast.BitAnd] = ("&", "|")  # `|` joins types too
 NAMES = {"min": "max", "max": "min", "any": "all", "all": "any"}
 SKIPPED_FIELDS = {"annotation", "returns", "decorator_list", "type_params"}
 MEMORY = 4 << 30  # bytes of data: a mutant may loop for ever and hold on to everything
@@ -234,7 +228,6 @@ class Outcome:
     told: str
     outcome: str
     seconds: float
-    by: str  # the test that failed
 
 
 def run_tests(tree: Path, plan: Plan) -> tuple[int | None, str]:
@@ -274,9 +267,8 @@ def planned(tree: Path, room: str, options: argparse.Namespace) -> Plan:
     Raises:
         RuntimeError: They fail.
     """
-    select = ["-m", options.select] if options.select else []
     begin = time.monotonic()
-    code, told = run_tests(tree, Plan([*select, "--durations=0", *ROOMS[room][1]]))
+    code, told = run_tests(tree, Plan(["--durations=0", *ROOMS[room][1]]))
     if code:
         raise RuntimeError(f"{room}: its tests fail on the code as it is\n{told[-2000:]}")
     elapsed = time.monotonic() - begin
@@ -291,9 +283,8 @@ def planned(tree: Path, room: str, options: argparse.Namespace) -> Plan:
             cost[test.partition("::")[0]] += seconds
     files = sorted(cost, key=lambda file: cost[file])
     each = 10 * options.slow  # one test that hangs: later than this it is not slow but stuck
-    _tell(f"{room}: tests take {elapsed:.0f} s; {len(slow)} slow ones left out, {kept:.0f} s stay")
-    arguments = [*select, "-x", f"--timeout={each}", *files]
-    return Plan(arguments, options.timeout or 30 + 4 * kept, tuple(slow))
+    tell(f"{room}: tests take {elapsed:.0f} s; {len(slow)} slow ones left out, {kept:.0f} s stay")
+    return Plan(["-x", f"--timeout={each}", *files], 30 + 4 * kept, tuple(slow))
 
 
 def _test_files(tree: Path, room: str) -> Iterator[Path]:
@@ -317,14 +308,7 @@ def tried(tree: Path, room: str, mutation: Mutation, plan: Plan) -> Outcome:
     outcome = "survived" if code == 0 else "killed"
     if code is None or "from pytest-timeout" in told:
         outcome = "timed out"
-    by = re.search(r"^(?:FAILED|ERROR) (\S+)", told, re.M)
-    seconds = time.monotonic() - begin
-    return Outcome(room, mutation.told(source), outcome, round(seconds, 1), by[1] if by else "")
-
-
-def _tell(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
+    return Outcome(room, mutation.told(source), outcome, time.monotonic() - begin)
 
 
 def _options() -> argparse.Namespace:
@@ -334,10 +318,7 @@ def _options() -> argparse.Namespace:
     add("--count", type=int, default=100, metavar="N", help="mutants in all (100)")
     add("--room", action="append", choices=ROOMS, help="only this room; may be repeated")
     add("--jobs", type=int, default=1, metavar="N", help="mutants at a time (1)")
-    add("--timeout", type=float, metavar="S", help="for each mutant (4 times the tests, and 30 s)")
     add("--slow", type=float, default=5, metavar="S", help="leave out tests that take longer (5)")
-    add("--select", metavar="EXPR", help="only tests of this marker expression, as pytest's -m")
-    add("--json", type=Path, metavar="FILE", help="write the outcomes there as well")
     return parser.parse_args()
 
 
@@ -352,7 +333,7 @@ def main() -> int:
         try:
             plans = {room: planned(first, room, options) for room in rooms}
         except RuntimeError as error:
-            _tell(str(error))
+            tell(str(error))
             return 2
         trees: SimpleQueue[Path] = SimpleQueue()
         trees.put(first)
@@ -366,7 +347,7 @@ def main() -> int:
             trees.put(tree)
             outcomes.append(outcome)
             count = f"{len(outcomes)}/{sum(map(len, drawn.values()))}"
-            _tell(f"{count} {outcome.outcome} in {outcome.seconds:.0f} s: {outcome.told}")
+            tell(f"{count} {outcome.outcome} in {outcome.seconds:.0f} s: {outcome.told}")
 
         share, rest = divmod(options.count, len(rooms))
         drawn = {
@@ -377,24 +358,21 @@ def main() -> int:
             pairs = [(room, mutation) for room in rooms for mutation in drawn[room]]
             list(pool.map(lambda pair: one(*pair), pairs))
     _summarise(rooms, outcomes, time.monotonic() - begin)
-    if options.json:
-        told = {"seed": options.seed, "mutants": [asdict(outcome) for outcome in outcomes]}
-        options.json.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     return 0
 
 
 def _summarise(rooms: list[str], outcomes: list[Outcome], seconds: float) -> None:
     count = Counter((outcome.room, outcome.outcome) for outcome in outcomes)
     for room in rooms:
-        _tell(
+        tell(
             f"{room}: {count[room, 'killed']} killed, {count[room, 'timed out']} timed out, "
             f"{count[room, 'survived']} survived"
         )
     caught = sum(outcome.outcome != "survived" for outcome in outcomes)
-    _tell(f"{caught} of {len(outcomes)} mutants caught in {seconds / 60:.0f} min; survivors:")
+    tell(f"{caught} of {len(outcomes)} mutants caught in {seconds / 60:.0f} min; survivors:")
     for outcome in outcomes:
         if outcome.outcome == "survived":
-            _tell(outcome.told)
+            tell(outcome.told)
 
 
 if __name__ == "__main__":

@@ -1,31 +1,22 @@
-"""Runs of the suite over a bad line: no false fail of a good device, no wrong pass of a bad one.
+"""Seeded runs of the suite over a bad line, in virtual time: which there are, and one run.
 
-`python -m benchmarks.noise [--seeds N] [--jobs N] [--level NAME] [--rate R ...] [--board]`: seeded
-runs at level standard in virtual time. The devices are the simulator and faults of its bank, with
-one bad byte in ten thousand, or the rates given in turn; with --board they are the firmware and its
-planted bugs under simavr, over a line that drops 1e-4, flips 1e-5 and holds each byte up for 5 ms.
-Prints a line per run that went otherwise than it may, then a table; ends with 1 if there was one.
+The devices are the simulator and faults of its bank, or the firmware and its planted bugs under
+simavr, over a line that drops 1e-4, flips 1e-5 and holds each byte up for 5 ms. The harms `noise`
+and `board` (`benchmarks.torture`) make them.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
 import sys
-import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import track
-
+from benchmarks.commands import ROOT
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.relay import Noise
@@ -47,7 +38,6 @@ LINES: dict[str, Callable[[float], Noise]] = {
 FAR = Noise(dropped=1e-4, flipped=1e-5)
 DELAY = 5_000_000  # ns
 FAULTS = 12  # of the bank, evenly spread
-ROOT = Path(__file__).resolve().parent.parent
 FIRMWARE = ROOT / "firmware"
 
 
@@ -60,6 +50,11 @@ class Trial:
     seed: int
     rate: float = RATE
     firmware: Path | None = None  # None for the simulator
+
+    @property
+    def told(self) -> str:
+        """Its line in words."""
+        return "the far firmware" if self.firmware else f"bytes {self.line} at {self.rate:g}"
 
     @property
     def expected(self) -> tuple[int, int]:
@@ -105,16 +100,16 @@ def simulated(seeds: Iterable[int], rates: Sequence[float] = (RATE,)) -> list[Tr
     return trials
 
 
-def boards(seeds: int, built: Callable[[str], Path], bugs: list[str]) -> list[Trial]:
-    """The clean firmware `seeds` times; as often firmware with a bug, each bug in its turn.
+def boards(seeds: Iterable[int], folder: Path) -> list[Trial]:
+    """The clean firmware, once for each seed; as often firmware with a bug, each bug in its turn.
 
-    `built` makes the ELF file of a bug, "" for none.
+    They are built in a folder.
     """
-    planted = [bugs[seed % len(bugs)] for seed in range(seeds)]
+    bugs = re.findall(r"^#ifndef (BUG_\w+)$", (FIRMWARE / "bugs.h").read_text(), re.M)
     return [
-        Trial(bug, "far", seed, firmware=built(bug))
-        for bugs_of in ([""] * seeds, planted)
-        for seed, bug in enumerate(bugs_of)
+        Trial(bug, "far", seed, firmware=_built(folder, bug))
+        for seed in seeds
+        for bug in ("", bugs[seed % len(bugs)])
     ]
 
 
@@ -125,48 +120,3 @@ def _built(folder: Path, bug: str) -> Path:
         words.append(f"BILPROV={sys.executable} -m bilprov")
         subprocess.run(words, check=True, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
     return out / "uno.elf"
-
-
-def _tell(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
-
-
-def main() -> int:
-    """Run them all; returns 1 if one went otherwise than it may."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--seeds", type=int, default=50, metavar="N", help="runs of each kind (50)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (2)")
-    parser.add_argument("--level", default="standard", help="the suite's level (standard)")
-    parser.add_argument(
-        "--rate", type=float, action="append", metavar="R", help=f"share of bad bytes ({RATE:g})"
-    )
-    parser.add_argument("--board", action="store_true", help="the firmware, on an emulated board")
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        todo = simulated(range(options.seeds), options.rate or [RATE])
-        if options.board:
-            bugs = re.findall(r"^#ifndef (BUG_\w+)$", (FIRMWARE / "bugs.h").read_text(), re.M)
-            todo = boards(options.seeds, partial(_built, Path(folder)), bugs)
-        return _run(todo, options.level, options.jobs)
-
-
-def _run(todo: list[Trial], level: str, jobs: int) -> int:
-    count, wrong = Counter[tuple[str, int]](), 0
-    with ProcessPoolExecutor(jobs) as pool:
-        outcomes = pool.map(partial(noisy_run, level=level), todo)
-        pairs = zip(todo, outcomes, strict=True)
-        console = Console(stderr=True)
-        for trial, (code, told) in track(pairs, "runs", len(todo), console=console):
-            count["a faulty device" if trial.fault else "the reference", code] += 1
-            if code not in trial.expected:
-                wrong += 1
-                name = trial.fault or "reference"
-                _tell(f"{name} {trial.line} {trial.rate:g} seed {trial.seed}: exit {code}: {told}")
-    for (what, code), times in sorted(count.items()):
-        _tell(f"{what}: exit {code} in {times} runs")
-    return int(wrong > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -39,15 +39,12 @@ class Construct:
     def __init__(self, protocol: Protocol) -> None:
         self._space: dict[str, Any] = {"__name__": "grammar"}
         exec(compile(protocol.source, protocol.origin, "exec", dont_inherit=True), self._space)
-        self._codes = {answer.outcome: code for code, answer in self._answers().items()}
+        answers: dict[int, Any] = self._space["RESPONSE"].answers
+        self._codes = {answer.outcome: code for code, answer in answers.items()}
         instructions = self._space["INSTRUCTIONS"]
         self._lengths = {identity: one.sizeof() for identity, one in instructions.items()}
         self._effects = {identity: one.subcon.effect for identity, one in instructions.items()}
         self.state: dict[str, str | int] = dict(self._space["POWER_ON"].values)
-
-    def _answers(self) -> dict[int, Any]:
-        answers: dict[int, Any] = self._space["RESPONSE"].answers
-        return answers
 
     def frames(self, data: bytes) -> Iterator[Parsed]:
         """Yield the whole frames of data, and keep `state`."""

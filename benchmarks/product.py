@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy
 
 import bilprov
-from benchmarks.ceiling import Judged
+from benchmarks.ceiling import MOTIONS, Judged
 from benchmarks.commands import bilprov_words
 from bilprov.analyzer.cli.sniff import PATIENCE
 from bilprov.analyzer.decode.session import BOTH
@@ -29,10 +29,9 @@ from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.arrays.states import Known
 from bilprov.spec.fields import Outcome
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 
-OUTCOMES, MOTIONS = tuple(Outcome), tuple(Motion)
+OUTCOMES = tuple(Outcome)
 
 _PART = 1 << 18  # bytes that are decoded at once, so that the arrays of a part fit into a cache
 

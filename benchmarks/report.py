@@ -8,12 +8,13 @@ import re
 import shutil
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
+OURS = "bilprov"
 CONSTRUCT = "construct"
 C_LOOP = "C loop"
 
@@ -34,6 +35,11 @@ class Goal:
     def reached(self) -> bool:
         """Whether it is reached."""
         return self.got <= self.limit if self.at_most else self.got >= self.limit
+
+
+def times(rates: Mapping[str, float], peer: str, least: float) -> Goal:
+    """A speed to reach, as a multiple of a peer's."""
+    return Goal(f"{least:g} x {peer}", rates[OURS] / rates[peer], least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +63,6 @@ class Row:
     state: Literal["measured", "skipped", "failed"] = "measured"
 
     @property
-    def base(self) -> float:
-        """The figure of construct, to which the plot's ratios are; 0 where it is no peer."""
-        found = (value for name, value in self.peers.items() if name.startswith(CONSTRUCT))
-        return next(found, 0)
-
-    @property
     def ratios(self) -> dict[str, float]:
         """Our figure as a multiple of each peer's."""
         if self.ours is None:
@@ -70,40 +70,23 @@ class Row:
         return {name: self.ours / figure for name, figure in self.peers.items() if figure}
 
 
-@dataclass(frozen=True, slots=True)
-class Machine:
-    """Where and with what it was measured; `load` is the load average before it began."""
-
-    cpu: str
-    cores: int
-    system: str
-    python: str
-    compiler: str
-    load: float
-    libraries: dict[str, str]
-    begun: str
-
-
-def machine() -> Machine:
-    """This machine, now."""
+def machine() -> str:
+    """When, where and with what it is measured, the load average before it begins included."""
     cpus = re.findall(r"^model name\s*: (.+)$", _text("/proc/cpuinfo"), re.MULTILINE)
-    return Machine(
-        cpu=cpus[0] if cpus else platform.machine(),
-        cores=len(os.sched_getaffinity(0)),
-        system=f"{platform.system()} {platform.release()}",
-        python=platform.python_version(),
-        compiler=_compiler(),
-        load=round(os.getloadavg()[0], 2),
-        libraries={name: found for name in _LIBRARIES if (found := _version(name))},
-        begun=time.strftime("%Y-%m-%d %H:%M:%S %z"),
+    libraries = ", ".join(f"{name} {found}" for name in _LIBRARIES if (found := _version(name)))
+    return (
+        f"{time.strftime('%Y-%m-%d %H:%M:%S %z')}: {cpus[0] if cpus else platform.machine()}, "
+        f"{len(os.sched_getaffinity(0))} cores, {platform.system()} {platform.release()}, load "
+        f"{os.getloadavg()[0]:.3g} before; Python {platform.python_version()}, {libraries}, "
+        f"{_compiler() or 'no C compiler'}."
     )
 
 
-def as_json(rows: Sequence[Row], on: Machine, mode: str) -> dict[str, Any]:
+def as_json(rows: Sequence[Row], on: str, mode: str) -> dict[str, Any]:
     """The whole result as an object of JSON."""
     return {
         "mode": mode,
-        "machine": asdict(on),
+        "machine": on,
         "rows": [
             {
                 **{name: value for name, value in asdict(row).items() if name != "goals"},
@@ -115,7 +98,7 @@ def as_json(rows: Sequence[Row], on: Machine, mode: str) -> dict[str, Any]:
     }
 
 
-def as_markdown(rows: Sequence[Row], on: Machine, mode: str, *, short: bool = False) -> str:
+def as_markdown(rows: Sequence[Row], on: str, mode: str, *, short: bool = False) -> str:
     """The table with ratios, and the machine; `short` leaves the peers' figures out."""
     head = ["work", "bilprov", *([] if short else ["beside it, same run"]), "bilprov is", "reach"]
     lines = [
@@ -123,25 +106,20 @@ def as_markdown(rows: Sequence[Row], on: Machine, mode: str, *, short: bool = Fa
         f"|{'---|' * len(head)}",
         *(f"| {' | '.join(cells(row, short))} |" for row in rows),
     ]
-    libraries = ", ".join(f"{name} {number}" for name, number in on.libraries.items())
-    about = (
-        f"Measured {on.begun} ({mode}): {on.cpu}, {on.cores} cores, {on.system}, load {on.load:g} "
-        f"before; Python {on.python}, {libraries}, {on.compiler or 'no C compiler'}."
-    )
-    return "\n".join([*lines, "", about, ""])
+    return "\n".join([*lines, "", f"Measured ({mode}) {on}", ""])
 
 
 def cells(row: Row, short: bool = False) -> list[str]:
     """What the table shows of a row: work, figures, peers, ratios and what was to be reached."""
     if row.ours is None:
-        return [row.work, "", *([] if short else [""]), "", f"{row.state}: {_cell(row.note)}"]
-    ratios = "; ".join(f"{times(ratio)} {name}" for name, ratio in row.ratios.items())
+        return [row.work, "", *([] if short else [""]), "", f"{row.state}: {one_cell(row.note)}"]
+    ratios = "; ".join(f"{_short(ratio)} x {name}" for name, ratio in row.ratios.items())
     goals = "; ".join(_reach(goal) for goal in row.goals)
     if short:
         return [row.work, _figure(row.ours, row.unit), ratios, goals]
     ours = "; ".join([_figure(row.ours, row.unit), *_figures(row.figures)])
     peers = [f"{name} {_figure(value, row.unit)}" for name, value in row.peers.items()]
-    told = f" ({_cell(row.note)})" if row.note else ""
+    told = f" ({one_cell(row.note)})" if row.note else ""
     return [row.work + told, ours, "; ".join([*peers, *_figures(row.beside)]), ratios, goals]
 
 
@@ -152,11 +130,6 @@ def _figures(figures: dict[str, float]) -> list[str]:
 def _reach(goal: Goal) -> str:
     """A goal, and whether it is reached: `400 x construct: no, 2.1`."""
     return f"{goal.text}: {'yes' if goal.reached else '**no**'}, {_short(goal.got)}"
-
-
-def times(ratio: float) -> str:
-    """A ratio in words: `612 x`."""
-    return f"{_short(ratio)} x"
 
 
 def _figure(value: float, unit: str) -> str:
@@ -172,7 +145,8 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def _cell(text: str) -> str:
+def one_cell(text: str) -> str:
+    """A text as a cell of a table."""
     return " ".join(text.split()).replace("|", "\\|")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from benchmarks.ceiling import Ceiling
 from benchmarks.commands import Skipped
 from benchmarks.peers import Construct
-from benchmarks.report import Row
+from benchmarks.report import OURS, Goal, Row
 from benchmarks.traffic import Traffic, traffic
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.line_settings import line_settings
@@ -109,3 +109,18 @@ class Work(NamedTuple):
     name: str
     words: str
     measure: Callable[[Setting, Work], Row]
+
+    def row(
+        self,
+        work: str,
+        unit: str,
+        measured: Mapping[str, float],
+        *goals: Goal,
+        figures: dict[str, float] | None = None,
+        beside: dict[str, float] | None = None,
+        note: str = "",
+    ) -> Row:
+        """Its row; `measured` has the figure of bilprov and those of the peers."""
+        peers = dict(measured)
+        ours = peers.pop(OURS)
+        return Row(self.name, work, unit, ours, peers, figures or {}, beside or {}, goals, note)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import ast
 import json
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 
 from benchmarks import captures
 from benchmarks.bench import WORKS, measured
 from benchmarks.mutants import ROOMS, draw
-from benchmarks.plot import as_svg
 from benchmarks.report import as_json, as_markdown, between_markers, machine
 from benchmarks.setting import Setting, Sizes, Work
 from benchmarks.torture import changes, floods, unplugs
@@ -42,7 +40,6 @@ def test_a_row_is_measured_beside_its_peers_which_give_the_same_results(
     assert shown["goals"]
     table = as_markdown([row], machine(), "tiny")
     assert between_markers("<!-- bench -->old<!-- /bench -->", table).count(work.words) == 1
-    ElementTree.fromstring(as_svg([row]))
 
 
 # -- mutants --------------------------------------------------------------------------------------

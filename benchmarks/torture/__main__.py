@@ -17,31 +17,32 @@ from rich.progress import Progress
 from benchmarks.commands import ROOT
 from benchmarks.dispositions import usual_for_children
 from benchmarks.torture.harm import Harm, Row
-from benchmarks.torture.harms import HARMS, page
+from benchmarks.torture.harms import ALONE, HARMS, page
 
 PAGE = ROOT / "docs" / "RELIABILITY.md"
 
 
 def main() -> int:
     """Do what the arguments ask for."""
-    known = "; ".join(f"{name}: {harm.what} ({harm.runs:,})" for name, harm in HARMS.items())
+    harms = HARMS | ALONE
+    known = "; ".join(f"{name}: {harm.what} ({harm.runs:,})" for name, harm in harms.items())
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("harm", nargs="*", help=f"these only; {known}")
     parser.add_argument("--runs", type=int, metavar="N", help="so often (the figure in brackets)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="what is drawn (1)")
     parser.add_argument("--page", action="store_true", help=f"write docs/{PAGE.name} too")
     given = parser.parse_args()
-    if unknown := [name for name in given.harm if name not in HARMS]:
-        parser.error(f"there is no harm {unknown[0]!r}, only {', '.join(HARMS)}")
+    if unknown := [name for name in given.harm if name not in harms]:
+        parser.error(f"there is no harm {unknown[0]!r}, only {', '.join(harms)}")
     if given.runs is not None and given.runs < 1:
         parser.error(f"--runs {given.runs}: one at least")
     usual_for_children()
     held = True
-    for harm in [HARMS[name] for name in given.harm or HARMS]:
+    for harm in [harms[name] for name in given.harm or HARMS]:
         begun, runs = time.perf_counter(), given.runs or harm.runs
         rows = _done(harm, runs, given.seed)
         held &= all(row.held for row in rows)
-        if given.page:
+        if given.page and harm.name in HARMS:
             options, took = f"--runs {runs} --seed {given.seed}", time.perf_counter() - begun
             section = harm.section(rows, options, took)
             PAGE.write_text(page({harm.name: section}, PAGE.read_text()))

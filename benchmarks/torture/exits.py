@@ -135,7 +135,7 @@ def drive_capture(folder: Path) -> Path:
 COMMANDS = {
     "conform": _seeing("conform", "--level", "smoke"),
     "conform, faulty": _seeing(
-        "conform", *("--only", "split/*"), *("--only", "valid/*"), fault="led-order-reversed"
+        *("conform", "--only", "split/*", "--only", "valid/*"), fault="led-order-reversed"
     ),
     "send": _bilprov("send", *items(pause="pause=300"), "--yes"),
     "send, typed": _seeing("send", typed="\n".join(items(pause="pause=300")) + "\n"),
@@ -145,13 +145,9 @@ COMMANDS = {
     "Robot": _driver(_DRIVE.format("pass")),
     "Robot, exception": _driver(_DRIVE.format("assert turn < 2")),
 }
+_SIGNALLED = "send", "send, typed", "conform", "replay --to", "lab learn", "plugin", "Robot"
 SIGNALLED = {
-    **{
-        name: COMMANDS[name]
-        for name in (
-            *("send", "send, typed", "conform", "replay --to", "lab learn", "plugin", "Robot"),
-        )
-    },
+    **{name: COMMANDS[name] for name in _SIGNALLED},
     "Robot, another thread": _driver(_IN_A_THREAD.format(indent(_DRIVE.format("pass"), "  "))),
 }
 """The commands that are sent every signal."""
@@ -269,11 +265,8 @@ _NAMED = (
     *("XCPU", "VTALRM", "PROF", "IO", "PWR", "STKFLT"),
 )
 _REAL_TIME = {
-    "SIGRTMIN": signal.SIGRTMIN,
-    "SIGRTMIN+1": signal.SIGRTMIN + 1,
-    "SIGRTMIN+15": signal.SIGRTMIN + 15,
-    "SIGRTMAX-1": signal.SIGRTMAX - 1,
-    "SIGRTMAX": signal.SIGRTMAX,
+    **{f"SIGRTMIN+{more}": signal.SIGRTMIN + more for more in (0, 1, 15)},
+    **{f"SIGRTMAX-{less}": signal.SIGRTMAX - less for less in (0, 1)},
 }
 _SUSPEND = "SIGTSTP"
 SIGNALS: dict[str, Callable[[Run], None]] = {
@@ -325,24 +318,25 @@ def ended(case: Case, seed: int) -> Exit:
             run = Run(process, line, probe, hang_up, draw)
             PHASES[case[1]](run)
             moved = probe.seen
-            again = hung = False
             (WAYS | SIGNALS)[case[2]](run)
-            try:
-                process.wait(_PATIENCE)
-            except subprocess.TimeoutExpired:
-                again = True
-                process.terminate()
-            try:
-                process.wait(_PATIENCE)
-            except subprocess.TimeoutExpired:
-                hung = True
-                process.kill()
+            again = _hangs(process, process.terminate)
+            hung = _hangs(process, process.kill)
         line.drained()
         told.seek(0)
         said = told.read().decode(errors="replace")
         # Python loses a SIGINT that comes while it ends an import, and says that it ignored it.
         lost = again and "Exception ignored in" in said and case[1] == "before the first byte"
         return Exit(case, moved, probe.moving, hung or (again and not lost), lost, said)
+
+
+def _hangs(process: subprocess.Popen[bytes], end: Callable[[], object]) -> bool:
+    """Whether a process does not end by itself in time; then it is ended."""
+    try:
+        process.wait(_PATIENCE)
+    except subprocess.TimeoutExpired:
+        end()
+        return True
+    return False
 
 
 @contextmanager

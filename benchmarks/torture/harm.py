@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from benchmarks.report import one_cell
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -48,11 +50,7 @@ class Harm:
         lines = [self.title, "", "| harm | times | what was lost | held |", "|---|---|---|---|"]
         for row in rows:
             cells = (row.harm, f"{row.times:,}", row.lost, "yes" if row.held else "**no**")
-            lines.append(f"| {' | '.join(map(_cell, cells))} |")
+            lines.append(f"| {' | '.join(map(one_cell, cells))} |")
         took = f"{seconds / 60:.0f} minutes" if seconds > 90 else f"{seconds:.0f} s"
         command = f".venv/bin/python -m benchmarks.torture {self.name} {options}"
         return "\n".join([*lines, "", f"    {command}  # {took}", ""])
-
-
-def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|")
