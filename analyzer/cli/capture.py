@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
@@ -38,8 +38,7 @@ if TYPE_CHECKING:
     from bilprov.spec.protocol import Protocol
 
 
-@dataclass(frozen=True)
-class InfoOptions:
+class InfoOptions(msgspec.Struct, frozen=True):
     """The options of `capture info`."""
 
     file: str = argument(metavar="FILE.mcap")
@@ -68,8 +67,7 @@ def info(options: InfoOptions) -> None:
     )
 
 
-@dataclass(frozen=True)
-class CheckOptions:
+class CheckOptions(msgspec.Struct, frozen=True):
     """The options of `capture check`."""
 
     path: Path = argument(metavar="FILE.mcap", type=click.Path(path_type=Path))
@@ -92,8 +90,7 @@ def check(options: CheckOptions) -> int:
     return findings.end([str(options.path)])
 
 
-@dataclass(frozen=True)
-class CutOptions:
+class CutOptions(msgspec.Struct, frozen=True):
     """The options of `capture cut`."""
 
     path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
@@ -145,8 +142,7 @@ def cut(options: CutOptions) -> None:
     _note_size(options.new, copy, str(options.path))
 
 
-@dataclass(frozen=True)
-class CopyOptions:
+class CopyOptions(msgspec.Struct, frozen=True):
     """The options of `capture repair` and `capture decode`."""
 
     path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
@@ -172,8 +168,7 @@ def repair(options: CopyOptions) -> None:
         note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
 
 
-@dataclass(frozen=True)
-class JoinOptions:
+class JoinOptions(msgspec.Struct, frozen=True):
     """The options of `capture join`."""
 
     paths: tuple[Path, ...] = argument(
@@ -216,8 +211,7 @@ def join(options: JoinOptions) -> None:
     _note_size(options.new, copy, f"{len(captures)} captures")
 
 
-@dataclass(frozen=True)
-class DecodeOptions(CopyOptions):
+class DecodeOptions(CopyOptions, frozen=True):
     """The options of `capture decode`."""
 
     half_duplex: bool = half_duplex_option()
@@ -239,8 +233,7 @@ def decode(options: DecodeOptions) -> None:
     note(f"{options.path} is in {options.new}, with everything decoded from it")
 
 
-@dataclass(frozen=True)
-class DiffOptions:
+class DiffOptions(msgspec.Struct, frozen=True):
     """The options of `capture diff`."""
 
     first: str = argument(metavar="A.mcap")

@@ -1,7 +1,6 @@
-"""Commands whose options are declared once: as the fields of a frozen dataclass.
+"""Commands whose options are declared once: as the fields of a frozen Struct.
 
-    @dataclass(frozen=True)
-    class PlotOptions:
+        class PlotOptions(msgspec.Struct, frozen=True):
         file: str = argument(metavar="FILE.mcap")
         force: bool = flag("Overwrite what exists.")
 
@@ -15,8 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import field, fields
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import click
 
@@ -27,25 +25,25 @@ if TYPE_CHECKING:
 
 Options = TypeVar("Options")
 
-# In a field's metadata: a function that gives the field's parameters by its name, and one that
-# gives its value by its name and the values of all parameters.
-_PARAMETERS, _VALUE = "parameters", "value"
 TYPED_GRAMMAR = "bilprov.typed-grammar"
 """The key in the `meta` of click's contexts: whether the grammar is named on the command line."""
 
 _FILE = re.compile(r"\[?(FILE|IN|OUT|REPORT|A)\b")  # how the metavar of a file begins
 
 
-def _declared(
-    parameters: Callable[[str], list[click.Parameter]],
-    value: Callable[[str, Mapping[str, Any]], Any] = lambda name, values: values[name],
-) -> Any:
-    return field(metadata={_PARAMETERS: parameters, _VALUE: value})
+class _Declared(NamedTuple):
+    """What stands as a field's default: what gives its parameters, and its value, by its name.
+
+    The value is of the values of all parameters.
+    """
+
+    parameters: Callable[[str], list[click.Parameter]]
+    value: Callable[[str, Mapping[str, Any]], Any] = lambda name, values: values[name]
 
 
 def argument(**attributes: Any) -> Any:
     """A field that is an argument, with click's attributes."""
-    return _declared(lambda name: [click.Argument([name], **_completed(attributes))])
+    return _Declared(lambda name: [click.Argument([name], **_completed(attributes))])
 
 
 def option(*spellings: str, **attributes: Any) -> Any:
@@ -53,7 +51,7 @@ def option(*spellings: str, **attributes: Any) -> Any:
 
     The help has its default, unless that is 0 or standard output.
     """
-    return _declared(lambda name: [_option(spellings, name, attributes)])
+    return _Declared(lambda name: [_option(spellings, name, attributes)])
 
 
 def flag(help: str, *spellings: str, **attributes: Any) -> Any:
@@ -63,7 +61,7 @@ def flag(help: str, *spellings: str, **attributes: Any) -> Any:
 
 def option_each(table: Mapping[str, Mapping[str, Any]]) -> Any:
     """A field with the values of several options by name, of those that are given."""
-    return _declared(
+    return _Declared(
         lambda _: [_option((), name, attributes) for name, attributes in table.items()],
         lambda _, values: {name: values[name] for name in table if values[name] is not None},
     )
@@ -79,7 +77,7 @@ def group(kind: type[Any], heading: str = "") -> Any:
                 param.heading = heading
         return found
 
-    return _declared(headed, lambda _, values: _gathered(kind, values))
+    return _Declared(headed, lambda _, values: _gathered(kind, values))
 
 
 def command(
@@ -116,12 +114,16 @@ def _completed(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parameters(kind: Any) -> Iterator[click.Parameter]:
-    for one in fields(kind):
-        yield from one.metadata[_PARAMETERS](one.name)
+    for name, declared in _fields(kind):
+        yield from declared.parameters(name)
 
 
 def _gathered(kind: Any, values: Mapping[str, Any]) -> Any:
-    return kind(**{one.name: one.metadata[_VALUE](one.name, values) for one in fields(kind)})
+    return kind(*(declared.value(name, values) for name, declared in _fields(kind)))
+
+
+def _fields(kind: Any) -> Iterator[tuple[str, _Declared]]:
+    return zip(kind.__struct_fields__, kind.__struct_defaults__, strict=True)
 
 
 def protocol_in_use() -> Protocol:

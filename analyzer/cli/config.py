@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 
 import click
+import msgspec
 from click.shell_completion import get_completion_class, shell_complete
 
 from bilprov.analyzer.cli.command import argument, command
@@ -14,8 +14,7 @@ from bilprov.analyzer.cli.settings import META
 from bilprov.spec.errors import UserError
 
 
-@dataclass(frozen=True)
-class ConfigOptions:
+class ConfigOptions(msgspec.Struct, frozen=True):
     """The options of `config`."""
 
     style: str = text_format_option()
@@ -60,8 +59,7 @@ INSTALL = {
 }
 
 
-@dataclass(frozen=True)
-class CompletionOptions:
+class CompletionOptions(msgspec.Struct, frozen=True):
     """The options of `completion`."""
 
     shell: str = argument(type=click.Choice(list(INSTALL)))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
+import msgspec
 from msgspec.structs import replace
 
 from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 PIECE = 1 << 16  # bytes
 
 
-@dataclass(frozen=True)
-class DecodeOptions:
+class DecodeOptions(msgspec.Struct, frozen=True):
     """The options of `decode`."""
 
     words: tuple[str, ...] = argument(metavar="[FILE|-|HEX]...", nargs=-1)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import Finite, LineOptions, note
@@ -33,8 +33,7 @@ class Milliseconds(Finite):
 _time = partial(option, metavar="MS", type=Milliseconds(0, 60_000), default=0.0)
 
 
-@dataclass(frozen=True)
-class ImpairedOptions:
+class ImpairedOptions(msgspec.Struct, frozen=True):
     """The options of `lab line`."""
 
     a: str = argument(metavar="A", type=PortName())

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 from click.core import ParameterSource
 
 from bilprov.analyzer.cli.command import flag, group, option
@@ -95,8 +95,7 @@ half_duplex_option = partial(
 yes_option = partial(flag, "The robot may move: do not ask.")
 
 
-@dataclass(frozen=True)
-class LineOptions:
+class LineOptions(msgspec.Struct, frozen=True):
     """The settings of a serial line; None stands for the grammar's value."""
 
     baud: int | None = option(type=click.IntRange(1), help="Bits/s; the grammar's unless given.")
@@ -116,8 +115,7 @@ class LineOptions:
         return line_settings(protocol, self.baud, self.parity, stopbits)
 
 
-@dataclass(frozen=True)
-class SendingLineOptions(LineOptions):
+class SendingLineOptions(LineOptions, frozen=True):
     """The settings of a serial line that is sent on."""
 
     echo: bool = flag(
@@ -126,11 +124,12 @@ class SendingLineOptions(LineOptions):
 
     def settings(self, protocol: Protocol) -> LineSettings:
         """The settings of the line. Raises ValueError."""
+        from dataclasses import replace
+
         return replace(super().settings(protocol), echo=self.echo)
 
 
-@dataclass(frozen=True)
-class RowOptions:
+class RowOptions(msgspec.Struct, frozen=True):
     """What is shown of each row, and how its time is."""
 
     time_style: str | None = option(
@@ -179,8 +178,7 @@ class RowOptions:
         return RowStyle(TimeStyle(self.time_style) if self.time_style else None, chosen)
 
 
-@dataclass(frozen=True)
-class WindowOptions:
+class WindowOptions(msgspec.Struct, frozen=True):
     """From when to when a capture is read, in s since its start."""
 
     start: float | None = option(type=Finite(0), help="Begin at this second of the capture.")
@@ -202,8 +200,7 @@ class WindowOptions:
         return Window(*(None if s is None else round(s * 1e9) for s in bounds))
 
 
-@dataclass(frozen=True)
-class ShownOptions:
+class ShownOptions(msgspec.Struct, frozen=True):
     """What a session shows, and in which form."""
 
     expression: str | None = filter_option()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import Finite, LineOptions, note_each, text_format_option
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.transport.ports import PortInfo
 
 
-@dataclass(frozen=True)
-class PortsOptions:
+class PortsOptions(msgspec.Struct, frozen=True):
     """The options of `ports`."""
 
     names: tuple[str, ...] = argument(metavar="[PORT]...", nargs=-1, type=PortName())

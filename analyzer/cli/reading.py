@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,6 +67,7 @@ def split(capture: Capture, protocol: Protocol) -> Capture:
 
     It is kept in a temporary file as long as the command runs. Raises CaptureError and UserError.
     """
+    from dataclasses import replace
     from tempfile import TemporaryDirectory
 
     from bilprov.analyzer.edit.cut import new_capture, split_metadata, write_split

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, flag, group, option
 from bilprov.analyzer.cli.options import (
@@ -61,8 +62,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.replay.target import Target
 
 
-@dataclass(frozen=True)
-class ReplayOptions:
+class ReplayOptions(msgspec.Struct, frozen=True):
     """The options of `replay`."""
 
     path: str = argument(metavar="FILE.mcap")

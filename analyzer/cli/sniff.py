@@ -7,12 +7,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.failures import say
@@ -70,8 +70,7 @@ def _rotation_at(ctx: click.Context, param: click.Parameter, text: str | None) -
         raise click.BadParameter(str(error)) from None
 
 
-@dataclass(frozen=True)
-class SniffOptions:
+class SniffOptions(msgspec.Struct, frozen=True):
     """The options of `sniff`."""
 
     host: str | None = argument(required=False, type=PortName())

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
@@ -33,23 +34,20 @@ if TYPE_CHECKING:
     from bilprov.spec.protocol import Protocol
 
 
-@dataclass(frozen=True)
-class FormatOption:
+class FormatOption(msgspec.Struct, frozen=True):
     """The format in which the grammar is shown."""
 
     style: str = text_format_option()
 
 
-@dataclass(frozen=True)
-class ReadingsOptions:
+class ReadingsOptions(msgspec.Struct, frozen=True):
     """The options of `spec readings`."""
 
     ids: tuple[str, ...] = argument(metavar="[ID]...", nargs=-1)
     style: str = text_format_option()
 
 
-@dataclass(frozen=True)
-class EmitOption:
+class EmitOption(msgspec.Struct, frozen=True):
     """Where the grammar is written."""
 
     output: str = option(
@@ -65,8 +63,7 @@ class EmitOption:
         write_output(self.output, text.encode())
 
 
-@dataclass(frozen=True)
-class GrammarOptions:
+class GrammarOptions(msgspec.Struct, frozen=True):
     """Which grammar is written, and where."""
 
     name: str | None = argument(metavar="[NAME]", required=False, type=click.Choice(list(SHIPPED)))
@@ -202,8 +199,7 @@ def grammar(options: GrammarOptions) -> None:
     options.written.write(protocol.source)
 
 
-@dataclass(frozen=True)
-class CheckOptions:
+class CheckOptions(msgspec.Struct, frozen=True):
     """The options of `spec check`."""
 
     grammar: str = argument(metavar="NAME|FILE.py", type=GrammarName(readable=False))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal, TypeAlias, cast
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option
 from bilprov.analyzer.cli.options import (
@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 _Counted: TypeAlias = "tuple[Protocol, list[tuple[Capture, Totals]]]"
 
 
-@dataclass(frozen=True)
-class StatsOptions:
+class StatsOptions(msgspec.Struct, frozen=True):
     """The options of `stats`."""
 
     files: tuple[str, ...] = argument(metavar="FILE.mcap...", nargs=-1, required=True)
@@ -119,8 +118,7 @@ def _totals(options: StatsOptions, captures: Sequence[Capture], protocol: Protoc
         ]
 
 
-@dataclass(frozen=True)
-class PlotOptions:
+class PlotOptions(msgspec.Struct, frozen=True):
     """The options of `plot`."""
 
     file: str = argument(metavar="FILE.mcap")
@@ -167,8 +165,7 @@ CHOICES = {"columns": ("csv", "parquet"), "time_style": ("csv",)}
 """The formats that have a choice of these parameters."""
 
 
-@dataclass(frozen=True)
-class ExportOptions:
+class ExportOptions(msgspec.Struct, frozen=True):
     """The options of `export`."""
 
     path: str = argument(metavar="FILE.mcap")

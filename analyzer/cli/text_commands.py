@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from typing import Any
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
 from bilprov.analyzer.cli.options import request_option, sender_option, text_format_option
@@ -14,8 +14,7 @@ from bilprov.analyzer.output.console import show_as
 from bilprov.captures.text import near
 
 
-@dataclass(frozen=True)
-class ExplainOptions:
+class ExplainOptions(msgspec.Struct, frozen=True):
     """The options of `explain`."""
 
     words: tuple[str, ...] = argument(metavar="HEX...", nargs=-1, required=True)
@@ -56,8 +55,7 @@ def _or_sentence(function: Any, *arguments: Any) -> Any:
         raise click.ClickException(str(error)) from None
 
 
-@dataclass(frozen=True)
-class EncodeOptions:
+class EncodeOptions(msgspec.Struct, frozen=True):
     """The options of `encode`."""
 
     name: str = argument(metavar="INSTRUCTION")

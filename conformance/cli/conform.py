@@ -7,10 +7,10 @@ import socket
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -65,8 +65,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-@dataclass(frozen=True)
-class CaseOptions:
+class CaseOptions(msgspec.Struct, frozen=True):
     """Which cases are run."""
 
     level: str = option(
@@ -101,8 +100,7 @@ class CaseOptions:
 _milliseconds = partial(option, metavar="MS", type=milliseconds)
 
 
-@dataclass(frozen=True)
-class TimeOptions:
+class TimeOptions(msgspec.Struct, frozen=True):
     """How long the run and its parts take."""
 
     deadline: float | None = _milliseconds(
@@ -118,8 +116,7 @@ class TimeOptions:
     )
 
 
-@dataclass(frozen=True)
-class ReportOptions:
+class ReportOptions(msgspec.Struct, frozen=True):
     """What is written of the run."""
 
     outputs: dict[str, str] = outputs_option()
@@ -127,8 +124,7 @@ class ReportOptions:
     verbose: bool = verbose_option()
 
 
-@dataclass(frozen=True)
-class KnownOptions:
+class KnownOptions(msgspec.Struct, frozen=True):
     """What is known of the device, and does not count as a failure."""
 
     expect_failures: str | None = expect_failures_option()
@@ -147,8 +143,7 @@ class KnownOptions:
     strict: bool = flag("Count non-strict as failed.")
 
 
-@dataclass(frozen=True)
-class ConformOptions:
+class ConformOptions(msgspec.Struct, frozen=True):
     """The options of `conform`, by the headings of its help."""
 
     robot: RobotOptions = group(RobotOptions, "Device")
@@ -185,7 +180,9 @@ class ConformOptions:
 
     def suite(self, profile: str) -> Options:
         """The options of the run itself."""
-        given = asdict(self.cases) | asdict(self.times) | asdict(self.known)
+        given: dict[str, Any] = {}
+        for part in (self.cases, self.times, self.known):
+            given |= msgspec.structs.asdict(part)
         run = {field.name: given[field.name] for field in fields(Options) if field.name in given}
         return Options(**run, profile=profile)
 
@@ -219,7 +216,7 @@ def conform(options: ConformOptions) -> int:
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
     promise_verdict()
-    options = replace(options, robot=robot.fitting(name))
+    options = msgspec.structs.replace(options, robot=robot.fitting(name))
     if options.reconnect is not None and name.kind != PORT:
         raise click.UsageError(f"--reconnect is for ports; {name.text} is not a port")
     require_writable(outputs_of(options.reports.outputs))
@@ -233,7 +230,8 @@ def conform(options: ConformOptions) -> int:
     comeback = Comeback(name, settings, options.watch_file)
     note_each([plan.order])
     first = _run(protocol, options, name, settings, plan)
-    options = replace(options, robot=replace(options.robot, yes=True))  # that was for all runs
+    robot = msgspec.structs.replace(options.robot, yes=True)  # that was for all runs
+    options = msgspec.structs.replace(options, robot=robot)
 
     def again(at: TargetName, last: LastRun) -> Run:
         return _run(protocol, options, at, settings, _planned(protocol, options, last))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import command, family_protocol, group, option
 from bilprov.analyzer.cli.options import note_each
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 _SHOWN = 5  # differences told on the screen
 
 
-@dataclass(frozen=True)
-class LearnOptions:
+class LearnOptions(msgspec.Struct, frozen=True):
     """The options of `lab learn`."""
 
     robot: RobotOptions = group(RobotOptions)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, typed_protocol
 from bilprov.analyzer.cli.options import note
@@ -23,8 +22,7 @@ from bilprov.conformance.recheck import recheck as judged_again
 from bilprov.conformance.report.json_report import as_json
 
 
-@dataclass(frozen=True)
-class RecheckOptions:
+class RecheckOptions(msgspec.Struct, frozen=True):
     """The options of `recheck`."""
 
     path: str = argument(metavar="FILE.mcap")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import click
+import msgspec
 from msgspec import structs
 
 from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
@@ -22,8 +21,7 @@ from bilprov.conformance.report.json_report import ReportError, read_report
 from bilprov.spec.errors import one_line
 
 
-@dataclass(frozen=True)
-class ReportOptions:
+class ReportOptions(msgspec.Struct, frozen=True):
     """The options of `report`."""
 
     results: tuple[str, ...] = argument(nargs=-1, required=True, metavar="A.json [B.json ...]")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
 
 import click
+import msgspec
+from msgspec.structs import replace
 
 from bilprov.analyzer.cli.command import argument, group, option
 from bilprov.analyzer.cli.options import (
@@ -29,8 +30,7 @@ from bilprov.spec.by_effect import Movement, all_movement, movement_words
 from bilprov.spec.protocol import Protocol
 
 
-@dataclass(frozen=True)
-class RobotOptions:
+class RobotOptions(msgspec.Struct, frozen=True):
     """The options that say what is tested and how it is reached."""
 
     target: str = argument(metavar="PORT|sim|emulator:KIND:FIRMWARE", type=PortName())

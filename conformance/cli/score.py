@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import click
@@ -37,8 +36,7 @@ if TYPE_CHECKING:
 _SHOWN = 4  # faults named behind a case group
 
 
-@dataclass(frozen=True)
-class ScoreOptions:
+class ScoreOptions(msgspec.Struct, frozen=True):
     """The options of `lab score`."""
 
     at: tuple[str, ...] = option(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
 from queue import SimpleQueue
 
 import click
+from msgspec.structs import replace
 
 from bilprov.analyzer.cli.command import command, protocol_in_use
 from bilprov.analyzer.cli.options import (

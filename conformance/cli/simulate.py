@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import command, flag, option, protocol_in_use
 from bilprov.analyzer.cli.options import note
@@ -34,8 +34,7 @@ def _address_at(ctx: click.Context, param: click.Parameter, text: str | None) ->
         ) from None
 
 
-@dataclass(frozen=True)
-class SimulateOptions:
+class SimulateOptions(msgspec.Struct, frozen=True):
     """The options of `simulate`."""
 
     firmware: Path | None = option(

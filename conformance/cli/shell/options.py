@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import click
+import msgspec
 
 from bilprov.analyzer.cli.command import argument, flag, group, option
 from bilprov.analyzer.cli.options import (
@@ -19,8 +19,7 @@ from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.client.probes import PROBES
 
 
-@dataclass(frozen=True)
-class SendOptions:
+class SendOptions(msgspec.Struct, frozen=True):
     """The options of `send`."""
 
     target: str = argument(metavar="PORT|sim", type=PortName())
