@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bilprov.analyzer.decode.decoded_share import Checked, declared, fitting_check, near_miss
+from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
@@ -75,6 +76,8 @@ def test_what_is_odd_is_one_fault(protocol: Protocol, name: str) -> None:
     faults = [fault for fault in found if fault.kind != "faulty instruction"]
     assert [(one.kind, one.severity, one.t) for one in faults] == [(kind, severity, ms * MS)]
     assert words in faults[0].reason
+    told = [line for record in records if (line := json_line(record))]
+    assert any(faults[0].reason in line.reason for line in told)
 
 
 def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:
