@@ -335,7 +335,7 @@ def test_sniffing_ends_when_nobody_reads_and_its_file_is_whole(tmp_path: Path) -
 
 # What takes long enough for the terminal to go away while the robot moves.
 LONG = {
-    "conform": "conform {port} --probe {probe} --json {new}/a.json",
+    "conform": "conform {port} --probe {probe} --level smoke --json {new}/a.json",
     "learn": "lab learn {port} --probe {probe} --dot {new}/a.dot",
     "send": "send {port} 'Speed 255' Forward pause=60000",
     "replay": "replay {runs}/good.mcap --to {port} --rate 0.01",

@@ -437,7 +437,14 @@ ARGUMENTS = {
     "no command": ("{file}",),
     "--grammar": ("--grammar", "{file}", "spec", "show"),
     "--profile": ("conform", "sim", "--list", "--profile", "{file}/x"),
-    "--expect-failures": ("conform", "/dev/null", "--expect-failures", "{file}"),
+    "--expect-failures": (
+        "conform",
+        "/dev/null",
+        "--level",
+        "smoke",
+        "--expect-failures",
+        "{file}",
+    ),
     "--json": ("conform", "sim", "--only", "valid/LED/1", "--json", "{file}/x"),
     "a firmware": ("conform", "emulator:simavr:{file}/x"),
 }
