@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from bilprov.conformance.mutation.effects import does_effect, does_watching, then
@@ -64,6 +65,11 @@ def steered_to(sign: int) -> Condition:
 def every(*conditions: Condition) -> Condition:
     """All of the conditions hold."""
     return lambda event: all(one(event) for one in conditions)
+
+
+def reacting(react: React, **more: Any) -> Fault:
+    """A device that reacts so."""
+    return Fault("x", "test", "", react=react, **more)
 
 
 def when(matches: Condition, change: React) -> React:

@@ -5,16 +5,22 @@ from __future__ import annotations
 import dataclasses
 import re
 from html.parser import HTMLParser
+from io import StringIO
 
 from msgspec.structs import replace
+from rich.console import Console
 
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import AnswerByte, Axis, CaseResult, Verdict, WireEvent
+from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import as_json, parse_report
+from bilprov.conformance.report.junit import as_junit
+from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Comparison, Covered, Grammar, Report
+from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
 
 EVIL = (
@@ -109,6 +115,20 @@ def hostile(protocol: Protocol, evil: str) -> Report:
         exit=1,
     )
     return parse_report(as_json(report), evil)
+
+
+def shown(report: Report, *, everything: bool = False, width: int = 200) -> str:
+    """The summary of a report as a terminal shows it."""
+    text = StringIO()
+    show(report, Console(file=text, width=width), everything=everything)
+    return text.getvalue()
+
+
+def every_form(report: Report, protocol: Protocol) -> dict[str, str]:
+    """A report in each form that is for people or for other programs, but JSON."""
+    forms = {"markdown": as_markdown, "html": as_html, "junit": as_junit}
+    written = {name: form([report], protocol) for name, form in forms.items()}
+    return written | {"summary": shown(report, width=1000)}
 
 
 _WHEN = re.compile(

@@ -30,10 +30,12 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
-from bilprov.conformance.dut.link import Observability
+from bilprov.conformance.dut.link import Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.oracle.profile import Timers
+from bilprov.conformance.mutation.catalogue import find_fault
+from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.listeners.listener import RunListener
@@ -53,6 +55,11 @@ TIMED_PROBES = ("reading/answer-point", "reading/truncation-timeout")
 
 ALL_SEEING = Observability(available=True)
 FEW_LOOKS = Observability(available=True, costly=True)
+
+
+def simulated(protocol: Protocol, name: str = "") -> Simulator:
+    """The reference, or the device of a named fault, variant or mixture."""
+    return Simulator(protocol, find_fault(protocol, name) if name else None)
 
 
 class Blind:
@@ -109,6 +116,31 @@ class SlowProbe(VirtualLink):
         return replace(reply, asked=asked) if isinstance(reply, Observation) else reply
 
 
+class OnLine:
+    """A robot at a line, judged in virtual time with the timers of a real line.
+
+    `make` makes the link, and `about` is what is known of the line besides its kind.
+    """
+
+    def __init__(
+        self,
+        protocol: Protocol,
+        make: Callable[[LinkListener | None], VirtualLink],
+        *,
+        costly: bool = False,
+        announced: float | None = None,
+        **about: int,
+    ) -> None:
+        def connect(listener: LinkListener | None) -> VirtualLink:
+            self.link = make(listener)
+            return self.link
+
+        known = {"kind": "port", "byte_ns": BYTE_TIME, **about}
+        sees = Observability(available=True, costly=costly)
+        line = Environment(False, sees, False, "a line", known, announced=announced)
+        self.target = Target(protocol, line, connect)
+
+
 class Notes(RunListener):
     """Keeps the sentences of a run for the user."""
 
@@ -132,6 +164,21 @@ def case_of(protocol: Protocol, ident: str, seed: int = 1) -> Case:
     return case
 
 
+def new_run(
+    protocol: Protocol,
+    *,
+    timers: Timers | None = None,
+    observability: Observability = ALL_SEEING,
+    profile: Profile | None = None,
+    begin: Callable[[str], None] = lambda ident: None,
+    note: Callable[[str], None] = lambda sentence: None,
+    **circumstances: Any,
+) -> Run:
+    """A run that has not begun, of a robot that is seen."""
+    config = RunConfig(protocol, timers or Timers(), observability, **circumstances)
+    return Run(config, profile, begin=begin, note=note)
+
+
 def run_over(
     link: CountingLink,
     protocol: Protocol,
@@ -147,7 +194,7 @@ def run_over(
 
     Without `discover` the device is taken to read the document as the kit does.
     """
-    run = Run(RunConfig(protocol, timers or Timers(), observability))
+    run = new_run(protocol, timers=timers, observability=observability)
     runner = Runner(run, cases, fail_fast=fail_fast, discover=discover)
     drive(runner.execute(), link, interrupted)
     return runner

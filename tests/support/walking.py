@@ -13,12 +13,12 @@ from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.homing import home, home_after, see_motions
-from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.sequence import run_sequence
 from bilprov.conformance.runner.sequence_answers import Mismatch
 from bilprov.conformance.runner.trial import Trial
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import ALL_SEEING, MS, CountingLink
+from tests.support.robots import ALL_SEEING, MS, CountingLink, new_run
 
 CLAUSE, REQUIREMENT = "the walk's own clause", "the walk's own requirement"
 SAFETY, INSTRUCTIONS, RESPONSES = "section 2", "section 3, table 1", "section 4, table 2"
@@ -62,6 +62,12 @@ class Walked:
     result: CaseResult
     link: CountingLink
 
+    @property
+    def wrong(self) -> Mismatch:
+        """What went wrong; fails where nothing did."""
+        assert self.mismatch is not None
+        return self.mismatch
+
 
 def run_once(
     device: Any,
@@ -75,8 +81,8 @@ def run_once(
 ) -> Walked:
     """Home, walk, and home again, which makes the result final."""
     line = link(device)
-    config = RunConfig(protocol, timers or Timers(), observability)
-    run = Run(config, profile or Profile(truncation_timeout=50 * MS))
+    known = profile or Profile(truncation_timeout=50 * MS)
+    run = new_run(protocol, timers=timers, observability=observability, profile=known)
 
     def script() -> Procedure[Walked]:
         yield from home(run)

@@ -18,9 +18,7 @@ from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
-from tests.support.robots import served_here
-
-PATIENCE = 20.0  # s; a test that waits longer hangs
+from tests.support.robots import PATIENCE, served_here
 
 
 def json_lines(output: bytes) -> list[dict[str, Any]]:

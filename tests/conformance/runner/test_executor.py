@@ -23,18 +23,24 @@ from bilprov.analyzer.client.operations import (
 )
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
-from bilprov.conformance.dut.link import Observability
-from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator, answers
-from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.dut.simulator import Event, Reaction, Simulator
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.homing import watch
-from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol
-from tests.support.faults import faulty, resumes_after, when
-from tests.support.robots import CountingLink, at_rest, cases_of, run_over
+from tests.support.faults import (
+    answers_with,
+    drives_on,
+    faulty,
+    late,
+    reacting,
+    resumes_after,
+    when,
+)
+from tests.support.robots import CountingLink, at_rest, cases_of, new_run, run_over
+from tests.support.walking import at_frame
 
 MS = 1_000_000
 ONLY = (
@@ -114,19 +120,10 @@ def test_every_faulty_case_is_seen_moving_before_it_and_moving_again_after_it(
     assert mine[-1] == "stopped"
 
 
-def test_what_a_valid_frame_sets_is_looked_at(protocol: Protocol) -> None:
-    device = Simulator(protocol, fault_bank(protocol)["led-order-reversed"])
-
-    results = run_over(CountingLink(device), protocol, cases_of(protocol, "valid/LED/1")).run
-
-    (led,) = [result for result in results.results if result.id == "valid/LED/1"]
-    assert led.axes["state"].verdict is Verdict.FAIL
-
-
 @given(asks=st.integers(0, ASKS))
 @example(asks=0)
 @example(asks=1)
-@settings(max_examples=50)
+@settings(max_examples=25)
 def test_an_interrupt_at_any_moment_leaves_the_robot_at_rest(
     protocol: Protocol, cases: tuple[Case, ...], asks: int
 ) -> None:
@@ -155,7 +152,7 @@ def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
             raise Ended("the port is gone", error=True, line_works=False)
 
     begun: list[str] = []
-    run = Run(RunConfig(protocol, Timers(), Observability(True)), begin=begun.append)
+    run = new_run(protocol, begin=begun.append)
     runner = Runner(run, cases, discover=discover)
     link = CountingLink(Simulator(protocol), broken)
 
@@ -181,8 +178,7 @@ def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
 def test_looking_for_what_does_not_happen_counts_as_waiting_in_vain(
     protocol: Protocol, moving: bool, in_vain: bool
 ) -> None:
-    limits = Timers(waiting_budget=99 * MS)
-    run = Run(RunConfig(protocol, limits, Observability(True)))
+    run = new_run(protocol, timers=Timers(waiting_budget=99 * MS))
     link = CountingLink(Simulator(protocol))
 
     seen = drive(watch(run, moving=moving, patience=100 * MS), link, lambda: False)
@@ -193,7 +189,7 @@ def test_looking_for_what_does_not_happen_counts_as_waiting_in_vain(
 
 
 @given(looks=st.integers(0, 150), more=st.none() | st.integers(0, 12))
-@settings(max_examples=80)
+@settings(max_examples=40)
 def test_a_probe_that_hangs_up_at_any_moment_leaves_the_robot_at_rest(
     protocol: Protocol, cases: tuple[Case, ...], looks: int, more: int | None
 ) -> None:
@@ -230,8 +226,8 @@ def test_a_probe_that_hangs_up_at_any_moment_leaves_the_robot_at_rest(
 def test_a_device_that_stops_answering_fails_by_name_and_the_rest_is_not_judged(
     protocol: Protocol, cases: tuple[Case, ...], frames: int
 ) -> None:
-    silent = Fault("x", "test", "", react=lambda d, e, r: answers(r) if e.frames >= frames else r)
-    device = Simulator(protocol, silent)
+    silent = when(lambda event: event.frames >= frames, answers_with())
+    device = Simulator(protocol, reacting(silent))
 
     runner = run_over(CountingLink(device), protocol, cases)
 
@@ -249,31 +245,11 @@ def test_a_device_that_stops_answering_fails_by_name_and_the_rest_is_not_judged(
     assert at_rest(device)
 
 
-@pytest.mark.parametrize(
-    ("name", "exit_", "words"),
-    [("echo", 2, "echo"), ("dead", 2, "nobody answered"), ("never-moves", 3, "")],
-)
-def test_what_cannot_be_judged_at_all_is_told_in_one_sentence(
-    protocol: Protocol, name: str, exit_: int, words: str
-) -> None:
-    device = Simulator(protocol, fault_bank(protocol)[name])
-
-    report = conform(device, grammar=protocol, options=Options(only=ONLY))
-
-    assert report.exit == exit_
-    unusable = report.unusable or ""
-    assert words in unusable
-    assert "\n" not in unusable
-    assert bool(unusable) is (exit_ == 2)
-    assert at_rest(device)
-
-
 def test_a_robot_that_cannot_be_stopped_is_reported_aloud(protocol: Protocol) -> None:
-    unstoppable = Fault("x", "test", "", react=lambda d, e, r: (
-        r if e.judgement.id in (1, 4, 5, 8) or not e.before.moving
-        else replace(r, state=e.before)
-    ))  # fmt: skip
-    device = Simulator(protocol, unstoppable)
+    def no_setting(event: Event) -> bool:
+        return event.before.moving and event.judgement.id not in (1, 4, 5, 8)
+
+    device = Simulator(protocol, reacting(when(no_setting, drives_on)))
 
     report = conform(device, grammar=protocol, options=Options(only=("valid/Stop",)))
 
@@ -286,12 +262,12 @@ def test_a_robot_that_needs_many_stops_gets_them_at_the_end(protocol: Protocol) 
     stop, stops = bytes([protocol.pad_byte]), [0]
     needed = 3 * protocol.longest_frame  # more than homing and the first stops send
 
-    def drives_on(_: Simulator, event: Event, reaction: Reaction) -> Reaction:
+    def react(_: Simulator, event: Event, reaction: Reaction) -> Reaction:
         stops[0] = stops[0] + 1 if event.judgement.frame == stop else 0
         deaf = 0 < stops[0] < needed and event.before.moving
         return replace(reaction, state=event.before) if deaf else reaction
 
-    device = Simulator(protocol, Fault("x", "test", "", react=drives_on))
+    device = Simulator(protocol, reacting(react))
 
     report = conform(device, grammar=protocol, options=Options(only=("valid/Forward",)))
 
@@ -303,11 +279,9 @@ def test_a_late_answer_is_charged_to_the_case_before_and_not_to_the_next(
     protocol: Protocol,
 ) -> None:
     cases = cases_of(protocol, "unused-id/9/[0-3]", "unused-id/1?/0")
-    late = Fault("x", "test", "", react=lambda d, e, r: (
-        answers(r, 1, delay=1500 * MS) if e.judgement.frame == b"\xa0" else r
-    ))  # fmt: skip
+    device = Simulator(protocol, at_frame("a0", late(1500)))
 
-    runner = run_over(CountingLink(Simulator(protocol, late)), protocol, cases)
+    runner = run_over(CountingLink(device), protocol, cases)
 
     failed = [r for r in runner.run.results if r.verdict is Verdict.FAIL]
     assert [r.id for r in failed] == ["unused-id/10/0"]
@@ -319,7 +293,6 @@ def test_a_robot_that_a_fault_stopped_is_watched_as_long_as_one_that_drives(
     protocol: Protocol, level: str, longest: int
 ) -> None:
     for milliseconds, verdict in ((longest - 50, Verdict.FAIL), (longest + 50, Verdict.PASS)):
-        react = when(faulty, resumes_after(milliseconds))
-        device = Simulator(protocol, Fault("creeps", "test", "", react=react))
+        device = Simulator(protocol, reacting(when(faulty, resumes_after(milliseconds))))
         report = conform(device, options=Options(level=level, only=("unused-id/9/0",)))
         assert [r.verdict for r in report.results if r.id == "unused-id/9/0"] == [verdict]

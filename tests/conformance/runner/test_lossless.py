@@ -12,14 +12,9 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import (
-    Condition,
-    answers_with,
     at_count,
     every,
-    every_nth,
     faulty,
-    silent,
-    steered_to,
     twice,
     when,
 )
@@ -31,29 +26,6 @@ ONCE = "on a line that loses nothing: "
 
 def once(number: int) -> Fault:
     return Fault("x", "test", "", react=when(every(faulty, at_count("faults", number)), twice))
-
-
-@pytest.mark.sample(5)
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "condition",
-    [
-        every_nth("frames", 100),
-        every_nth("frames", 256),
-        every_nth("faults", 64),
-        every(every_nth("frames", 64), steered_to(-1)),
-        every(every_nth("faults", 64), faulty),
-    ],
-)
-@pytest.mark.parametrize("change", [twice, silent, answers_with(2)])
-def test_a_rhythm_fails(protocol: Protocol, condition: Condition, change: object) -> None:
-    fault = Fault("x", "test", "", react=when(condition, change))  # type: ignore[arg-type]
-
-    report = conform(
-        Simulator(protocol, fault), options=Options(level="smoke", fail_fast=True), logged=False
-    )
-
-    assert report.exit == 1
 
 
 def test_what_is_met_once_fails_and_says_so(protocol: Protocol) -> None:

@@ -19,6 +19,8 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
+pytestmark = pytest.mark.slow
+
 
 class LyingProbe:
     """A simulator whose looks pass through a lie. `true` holds (time in ns, look) up to now."""
@@ -146,7 +148,6 @@ FAULTY = (
 )
 
 
-@pytest.mark.slow
 @pytest.mark.sample(3)
 @pytest.mark.parametrize("brief", [False, True], ids=["all facets", "moving only"])
 @pytest.mark.parametrize("seed", range(2))
@@ -161,7 +162,6 @@ def test_no_good_robot_fails(protocol: Protocol, lie: str, name: str, seed: int,
     assert report.exit in (0, 3)
 
 
-@pytest.mark.slow
 @pytest.mark.sample(3)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", FAULTY)
@@ -170,7 +170,6 @@ def test_no_faulty_robot_passes(protocol: Protocol, lie: str, name: str, seed: i
     assert seen_through(protocol, find_fault(protocol, name), LIES[lie], seed).exit in (1, 3)
 
 
-@pytest.mark.slow
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("name", FAULTY)
 def test_through_an_honest_probe_rare_faults_fail_too(protocol: Protocol, name: str):

@@ -10,14 +10,19 @@ from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.cases.budget import group
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.run import SPARE_ANSWERS, Run, RunConfig
+from bilprov.conformance.runner.run import SPARE_ANSWERS
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import ALL_SEEING, CountingLink, Hidden, Notes, cases_of
+from tests.support.robots import (
+    CountingLink,
+    Hidden,
+    Notes,
+    cases_of,
+    new_run,
+    simulated,
+)
 
 FEW = Options(only=("wrong-length/Stop/*",))
 
@@ -49,15 +54,8 @@ def test_a_banner_instead_of_the_first_answer_is_informational(protocol: Protoco
     assert max(found.values()) is Verdict.INFORMATIONAL
 
 
-def test_bytes_before_the_first_instruction_are_informational(protocol: Protocol) -> None:
-    device = Simulator(protocol)
-    device.answer(ord("!"), 0)
-
-    assert verdicts(device, protocol)["power-on/at-rest"] is Verdict.INFORMATIONAL
-
-
-@pytest.mark.parametrize("count", [1, 3])
-@pytest.mark.parametrize("at", [1, 30, 60, 100, 150, 400])
+@pytest.mark.parametrize("count", [1, 3, 10])
+@pytest.mark.parametrize("at", [1, 60, 150, 400])
 def test_bytes_that_come_before_the_first_case_and_belong_to_none_are_never_a_pass(
     protocol: Protocol, at: int, count: int
 ) -> None:
@@ -67,19 +65,9 @@ def test_bytes_that_come_before_the_first_case_and_belong_to_none_are_never_a_pa
 
     found = verdicts(Hidden(device), protocol)
 
-    assert max(found.values()) in (Verdict.INCONCLUSIVE, Verdict.FAIL)  # the line may have made it
+    # The line may have made a few of them.
+    assert max(found.values()) in (Verdict.FAIL, *([Verdict.INCONCLUSIVE] if count < 10 else []))
     assert found["power-on/Forward"] is Verdict.SKIPPED
-
-
-@pytest.mark.parametrize("at", [1, 30, 60, 100, 150, 400])
-def test_bytes_that_come_again_and_again_and_belong_to_no_case_fail(
-    protocol: Protocol, at: int
-) -> None:
-    device = Simulator(protocol)
-    for number in range(10):
-        device.answer(0x21, (at + 60 * number) * MS)
-
-    assert Verdict.FAIL in verdicts(Hidden(device), protocol).values()
 
 
 def test_a_device_that_has_been_driven_before_is_not_blamed_for_how_it_was_found(
@@ -123,7 +111,7 @@ def test_a_device_object_that_never_stops_sending_ends_the_run(protocol: Protoco
 def test_a_first_instruction_that_was_lost_is_a_fault_where_another_power_on_shows_it(
     protocol: Protocol, switched: bool, verdict: Verdict, reason: str
 ) -> None:
-    device = Simulator(protocol, fault_bank(protocol)["second-frame-unanswered"])
+    device = simulated(protocol, "second-frame-unanswered")
 
     report = conform(device if switched else Hidden(device), grammar=protocol, options=FEW)
 
@@ -147,8 +135,7 @@ class Other(Simulator):
 
 def on_a_port(device: Device, protocol: Protocol) -> Runner:
     """The run of one case on a device that need not be one of this protocol."""
-    config = RunConfig(protocol, Timers(), ALL_SEEING, virtual=False)
-    runner = Runner(Run(config), select_cases(protocol, FEW), discover=False)
+    runner = Runner(new_run(protocol, virtual=False), select_cases(protocol, FEW), discover=False)
     drive(runner.execute(), CountingLink(device), lambda: False)
     return runner
 
@@ -209,9 +196,8 @@ def test_a_slow_device_that_takes_too_long_is_told_so_and_no_group_left_out_pass
     protocol: Protocol,
 ) -> None:
     told: list[str] = []
-    slow = Simulator(protocol, variants(protocol)["R-answer-deadline=150-ms"].fault)
-    config = RunConfig(protocol, Timers(run_budget=5_000 * MS), ALL_SEEING)
-    run = Run(config, note=told.append)
+    slow = simulated(protocol, "R-answer-deadline=150-ms")
+    run = new_run(protocol, timers=Timers(run_budget=5_000 * MS), note=told.append)
     drive(Runner(run, cases_of(protocol, "*")).execute(), CountingLink(slow), lambda: False)
 
     (sentence,) = told

@@ -12,18 +12,16 @@ from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.markdown import as_markdown
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.homing import preamble_of
-from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.conformance.runner.settings import IDENT, settings
 from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from tests.support.faults import EIGHT_BITS, accepts, becomes, every, valid, when
-from tests.support.robots import ALL_SEEING, Hidden, cases_of
+from tests.support.robots import Hidden, cases_of, new_run
 
 ONLY = Options(only=("valid/Speed/*", "valid/LED/*"))
 
@@ -126,7 +124,7 @@ def test_faults_are_tried_at_twice_the_lowest_speed_that_is_seen(
 
 
 def test_what_keeps_its_speed(protocol: Protocol) -> None:
-    run = Run(RunConfig(protocol, Timers(), ALL_SEEING))
+    run = new_run(protocol)
     run.profile.preamble_speed, run.profile.moves = 30, set(moving_motions(protocol))
 
     slow = [case for case in cases_of(protocol) if preamble_of(run, case) != case.setup]

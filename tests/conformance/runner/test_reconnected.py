@@ -8,15 +8,13 @@ import pytest
 
 from bilprov.analyzer.client.operations import Operation, Reconnected, Reply, Send, drive
 from bilprov.conformance.cases.levels import level_cases
-from bilprov.conformance.dut.simulator import Fault, Simulator
+from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import ALL_SEEING, BYTE_TIME, MS, cases_of
+from tests.support.robots import BYTE_TIME, MS, cases_of, new_run, simulated
 
 GAP = 1000_000 * MS
 UNKNOWN = "unused-id/10/[01]"  # ID 9 is sent in the opening too
@@ -42,11 +40,11 @@ class Unplugged(VirtualLink):
 
 
 def judged(
-    protocol: Protocol, loses: Callable[[Operation], bool], fault: Fault | None = None
+    protocol: Protocol, loses: Callable[[Operation], bool], fault: str = ""
 ) -> tuple[dict[str, CaseResult], Unplugged, Runner]:
     """The results of two cases over a port that is lost, the link and the runner."""
-    link = Unplugged(Simulator(protocol, fault), loses)
-    run = Run(RunConfig(protocol, Timers(), ALL_SEEING, announced=5.0))
+    link = Unplugged(simulated(protocol, fault), loses)
+    run = new_run(protocol, announced=5.0)
     runner = Runner(run, cases_of(protocol, UNKNOWN), discover=False)
     drive(runner.execute(), link, lambda: False)
     return {result.id: result for result in run.results}, link, runner
@@ -102,9 +100,7 @@ def test_a_port_that_is_lost_in_the_last_homing_loses_no_verdict(
 
 
 def test_a_failure_that_cannot_be_tried_again_is_inconclusive(protocol: Protocol) -> None:
-    fault = fault_bank(protocol)["ok-to-unknown-id"]
-
-    results, _, _ = judged(protocol, nth(protocol, 2), fault)
+    results, _, _ = judged(protocol, nth(protocol, 2), "ok-to-unknown-id")
 
     first = results["unused-id/10/0"]
     assert first.verdict is Verdict.INCONCLUSIVE
@@ -116,10 +112,10 @@ def test_a_failure_that_was_reproduced_stays(protocol: Protocol) -> None:
     """The port is lost while the sequence that failed is shortened."""
     runs: list[Run] = []
     link = Unplugged(
-        Simulator(protocol, fault_bank(protocol)["ok-to-unknown-id"]),
+        simulated(protocol, "ok-to-unknown-id"),
         lambda operation: isinstance(operation, Send) and runs[0].counters.reproduced > 0,
     )
-    runs.append(Run(RunConfig(protocol, Timers(), ALL_SEEING)))
+    runs.append(new_run(protocol))
     case = next(c for c in level_cases(protocol, "smoke", 1) if c.id.startswith("sequence/tour/"))
 
     drive(Runner(runs[0], [case], discover=False).execute(), link, lambda: False)

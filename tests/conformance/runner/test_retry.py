@@ -30,18 +30,17 @@ from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.retry import LONGEST_MINIMISED, Confirmed, confirm
-from bilprov.conformance.runner.run import Run, RunConfig, StrayAnswers
+from bilprov.conformance.runner.run import Run, StrayAnswers
 from bilprov.spec.protocol import Protocol
-from tests.support.faults import answers_with, drives_on
+from tests.support.faults import answers_with, drives_on, faulty, made, reacting, when
 from tests.support.robots import (
-    ALL_SEEING,
     BYTE_TIME,
     MS,
     CountingLink,
-    Timers,
     at_rest,
     case_of,
     cases_of,
+    new_run,
     run_over,
 )
 from tests.support.walking import RESPONSES, SAFETY, burst, hand_made
@@ -96,16 +95,6 @@ def only(found: dict[str, CaseResult]) -> CaseResult:
 # -- each time, once, now and then ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("change", [drives_on, wrong_code])
-def test_what_fails_each_time_fails(
-    protocol: Protocol, sequence: AnyCase, single: Case, change: React
-) -> None:
-    for case in (sequence, single):
-        result = only(judged(protocol, on_times(change, every=1), case))
-        assert result.verdict is FAIL
-        assert "flaky" not in result.reason
-
-
 def test_a_walk_that_fails_says_where_and_names_the_clause(
     protocol: Protocol, sequence: AnyCase
 ) -> None:
@@ -153,29 +142,21 @@ def test_a_stop_that_is_missed_now_and_then_is_no_noise(protocol: Protocol, sing
     assert found["unused-id/9/3"].verdict is FAIL
 
 
-@pytest.mark.parametrize("every", [2, 3, 5, 7])
-def test_what_shows_every_so_often_still_fails(
-    protocol: Protocol, sequence: AnyCase, every: int
+@pytest.mark.parametrize(
+    ("every", "verdict"), [(2, FAIL), (3, FAIL), (5, FAIL), (7, FAIL), (30, INCONCLUSIVE)]
+)
+def test_what_shows_every_so_often_fails_unless_it_is_as_seldom_as_noise(
+    protocol: Protocol, sequence: AnyCase, every: int, verdict: Verdict
 ) -> None:
     # The first time, so that there is something to try again, and then each so-manyth.
     react = on_times(drives_on, 1, every=every)
 
-    assert only(judged(protocol, react, sequence)).verdict is FAIL
-
-
-def test_what_shows_too_seldom_to_be_told_from_noise_is_flaky(
-    protocol: Protocol, sequence: AnyCase
-) -> None:
-    result = only(judged(protocol, on_times(wrong_code, 1, every=30), sequence))
-
-    assert result.verdict is INCONCLUSIVE
+    assert only(judged(protocol, react, sequence)).verdict is verdict
 
 
 def test_a_line_that_is_trusted_is_not_tried_again(protocol: Protocol) -> None:
     bad = cases_of(protocol, "bad-data/LED/[89]", "bad-data/LED/1?", "bad-data/LED/2[0-3]")
-    fault = Fault("x", "test", "", react=lambda d, e, r: (
-        drives_on(d, e, r) if e.judgement.frame[0] == 0x81 and not e.judgement.valid else r
-    ))  # fmt: skip
+    fault = made(protocol, "drives-on", "outcome bad-data")
     link = CountingLink(Simulator(protocol, fault))
 
     runner = run_over(link, protocol, bad)
@@ -320,14 +301,14 @@ def test_the_reproducer_is_short_and_shows_the_failure_on_a_fresh_device(
 
 def test_a_walk_shrinks_to_its_set_up_and_what_matters(protocol: Protocol) -> None:
     noise = ["30", "41 05", "60", "81 03", "50", "81 01", "11 90", "00", "51 20", "70"]
-    after_led = Fault("x", "test", "", react=lambda d, e, r: (
-        drives_on(d, e, r)
-        if not e.judgement.valid and e.previous and e.previous.frame == b"\x81\x04" else r
-    ))  # fmt: skip
+
+    def after_led(event: Event) -> bool:
+        return faulty(event) and event.previous is not None and event.previous.frame == b"\x81\x04"
+
     frames = [*noise, "20", "81 04", "92 00 00", *noise]
     case = hand_made(protocol, *frames, setup=DRIVES)
 
-    result = only(judged(protocol, after_led, case))
+    result = only(judged(protocol, reacting(when(after_led, drives_on)), case))
 
     assert result.reproduce in ("11c8 8107 20 8104 920000", "11c8 8107 20 20 8104 920000")
 
@@ -340,9 +321,7 @@ def test_what_goes_wrong_in_the_set_up_is_reproduced_by_its_frames(protocol: Pro
 
 
 def test_pauses_of_a_split_frame_are_in_the_reproducer(protocol: Protocol) -> None:
-    split = Fault("x", "test", "", react=lambda d, e, r: (
-        drives_on(d, e, r) if e.pause > MS and not e.judgement.valid else r
-    ))  # fmt: skip
+    split = reacting(when(lambda event: event.pause > MS and faulty(event), drives_on))
     case = hand_made(
         protocol, "30", "41 05", burst(protocol, "92 00 00", pauses=(1,)), setup=DRIVES
     )
@@ -375,10 +354,6 @@ def test_only_a_few_walks_are_shortened_in_a_run_and_each_says_where(protocol: P
 # -- when a failure is confirmed -------------------------------------------------------------------
 
 
-def run_of(protocol: Protocol, *, lossless: bool = False) -> Run:
-    return Run(RunConfig(protocol, Timers(), ALL_SEEING, lossless=lossless))
-
-
 def confirmed(run: Run, outcomes: str) -> Confirmed:
     """What is found where the tries fail (x) or not (.) in this order."""
     left: Iterator[str] = iter(outcomes)
@@ -409,20 +384,17 @@ def confirmed(run: Run, outcomes: str) -> Confirmed:
 def test_a_trial_is_repeated_until_its_failures_are_no_noise_or_few(
     protocol: Protocol, outcomes: str, expected: Confirmed
 ) -> None:
-    assert confirmed(run_of(protocol), outcomes) == expected
+    assert confirmed(new_run(protocol), outcomes) == expected
 
 
 def test_on_a_line_that_was_flaky_before_more_failures_are_needed(protocol: Protocol) -> None:
-    run = run_of(protocol)
+    run = new_run(protocol)
     run.counters.flaky, run.answers = 20, 2000
 
     assert confirmed(run, "xxxxxx") == Confirmed(True, 6, 6)
 
 
 # -- stray answers ---------------------------------------------------------------------------------
-
-
-FAIL, INCONCLUSIVE = Verdict.FAIL, Verdict.INCONCLUSIVE
 
 
 class Told:
@@ -443,53 +415,39 @@ def told(protocol: Protocol) -> Told:
     return Told(protocol)
 
 
-def test_nothing_happened_and_nothing_is_told(told: Told) -> None:
-    told.state.close(keeps_all=True)
-
-    assert told.results == []
-
-
-@pytest.mark.parametrize(("times", "words"), [(1, "once"), (2, "2 times")])
-def test_a_byte_or_two_may_be_the_lines(told: Told, times: int, words: str) -> None:
-    for number in range(times):
-        told.state.unexpected([(number, 0)], "came although nothing was sent")
-    assert told.results == []  # not before the run is over: more may come
-
-    told.state.close(keeps_all=True)
-
-    assert told.results == [("line/unsolicited", INCONCLUSIVE)]
-    assert words in told.reasons[0]
-
-
-@pytest.mark.parametrize("came", [[1] * 5, [3], [1, 5], [1] * 9])
-def test_three_bytes_at_once_or_five_in_all_are_the_devices_and_are_told_once(
-    told: Told, came: list[int]
+@pytest.mark.parametrize(
+    ("unasked", "missing", "keeps_all", "results", "words"),
+    [
+        ([], [], True, [], ""),
+        ([1], [], True, [("line/unsolicited", INCONCLUSIVE)], "once"),
+        ([1, 1], [], True, [("line/unsolicited", INCONCLUSIVE)], "2 times"),
+        ([1] * 5, [], True, [("line/unsolicited", FAIL)], "came"),
+        ([3], [], True, [("line/unsolicited", FAIL)], "came"),
+        ([1, 5], [], True, [("line/unsolicited", FAIL)], "came"),
+        ([1] * 9, [], True, [("line/unsolicited", FAIL)], "came"),
+        ([], [1, 0, 15], True, [("line/lost", INCONCLUSIVE)], "16 times"),
+        ([], [3], False, [], ""),  # it may lose what follows a fault
+    ],
+)
+def test_three_bytes_at_once_or_five_in_all_are_the_devices_and_fewer_may_be_the_lines(
+    told: Told,
+    unasked: list[int],
+    missing: list[int],
+    keeps_all: bool,
+    results: list[tuple[str, Verdict]],
+    words: str,
 ) -> None:
-    for count in came:
+    for count in unasked:
         told.state.unexpected([(number, 0) for number in range(count)], "came")
+    for count in missing:
+        told.state.missing(count)
+    # What may be the line's is not told before the run is over: more may come.
+    assert told.results == [one for one in results if one[1] is FAIL]
 
-    assert told.results == [("line/unsolicited", FAIL)]
-    told.state.close(keeps_all=True)
-    assert told.results == [("line/unsolicited", FAIL)]
+    told.state.close(keeps_all=keeps_all)
 
-
-def test_what_was_lost_is_told_of_a_device_that_loses_nothing(told: Told) -> None:
-    told.state.missing(1)
-    told.state.missing(0)
-    told.state.missing(15)
-
-    told.state.close(keeps_all=True)
-
-    assert told.results == [("line/lost", INCONCLUSIVE)]
-    assert "16 times" in told.reasons[0]
-
-
-def test_a_device_that_may_lose_what_follows_a_fault_is_not_blamed(told: Told) -> None:
-    told.state.missing(3)
-
-    told.state.close(keeps_all=False)
-
-    assert told.results == []
+    assert told.results == results
+    assert all(words in reason for reason in told.reasons)
 
 
 def test_a_device_that_stopped_answering_fails_and_that_is_all(told: Told) -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import (
     Ended,
-    Link,
-    LinkListener,
     Listen,
     Observation,
     Observe,
@@ -24,24 +23,20 @@ from bilprov.analyzer.client.operations import (
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.link import Environment
-from bilprov.conformance.dut.simulator import Fault, Simulator
-from bilprov.conformance.dut.target import Target
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.conformance.runner.time_limit import TimeLimit
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import ALL_SEEING, BYTE_TIME, MS, Notes, SlowProbe
+from tests.support.robots import BYTE_TIME, MS, Notes, OnLine, SlowProbe, simulated
 
 SECOND = 1000 * MS
 SMOKE = Options(level="smoke")
 
 
-class Robot:
+class Robot(OnLine):
     """A simulated robot at a line as slow as it is told to be, announced as a run of 5 s."""
 
     def __init__(
@@ -50,17 +45,14 @@ class Robot:
         *,
         look: int = 0,
         announced: float | None = 5.0,
-        fault: Fault | None = None,
+        fault: str = "",
     ) -> None:
-        self.simulator = Simulator(protocol, fault)
-
-        def connect(listener: LinkListener | None) -> Link:
-            self.link = SlowProbe(self.simulator, BYTE_TIME, listener, look)
-            return self.link
-
-        about = {"kind": "port", "byte_ns": BYTE_TIME}
-        environment = Environment(False, ALL_SEEING, False, "a line", about, announced=announced)
-        self.target = Target(protocol, environment, connect)
+        self.simulator: Any = simulated(protocol, fault)
+        super().__init__(
+            protocol,
+            lambda tap: SlowProbe(self.simulator, BYTE_TIME, tap, look),
+            announced=announced,
+        )
 
     def judged(self) -> Report:
         return run_suite(self.target, SMOKE)
@@ -88,17 +80,8 @@ def test_a_run_over_a_probe_that_became_slow_ends_in_order(protocol: Protocol) -
 
 
 @pytest.mark.slow
-def test_without_an_announcement_a_run_goes_to_its_end(protocol: Protocol) -> None:
-    report = Robot(protocol, look=200 * MS, announced=None).judged()
-
-    assert (report.exit, report.ended) == (0, None)
-
-
-@pytest.mark.slow
 def test_a_robot_that_failed_before_the_time_was_over_does_not_conform(protocol: Protocol) -> None:
-    fault = fault_bank(protocol)["ok-to-unknown-id"]
-
-    report = Robot(protocol, look=200 * MS, fault=fault).judged()
+    report = Robot(protocol, look=200 * MS, fault="ok-to-unknown-id").judged()
 
     assert (report.exit, report.ended_by) == (1, "time")
 
@@ -106,7 +89,7 @@ def test_a_robot_that_failed_before_the_time_was_over_does_not_conform(protocol:
 @pytest.mark.slow
 def test_slow_answers_are_announced_anew_and_then_no_surprise(protocol: Protocol) -> None:
     """They are measured before the cases: the run was said to take 100 s then."""
-    robot = Robot(protocol, fault=variants(protocol)["R-answer-deadline=150-ms"].fault)
+    robot = Robot(protocol, fault="R-answer-deadline=150-ms")
 
     report = robot.judged()
 
@@ -127,8 +110,7 @@ def test_slow_answers_are_announced_anew_and_then_no_surprise(protocol: Protocol
 def test_what_a_device_turns_out_to_take_is_announced_once_and_moves_the_limit(
     protocol: Protocol, name: str, words: str
 ) -> None:
-    fault = fault_bank(protocol).get(name) or variants(protocol)[name].fault
-    robot, notes = Robot(protocol, announced=0.01, fault=fault), []
+    robot, notes = Robot(protocol, announced=0.01, fault=name), []
 
     class Noting(RunListener):
         def note(self, sentence: str) -> None:
@@ -146,7 +128,7 @@ def test_what_a_device_turns_out_to_take_is_announced_once_and_moves_the_limit(
 
 @pytest.mark.parametrize("name", ["R-truncated-known=silent", "R-led-state=off"])
 def test_a_device_that_takes_no_longer_is_not_announced_anew(protocol: Protocol, name: str) -> None:
-    robot, notes = Robot(protocol, fault=variants(protocol)[name].fault), Notes()
+    robot, notes = Robot(protocol, fault=name), Notes()
 
     run_suite(robot.target, SMOKE, [notes])
 

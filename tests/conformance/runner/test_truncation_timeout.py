@@ -12,17 +12,16 @@ from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.dut.target import Target, device_target
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.run import Run, RunConfig
+from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.truncation_timeout import measure_timeout
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import watchdog
 from tests.support.pairs import pairs
-from tests.support.robots import ALL_SEEING, MS, CountingLink
+from tests.support.robots import MS, CountingLink, new_run, simulated
 
 STEPS = 120  # operations of a measurement, at most
 WATCHDOG = Fault("", "", "", react=watchdog(1000))
@@ -30,7 +29,7 @@ WATCHDOG = Fault("", "", "", react=watchdog(1000))
 
 def measured(protocol: Protocol, fault: Fault) -> tuple[Run, CaseResult]:
     """A run that only finds out what the device chooses, and its result for the time-out."""
-    run = Run(RunConfig(protocol, Timers(idle=2500 * MS), ALL_SEEING))
+    run = new_run(protocol, timers=Timers(idle=2500 * MS))
     drive(Runner(run, []).execute(), CountingLink(Simulator(protocol, fault)), lambda: False)
     return run, next(result for result in run.results if result.id == "timing/truncation-timeout")
 
@@ -60,7 +59,7 @@ def test_a_stop_at_the_time_out_counts_although_the_answer_comes_later(
     protocol: Protocol,
 ) -> None:
     name = "R-answer-deadline=150-ms-after-faults"
-    run, _ = measured(protocol, variants(protocol)[name].fault)
+    run, _ = measured(protocol, find_fault(protocol, name))
 
     assert run.profile.truncation_timeout is not None
     assert 50 * MS <= run.profile.truncation_timeout < 60 * MS
@@ -78,7 +77,7 @@ def test_a_time_out_that_never_comes_is_no_pass_where_a_watchdog_stops_the_robot
 def test_a_measurement_that_is_interrupted_after_its_answer_is_no_pass(protocol: Protocol) -> None:
     verdicts = []
     for stop_at in range(STEPS):
-        run = Run(RunConfig(protocol, Timers(), ALL_SEEING))
+        run = new_run(protocol)
         link = CountingLink(Simulator(protocol))
 
         def script(run: Run = run) -> Procedure[bool]:
@@ -103,8 +102,7 @@ SENTENCE = (
 
 def target(protocol: Protocol, name: str, *, blind: bool = False) -> Target:
     """A simulated robot with a fault or a variant's behaviour, seen by a probe or not."""
-    fault = fault_bank(protocol).get(name) or variants(protocol)[name].fault
-    made = device_target(protocol, Simulator(protocol, fault), name="sim", probe="sim", fault=None)
+    made = device_target(protocol, simulated(protocol, name), name="sim", probe="sim", fault=None)
     if blind:
         sees = Observability(available=False, why="no probe")
         environment = msgspec.structs.replace(made.environment, observability=sees)

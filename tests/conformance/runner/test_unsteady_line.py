@@ -1,4 +1,4 @@
-"""Lines that jitter, and devices that stand still now and then, fail no good robot.
+"""Lines that jitter or hurt bytes, and devices that stand still now and then, fail no good robot.
 
 A faulty one does not pass over them.
 """
@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.noise import LINES, Trial, noisy_run
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import (
-    Link,
     LinkListener,
     Observation,
     Observe,
@@ -20,49 +20,30 @@ from bilprov.analyzer.client.operations import (
 )
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import Look
-from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.link import Device, Environment, Observability
+from bilprov.conformance.api import Options, conform, run_suite
+from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.dut.target import Target
 from bilprov.conformance.dut.virtual_link import VirtualLink
-from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
-from tests.support.robots import Notes
+from tests.support.robots import BYTE_TIME, MS, Notes, OnLine, simulated
 
 pytestmark = pytest.mark.slow
 
-MS = 1_000_000
 JITTERS = (10, 20, 30, 40, 50)  # ms
 GOOD = (
-    "",
-    "R-truncation-timeout=3-ms",
-    "R-truncation-timeout=500-ms",
-    "R-truncation-timeout=whole-frame",
-    "R-answer-point=header",
-    "R-answer-deadline=150-ms-after-faults",
-    "R-pipelining=lost-after-a-fault",
-    "R-drain-known=flushed",
-    "R-truncated-known=silent",
-    "R-stop-latency=50-ms",
-    "R-watchdog=stops",
-    "R-unsolicited=banner",
+    *("", "R-truncation-timeout=3-ms", "R-truncation-timeout=500-ms", "R-answer-point=header"),
+    *("R-truncation-timeout=whole-frame", "R-answer-deadline=150-ms-after-faults"),
+    *("R-pipelining=lost-after-a-fault", "R-drain-known=flushed", "R-truncated-known=silent"),
+    *("R-stop-latency=50-ms", "R-watchdog=stops", "R-unsolicited=banner"),
 )
 FAULTY = (
-    "ok-to-unknown-id",
-    "no-stop-on-too-many",
-    "never-times-out",
-    "split-fault-does-not-stop",
-    "sent-ahead-valid-lost",
-    "left-is-signed",
-    "restarts-on-led-after-a-fault",
+    *("ok-to-unknown-id", "no-stop-on-too-many", "never-times-out", "split-fault-does-not-stop"),
+    *("sent-ahead-valid-lost", "left-is-signed", "restarts-on-led-after-a-fault"),
     "every-16th-fault-missed",
 )
-
-
-BYTE_TIME = 86_806  # ns at 115,200 8N1
 
 
 class StoppedDevice:
@@ -124,28 +105,19 @@ def run_on_line(
     protocol: Protocol, device: Any, *listeners: RunListener, **options: Any
 ) -> tuple[Report, float]:
     """Judge a device with the timers of a real line: the report, and how long (s) the run took."""
-    links: list[VirtualLink] = []
 
-    def connect(tap: LinkListener | None) -> Link:
+    def link(tap: LinkListener | None) -> VirtualLink:
         stopped = isinstance(device, StoppedDevice)
-        links.append(StoppedLink(device, tap) if stopped else VirtualLink(device, BYTE_TIME, tap))
-        return links[0]
+        return StoppedLink(device, tap) if stopped else VirtualLink(device, BYTE_TIME, tap)
 
-    about = {"kind": "port", "byte_ns": BYTE_TIME, "latency_ns": 0, "look_ns": 0}
-    seen = Observability(available=True)
-    target = Target(protocol, Environment(False, seen, False, "a line", about), connect)
-    report = run_suite(target, Options(**options), listeners, logged=False)
-    return report, links[0].now / 1e9
+    line = OnLine(protocol, link, latency_ns=0, look_ns=0)
+    report = run_suite(line.target, Options(**options), listeners, logged=False)
+    return report, line.link.now / 1e9
 
 
 def jittery(device: Simulator, jitter: int, seed: int, delay: int = 0) -> NoisyDevice:
     """A device behind a line that holds each byte up by `delay` to `delay` + `jitter` ns."""
     return NoisyDevice(device, Noise(), seed, delay, jitter)
-
-
-def robot(protocol: Protocol, name: str) -> Simulator:
-    """The reference, a legal variant, or a faulty device."""
-    return Simulator(protocol, find_fault(protocol, name) if name else None)
 
 
 def failed(report: Report) -> list[tuple[str, str]]:
@@ -157,7 +129,7 @@ def failed(report: Report) -> list[tuple[str, str]]:
 @pytest.mark.parametrize("jitter", JITTERS)
 @pytest.mark.parametrize("name", GOOD)
 def test_jitter_fails_no_good_robot(protocol: Protocol, name: str, jitter: int, seed: int) -> None:
-    device = jittery(robot(protocol, name), jitter * MS, seed)
+    device = jittery(simulated(protocol, name), jitter * MS, seed)
     report, _ = run_on_line(protocol, device, level="smoke", seed=seed)
     assert failed(report) == []
     assert report.exit in (0, 3)
@@ -170,7 +142,7 @@ def test_jitter_fails_no_good_robot(protocol: Protocol, name: str, jitter: int, 
 def test_jitter_lets_no_faulty_robot_pass(
     protocol: Protocol, name: str, jitter: int, seed: int
 ) -> None:
-    device = jittery(robot(protocol, name), jitter * MS, seed)
+    device = jittery(simulated(protocol, name), jitter * MS, seed)
     report, _ = run_on_line(protocol, device, level="smoke", seed=seed, fail_fast=True)
     assert report.exit in (1, 3)
 
@@ -196,7 +168,7 @@ def test_what_a_line_is_too_coarse_for_is_said_once(protocol: Protocol) -> None:
 
 
 def test_an_answer_that_no_device_gives_fails_over_any_line(protocol: Protocol) -> None:
-    device = jittery(robot(protocol, "unused-code-for-valid"), 50 * MS, 1)
+    device = jittery(simulated(protocol, "unused-code-for-valid"), 50 * MS, 1)
     report, _ = run_on_line(protocol, device, level="smoke", fail_fast=True)
     assert report.exit == 1
 
@@ -213,3 +185,75 @@ def test_a_device_that_stands_still_now_and_then_does_not_fail(
     report, _ = run_on_line(protocol, device, level="smoke", seed=seed)
     assert failed(report) == []
     assert report.exit in (0, 3)
+
+
+# -- bytes that are changed, lost or doubled -------------------------------------------------------
+
+
+def test_both_directions_are_noisy_and_counted(protocol: Protocol) -> None:
+    device = NoisyDevice(Simulator(protocol), Noise(dropped=1.0), 1)
+    device.receive(b"\x00", 0)
+    assert device.advance(10_000_000) == b""
+    assert device.hurt == 1
+
+    class Talker(Simulator):
+        def advance(self, now: int) -> bytes:
+            return b"\x00"
+
+    device = NoisyDevice(Talker(protocol), Noise(doubled=1.0), 1)
+    assert device.advance(0) == b"\x00\x00"
+    assert device.hurt == 1
+
+
+def test_a_delay_holds_each_byte_up_in_both_directions(protocol: Protocol) -> None:
+    device = NoisyDevice(Simulator(protocol), Noise(), 1, delay=5_000_000)
+    device.receive(b"\x11", 0)
+    device.receive(b"\x7f", 1_000_000)
+
+    got = []
+    while (due := device.deadline()) is not None and due < 40_000_000:
+        got += [(due, code) for code in device.advance(due)]
+
+    (only,) = got
+    assert only[0] >= 11_000_000  # 5 ms there after the last byte, and 5 ms back
+    assert only[1] == 0
+    device.receive(b"\x20", 20_000_000)
+    assert not device.look(24_999_999).moving
+    assert device.look(25_000_001).moving
+
+
+def test_the_same_seed_is_the_same_run(protocol: Protocol) -> None:
+    def run(seed: int) -> list[tuple[str, Verdict]]:
+        device = NoisyDevice(Simulator(protocol), Noise(flipped=1e-3), seed)
+        report = conform(device, grammar=protocol, options=Options(level="smoke"))
+        assert device.hurt
+        return [(result.id, result.verdict) for result in report.results]
+
+    assert run(1) == run(1)
+    assert run(1) != run(2)
+
+
+@pytest.mark.sample(3)
+@pytest.mark.parametrize("line", LINES)
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_never_fails_the_reference(line: str, seed: int) -> None:
+    code, told = noisy_run(Trial("", line, seed), level="smoke")
+    assert code in (0, 3), told
+
+
+@pytest.mark.sample(3)
+@pytest.mark.parametrize("line", LINES)
+@pytest.mark.parametrize("fault", ["speed-starts-it", "code-in-ascii", "ok-to-unknown-id"])
+def test_noise_never_lets_a_faulty_device_pass(line: str, fault: str) -> None:
+    code, _ = noisy_run(Trial(fault, line, 1), level="smoke")
+    assert code in (1, 3)
+
+
+def test_a_long_row_that_is_spoilt_again_and_again_is_no_failure(protocol: Protocol) -> None:
+    """Of 1,200 bytes one is often lost: that three tries of 24 go wrong says nothing."""
+    only = Options(only=("pipelined/dense",))
+    codes = set()
+    for seed in range(20):
+        device = NoisyDevice(Simulator(protocol), Noise(dropped=2e-4), seed)
+        codes.add(conform(device, grammar=protocol, options=only).exit)
+    assert codes == {0, 3}

@@ -5,14 +5,13 @@ from __future__ import annotations
 from bilprov.analyzer.client.operations import Listen, Received, Send
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform, run_suite
-from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
-from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict, WireEvent
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.wire_log import HEAD, TAIL, WIDEST, WireLog
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import a_case, a_run
+from tests.support.robots import simulated
 
 
 class Ears(RunListener):
@@ -71,8 +70,7 @@ def test_a_case_does_not_have_what_was_before_its_begin(protocol: Protocol) -> N
 
 def test_the_logs_are_what_the_recording_hears_and_the_tap_hears_all(protocol: Protocol) -> None:
     ears = Ears()
-    fault = fault_bank(protocol)["no-stop-on-unknown-id"]
-    target = device_target(protocol, Simulator(protocol, fault))
+    target = device_target(protocol, simulated(protocol, "no-stop-on-unknown-id"))
     report = run_suite(target, Options(only=("unused-id/9/*",)), [ears])
     logged = [(e.kind, e.hex) for result in report.results for e in result.log]
     rest = iter(ears.heard)
@@ -87,8 +85,7 @@ def test_the_logs_are_what_the_recording_hears_and_the_tap_hears_all(protocol: P
 
 def test_a_case_that_never_began_has_no_log(protocol: Protocol) -> None:
     options = Options(only=("unused-id/*",), fail_fast=True)
-    fault = fault_bank(protocol)["no-stop-on-unknown-id"]
-    report = conform(Simulator(protocol, fault), grammar=protocol, options=options)
+    report = conform(simulated(protocol, "no-stop-on-unknown-id"), options=options)
     skipped = [result for result in report.results if result.verdict is Verdict.SKIPPED]
 
     assert len(skipped) > 5
