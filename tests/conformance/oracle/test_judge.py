@@ -6,6 +6,7 @@ that choose otherwise in one point.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import permutations
 from typing import Any
 
@@ -20,18 +21,17 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.simulator import Fault, Simulator
-from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.judge import contradiction, judge_answers, judge_state, lost
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.state_model import FAULT, ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict, exit_code, worst
-from bilprov.conformance.report.run_report import Report
 from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import STATE_POINTS
 from bilprov.spec.state import State
-from tests.conformance.oracle.test_state_model import DRIVING, TURNING, done, model_of
-from tests.support.robots import Blind
+from tests.conformance.oracle.test_state_model import DRIVING, TURNING
+from tests.support.car import frame_effect, model_of
+from tests.support.robots import Blind, simulated
 from tests.vectors import READING_IDS
 
 MS = 1_000_000
@@ -51,6 +51,15 @@ def cases(protocol: Protocol) -> dict[str, Case]:
 
 
 # -- the answer axis ------------------------------------------------------------------------------
+
+
+def judged(
+    protocol: Protocol, case: Case, *heard: tuple[int, int], timed: bool = True, **more: Timers
+) -> Axis:
+    """The answer axis of a case after which these answers came, each as (ns, code)."""
+    limits = more.get("timers", Timers())
+    received = Received(heard, 2000 * MS)
+    return judge_answers(protocol, case.accepted, received, 0, timed=timed, timers=limits)
 
 
 @pytest.mark.parametrize(
@@ -104,10 +113,7 @@ def test_a_list_of_answers_gets_the_verdict_of_its_reading(
     verdict: Verdict,
     reading: str,
 ) -> None:
-    case = cases[ident]
-    heard = Received(tuple((i * MS, code) for i, code in enumerate(codes)), 20 * MS)
-
-    axis = judge_answers(protocol, case.accepted, heard, 0, timed=True, timers=Timers())
+    axis = judged(protocol, cases[ident], *((i * MS, code) for i, code in enumerate(codes)))
 
     assert (axis.verdict, axis.reading or "") == (verdict, reading)
     assert bool(axis.reason) is (verdict is not PASS)
@@ -118,8 +124,7 @@ def test_an_unused_code_is_never_right(
     protocol: Protocol, cases: dict[str, Case], ident: str
 ) -> None:
     for code in range(5, 256):
-        heard = Received(((0, code),), MS)
-        axis = judge_answers(protocol, cases[ident].accepted, heard, 0, timed=True, timers=Timers())
+        axis = judged(protocol, cases[ident], (0, code))
         assert axis.verdict is FAIL
         assert f"{code:02x} unused" in axis.reason
 
@@ -148,11 +153,8 @@ def test_the_deadline_of_the_run_decides_whether_an_answer_is_slow(
     reason: str,
 ) -> None:
     limits = Timers().due_within(deadline * MS)
-    heard = Received(((late * MS, 0),), late * MS)
 
-    axis = judge_answers(
-        protocol, cases["valid/Stop"].accepted, heard, 0, timed=True, timers=limits
-    )
+    axis = judged(protocol, cases["valid/Stop"], (late * MS, 0), timers=limits)
 
     assert (axis.verdict, axis.reason) == (verdict, reason)
     assert (axis.reading == "R-answer-deadline") is (verdict is not PASS)
@@ -161,11 +163,7 @@ def test_the_deadline_of_the_run_decides_whether_an_answer_is_slow(
 def test_a_right_answer_is_not_slow_where_a_time_out_comes_first(
     protocol: Protocol, cases: dict[str, Case]
 ) -> None:
-    heard = Received(((700 * MS, 4),), 700 * MS)
-
-    axis = judge_answers(
-        protocol, cases["truncated/Right/0"].accepted, heard, 0, timed=False, timers=Timers()
-    )
+    axis = judged(protocol, cases["truncated/Right/0"], (700 * MS, 4), timed=False)
 
     assert axis.verdict is PASS
 
@@ -173,11 +171,7 @@ def test_a_right_answer_is_not_slow_where_a_time_out_comes_first(
 def test_a_slow_answer_of_another_reading_keeps_the_readings_name(
     protocol: Protocol, cases: dict[str, Case]
 ) -> None:
-    heard = Received(((500 * MS, 3),), 500 * MS)
-
-    axis = judge_answers(
-        protocol, cases["unused-id/9/4"].accepted, heard, 0, timed=True, timers=Timers()
-    )
+    axis = judged(protocol, cases["unused-id/9/4"], (500 * MS, 3))
 
     assert (axis.verdict, axis.reading) == (NON_STRICT, "R-unused-length")
 
@@ -209,7 +203,6 @@ def told(state: State, **other: Any) -> Look:
     return CarLook(**(facets | other))
 
 
-Shown = dict[str, str]  # the words of a device's own choices, by point
 ZEROED = {"R-fault-state speed": "zeroed"}
 KEPT = {"R-fault-state steering": "kept"}
 OFF = {"R-led-state fault": "off"}
@@ -274,15 +267,17 @@ def test_a_state_gets_the_verdict_of_the_choice_that_the_device_has_shown(
     protocol: Protocol,
     what: str,
     before: State,
-    shown: Shown,
+    shown: dict[str, str],
     look: Look,
     verdict: Verdict,
     reading: str,
 ) -> None:
     name, *values = what.split()
-    model = model_of(protocol, *shown.items())
+    model = model_of(protocol, shown)
 
-    expected_state = model.after(ExpectedState(before), done(protocol, name, *map(int, values)))
+    expected_state = model.after(
+        ExpectedState(before), frame_effect(protocol, name, *map(int, values))
+    )
 
     axis = judge_state(model, expected_state, look)
     assert (axis.verdict, axis.reading or "") == (verdict, reading)
@@ -420,12 +415,6 @@ SOMETIMES = [
 ]
 
 
-def run(protocol: Protocol, name: str, only: str, *, strict: bool = False) -> Report:
-    fault = find_fault(protocol, name) if name else None
-    options = Options(only=(only,), truncation_timeout=50, strict=strict)
-    return conform(Simulator(protocol, fault), grammar=protocol, options=options)
-
-
 @pytest.mark.sample(6)
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -440,7 +429,9 @@ def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
     reading: str,
     reason: str,
 ) -> None:
-    report = run(protocol, name, only)
+    device = simulated(protocol, name)
+
+    report = conform(device, options=Options(only=(only,), truncation_timeout=50))
 
     assert report.verdict is verdict
     assert report.exit == (1 if verdict is FAIL else 0)
@@ -455,92 +446,33 @@ def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
     assert reading in ("", *READING_IDS)
 
 
-@pytest.mark.sample(3)
-@pytest.mark.parametrize(("name", "only"), [row[:2] for row in CHOICES if row[2] is NON_STRICT])
-def test_non_strict_fails_a_strict_run_only(protocol: Protocol, name: str, only: str) -> None:
-    report = run(protocol, name, only, strict=True)
-
-    assert report.exit == 1
-    assert report.verdict is NON_STRICT
-
-
-@pytest.mark.parametrize(
-    ("timeout", "verdict"),
-    [(3, NON_STRICT), (6, PASS), (50, PASS), (900, PASS), (1100, NON_STRICT), (2400, NON_STRICT)],
-)
-def test_a_time_out_is_measured_and_should_lie_between_5_ms_and_a_second(
-    protocol: Protocol, timeout: int, verdict: Verdict
-) -> None:
-    device = Simulator(protocol, Fault("x", "test", "", timeout=timeout * MS))
-
-    report = conform(device, grammar=protocol, options=Options(only=("truncated/L*",)))
-
-    assert report.profile.truncation_timeout_ms == pytest.approx(timeout)
-    (measured,) = [r for r in report.results if r.id == "timing/truncation-timeout"]
-    assert (measured.verdict, measured.reading) == (verdict, "R-truncation-timeout")
-    mine = [r for r in report.results if not r.id.startswith("reading")]
-    assert {r.verdict for r in mine if r is not measured} == {PASS}
-    # Where a frame may not pause so long as its answer takes, one probe says that it cannot tell.
-    assert {r.verdict for r in report.results} <= {PASS, INFORMATIONAL, measured.verdict}
-
-
-def only_moving(look: Look) -> Look:
+def saying_only_whether_it_moves(look: Look) -> Look:
     return CarLook(t=look.t, moving=look.moving)
 
 
-def test_a_probe_that_tells_only_moving_cannot_see_a_setting(protocol: Protocol) -> None:
-    device = Simulator(protocol, Fault("x", "test", "", show=only_moving))
-    only = ("valid/LED/*", "valid/Forward", "valid/*/1", "unused-id/*/1", "bad-data/LED/1*")
-
-    report = conform(device, grammar=protocol, options=Options(only=only))
-
-    assert report.exit == 3
-    blind = [r for r in report.results if r.verdict is INCONCLUSIVE]
-    assert {r.id.split("/")[1] for r in blind} >= {"LED", "Speed", "Right", "Left", "Forward"}
-    for result in blind:
-        assert result.id.startswith(("valid/", "reading/"))
-        assert "answer" not in result.axes or result.axes["answer"].verdict is PASS
-        assert "not observable" in result.axes["state"].reason
-    leds = [r for r in report.results if r.id.startswith("valid/LED")]
-    assert sum(r.verdict is INCONCLUSIVE for r in leds) >= 6
-    seen = [r for r in report.results if r.id.startswith(("unused", "bad"))]
-    assert {r.verdict for r in seen} == {PASS}
+def saying_nothing(look: Look) -> Look:
+    return CarLook(look.t, None)
 
 
-@pytest.mark.slow
-def test_a_probe_that_does_not_know_whether_it_moves_vouches_for_nothing(
-    protocol: Protocol,
+@pytest.mark.parametrize("show", [saying_only_whether_it_moves, saying_nothing, None])
+def test_what_nobody_sees_is_inconclusive_and_the_answers_are_judged(
+    protocol: Protocol, show: Callable[[Look], Look] | None
 ) -> None:
-    device = Simulator(protocol, Fault("x", "test", "", show=lambda look: CarLook(look.t, None)))
+    robot = Simulator(protocol, Fault("x", "test", "", show=show))
+    only = ("valid/LED/1", "valid/Forward", "valid/*/1", "unused-id/1?/1", "bad-data/LED/1*")
 
-    report = conform(
-        device,
-        grammar=protocol,
-        options=Options(only=("unused-id/1?/1", "wrong-length/*/1", "valid/Stop")),
-    )
+    report = conform(robot if show else Blind(robot), options=Options(only=only))
 
     assert report.exit == 3
-    assert FAIL not in {r.verdict for r in report.results}
-    mine = [r for r in report.results if not r.id.startswith("timing")]
-    seeing = [r for r in mine if "stop" in r.axes or "state" in r.axes]
-    assert {r.verdict for r in seeing} == {INCONCLUSIVE}
-    assert {r.verdict for r in mine if not r.id.startswith(OPENING)} == {INCONCLUSIVE}
-
-
-@pytest.mark.slow
-def test_a_device_without_look_is_judged_by_its_answers_alone(protocol: Protocol) -> None:
-    device: Any = Blind(Simulator(protocol))
-    report = conform(
-        device,
-        grammar=protocol,
-        options=Options(only=("valid/*/1", "unused-id/*/1", "wrong-length/*/1")),
-    )
-
-    assert report.exit == 3
-    mine = [r for r in report.results if not r.id.startswith(OPENING)]
-    assert {r.axes["answer"].verdict for r in mine} == {PASS}
-    assert {r.axes["state"].verdict for r in mine} == {INCONCLUSIVE}
-    assert {"not observable" in r.axes["state"].reason for r in mine} == {True}
+    mine = [r for r in report.results if r.id.startswith(("valid", "unused", "bad"))]
+    answers = {r.axes["answer"].verdict for r in mine if "answer" in r.axes}
+    # A fault is not sent where nobody sees whether the robot moves before it.
+    assert answers == ({PASS, INCONCLUSIVE} if show is saying_nothing else {PASS})
+    settings = [r for r in mine if r.id.startswith("valid")]
+    assert {r.verdict for r in settings} == {INCONCLUSIVE}
+    assert all("not observable" in r.axes["state"].reason for r in settings)
+    stops = {r.verdict for r in mine if r not in settings}
+    assert stops == {PASS if show is saying_only_whether_it_moves else INCONCLUSIVE}
 
 
 # -- verdicts -------------------------------------------------------------------------------------

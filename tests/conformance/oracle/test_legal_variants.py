@@ -18,7 +18,7 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
 from tests.conformance.mutation.test_verdicts import TABLE
 from tests.support.faults import faulty, sets, stands_still, when
-from tests.support.robots import CountingLink, cases_of, run_over
+from tests.support.robots import CountingLink, cases_of, run_over, simulated
 
 FAIL, INFORMATIONAL = Verdict.FAIL, Verdict.INFORMATIONAL
 NON_STRICT, PASS = Verdict.NON_STRICT, Verdict.PASS
@@ -145,7 +145,7 @@ def test_another_legal_reading_gets_its_verdict_and_never_a_failure() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, verdict in VERDICTS.items() if verdict is FAIL])
 def test_a_reading_that_needs_an_option_fails_without_it(name: str, protocol: Protocol) -> None:
-    device = Simulator(protocol, find_variant(protocol, name))
+    device = simulated(protocol, name)
 
     assert conform(device, grammar=protocol, options=Options(level="smoke")).exit == 1
 
@@ -191,26 +191,21 @@ def speeds_after_stops(protocol: Protocol, name: str, *movers: str) -> list[int]
     return found
 
 
-def test_by_frame_it_chooses_every_second_time(protocol: Protocol) -> None:
-    name = "mixture:R-stop-speed=zeroed:by-frame"
-
-    assert speeds_after_stops(protocol, name, *["Forward"] * 4) == [0, 99, 0, 99]
+MOVERS = ("Forward", "Backward", "RotateRight", "RotateLeft")
 
 
-def test_after_so_many_times_it_chooses_otherwise(protocol: Protocol) -> None:
-    name = "mixture:R-stop-speed=zeroed:after-12"
-
-    assert speeds_after_stops(protocol, name, *["Forward"] * 15) == [99] * 12 + [0] * 3
-
-
-def test_by_motion_it_depends_on_how_it_moved(protocol: Protocol) -> None:
-    name = "mixture:R-stop-speed=zeroed:by-motion"
-    movers = ("Forward", "Backward", "RotateRight", "RotateLeft")
-
-    found = speeds_after_stops(protocol, name, *movers)
-
-    assert set(found) == {0, 99}
-    assert found == speeds_after_stops(protocol, name, *movers)
+@pytest.mark.parametrize(
+    ("by", "movers", "speeds"),
+    [
+        ("by-frame", ["Forward"] * 4, [0, 99, 0, 99]),
+        ("after-12", ["Forward"] * 15, [99] * 12 + [0] * 3),
+        ("by-motion", [*MOVERS, *MOVERS], [0, 99, 0, 99] * 2),
+    ],
+)
+def test_a_mixture_chooses_now_one_and_now_the_other(
+    protocol: Protocol, by: str, movers: list[str], speeds: list[int]
+) -> None:
+    assert speeds_after_stops(protocol, f"mixture:R-stop-speed=zeroed:{by}", *movers) == speeds
 
 
 def test_by_id_it_depends_on_the_instruction(protocol: Protocol) -> None:
@@ -224,38 +219,12 @@ def test_by_id_it_depends_on_the_instruction(protocol: Protocol) -> None:
     assert codes == [3, 1, 3, 1, 3, 1, 3]
 
 
-def test_a_point_that_one_id_alone_can_show_is_not_mixed_by_id(protocol: Protocol) -> None:
-    names = set(mixtures(protocol))
-
-    assert "mixture:R-stop-speed=zeroed:by-frame" in names
-    assert "mixture:R-stop-speed=zeroed:by-id" not in names
-    assert "mixture:R-speed-moving=next-motion:by-id" not in names
-    assert "mixture:R-competing-errors=bad-data:by-id" not in names
-    assert "mixture:R-drive-steering=straight:by-id" in names
-    assert "mixture:R-rotate-steering=reset:by-id" in names
-
-
-@pytest.mark.slow
-def test_every_choice_that_is_no_measured_time_is_mixed(protocol: Protocol) -> None:
-    mixed = {name.split(":")[1] for name in mixtures(protocol)}
-
-    assert mixed == {variant.name for variant in variants(protocol).values() if variant.mixes}
-    times = ("R-truncation-timeout", "R-answer-deadline", "R-stop-latency", "R-stop-point")
-    assert not any(name.startswith(times) for name in mixed)
-    assert len(mixtures(protocol)) > 60
-
-
 @pytest.mark.slow
 def test_each_says_what_it_does(protocol: Protocol, horn: Protocol) -> None:
     for grammar in (protocol, horn):
         docs = {fault.doc for fault in mixtures(grammar).values()}
         assert len(docs) == len(mixtures(grammar))
         assert all("but only" in doc for doc in docs)
-
-
-def test_a_mixture_has_a_name_wherever_a_fault_has(protocol: Protocol) -> None:
-    for name in list(mixtures(protocol))[::7]:
-        assert find_fault(protocol, name).name == name
 
 
 @pytest.mark.parametrize(

@@ -206,8 +206,8 @@ def seen(sight: Sight, *looks: Look) -> Sight:
 
 
 def result(ident: str, **axes: Verdict) -> CaseResult:
-    judged = {name: Axis(verdict, "expected", "seen") for name, verdict in axes.items()}
-    return with_axes(ident, judged)
+    told = {name: Axis(verdict, "expected", "seen") for name, verdict in axes.items()}
+    return with_axes(ident, told)
 
 
 DARK = CarLook(0, None)

@@ -7,37 +7,16 @@ import pytest
 from bilprov.conformance.cases.steps import step_of
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.conformance.oracle.state_model import (
-    FAULT,
     ExpectedState,
-    FrameEffect,
-    Model,
 )
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, STATE_POINTS
-from tests.support.car import car_state
+from tests.support.car import car_state, frame_effect, model_of
 from tests.vectors import SEQUENCES, RobotState, Sequence
 
 DRIVING = car_state(Motion.FORWARD, speed=200, steering=40, led=5)
 TURNING = DRIVING.but(motion=Motion.ROTATE_LEFT)
-
-
-def done(protocol: Protocol, name: str, *values: int) -> FrameEffect:
-    """What an instruction does with these values; a fault for the name `fault`."""
-    if name == "fault":
-        return FAULT
-    spec = protocol.by_name[name]
-    return FrameEffect(
-        spec.effect, {part.name: v for part, v in zip(spec.fields, values, strict=True)}
-    )
-
-
-def model_of(protocol: Protocol, *shown: tuple[str, str]) -> Model:
-    """The model of a device that has shown these (point, word)."""
-    choices = Choices()
-    for point, word in shown:
-        assert choices.record(point, word, "before") == ""
-    return Model(protocol, choices)
 
 
 # -- by default -----------------------------------------------------------------------------------
@@ -63,16 +42,14 @@ def test_by_default_the_model_does_what_the_document_says(
 
 
 def test_a_choice_that_is_the_default_changes_nothing(protocol: Protocol) -> None:
-    defaults = model_of(protocol, *((point, POINTS[point].default) for point in STATE_POINTS))
+    reference = model_of(protocol)
+    defaults = model_of(protocol, {point: POINTS[point].default for point in STATE_POINTS})
 
     for sequence in SEQUENCES:
         told = known = ExpectedState(protocol.power_on)
         for typed in sequence.steps:
-            frame_effect = step_of(protocol, typed.frame).frame_effect
-            told, known = (
-                defaults.after(told, frame_effect),
-                model_of(protocol).after(known, frame_effect),
-            )
+            effect = step_of(protocol, typed.frame).frame_effect
+            told, known = defaults.after(told, effect), reference.after(known, effect)
             assert told == known
 
 
@@ -82,36 +59,40 @@ MOTIONS = {"Forward", "Backward", "RotateRight", "RotateLeft"}
 
 
 def test_a_later_speed_replaces_the_one_that_waits(protocol: Protocol) -> None:
-    model = model_of(protocol, ("R-speed-moving", "next-motion"))
-    waits = model.after(ExpectedState(DRIVING), done(protocol, "Speed", 90))
+    model = model_of(protocol, {"R-speed-moving": "next-motion"})
+    waits = model.after(ExpectedState(DRIVING), frame_effect(protocol, "Speed", 90))
 
-    later = model.after(waits, done(protocol, "Speed", 91))
+    later = model.after(waits, frame_effect(protocol, "Speed", 91))
     assert (later.pending_speed, later.state.speed) == (91, 200)
 
-    rested = model.after(model.after(waits, done(protocol, "Stop")), done(protocol, "Speed", 92))
+    rested = model.after(
+        model.after(waits, frame_effect(protocol, "Stop")), frame_effect(protocol, "Speed", 92)
+    )
     assert (rested.pending_speed, rested.state.speed) == (None, 92)
-    assert model.after(rested, done(protocol, "Forward")).state.speed == 92
+    assert model.after(rested, frame_effect(protocol, "Forward")).state.speed == 92
 
 
 @pytest.mark.parametrize("point", ["R-stop-speed", "R-fault-state speed"])
 def test_a_stop_that_zeroes_the_speed_zeroes_the_one_that_waits(
     protocol: Protocol, point: str
 ) -> None:
-    model = model_of(protocol, ("R-speed-moving", "next-motion"), (point, "zeroed"))
-    waits = model.after(ExpectedState(DRIVING), done(protocol, "Speed", 90))
+    model = model_of(protocol, {"R-speed-moving": "next-motion", point: "zeroed"})
+    waits = model.after(ExpectedState(DRIVING), frame_effect(protocol, "Speed", 90))
 
-    stopped = model.after(waits, done(protocol, "Stop" if point == "R-stop-speed" else "fault"))
+    stopped = model.after(
+        waits, frame_effect(protocol, "Stop" if point == "R-stop-speed" else "fault")
+    )
 
     assert (stopped.state.speed, stopped.pending_speed) == (0, None)
-    assert model.after(stopped, done(protocol, "Forward")).state.speed == 0
+    assert model.after(stopped, frame_effect(protocol, "Forward")).state.speed == 0
 
 
 def test_the_motion_is_known_again_after_the_next_one(protocol: Protocol) -> None:
-    model = model_of(protocol, ("R-steer-rotating", "curve"))
-    curve = model.after(ExpectedState(TURNING), done(protocol, "Right", 9))
+    model = model_of(protocol, {"R-steer-rotating": "curve"})
+    curve = model.after(ExpectedState(TURNING), frame_effect(protocol, "Right", 9))
 
     for name in (*MOTIONS, "Stop", "fault"):
-        assert model.after(curve, done(protocol, name)).unknown == frozenset(), name
+        assert model.after(curve, frame_effect(protocol, name)).unknown == frozenset(), name
 
 
 # -- what is not known ----------------------------------------------------------------------------
@@ -123,12 +104,12 @@ def test_of_a_robot_that_was_found_nothing_is_known_but_what_is_set(protocol: Pr
 
     assert expected_state.unknown == {"speed", "steering", "led"}
     assert expected_state.still
-    expected_state = model.after(expected_state, done(protocol, "Speed", 7))
+    expected_state = model.after(expected_state, frame_effect(protocol, "Speed", 7))
     assert expected_state.unknown == {"steering", "led"}
-    expected_state = model.after(expected_state, done(protocol, "LED", 7))
+    expected_state = model.after(expected_state, frame_effect(protocol, "LED", 7))
     assert expected_state.unknown == {"steering"}
-    assert model.after(expected_state, done(protocol, "Left", 7)).unknown == frozenset()
-    assert model.after(expected_state, done(protocol, "Stop")).unknown == frozenset()
+    assert model.after(expected_state, frame_effect(protocol, "Left", 7)).unknown == frozenset()
+    assert model.after(expected_state, frame_effect(protocol, "Stop")).unknown == frozenset()
 
 
 def test_after_homing_a_direction_is_known_and_the_settings_are_not(protocol: Protocol) -> None:
@@ -136,10 +117,10 @@ def test_after_homing_a_direction_is_known_and_the_settings_are_not(protocol: Pr
     homed = reference.homed(reference.found())
     assert (homed.state.motion, homed.unknown) == (Motion.STOPPED, {"speed", "led"})
 
-    keeps = model_of(protocol, ("R-stop-steering", "kept"))
+    keeps = model_of(protocol, {"R-stop-steering": "kept"})
     assert keeps.homed(keeps.found()).unknown == {"speed", "steering", "led"}
 
-    zeroes = model_of(protocol, ("R-stop-speed", "zeroed"), ("R-led-state stop", "off"))
+    zeroes = model_of(protocol, {"R-stop-speed": "zeroed", "R-led-state stop": "off"})
     homed = zeroes.homed(zeroes.found())
     assert (homed.state.speed, homed.state.led, homed.unknown) == (0, 0, frozenset())
 
