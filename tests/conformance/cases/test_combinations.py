@@ -65,15 +65,6 @@ def test_a_random_sequence_depends_on_its_number_and_the_seed_alone(protocol: Pr
 
 @pytest.mark.sample(0)
 @pytest.mark.slow
-def test_deep_has_ten_times_the_random_sequences_of_standard(protocol: Protocol) -> None:
-    standard, deep = randoms(protocol, "standard"), randoms(protocol, "deep")
-
-    assert len(deep) == 10 * len(standard) > 0
-    assert deep[: len(standard)] == standard
-
-
-@pytest.mark.sample(0)
-@pytest.mark.slow
 def test_a_random_sequence_of_a_soak_is_made_again_by_its_id(protocol: Protocol) -> None:
     beyond = randoms(protocol, "standard")[-1].id
     number = int(beyond.rpartition("/")[2]) + 5

@@ -13,13 +13,13 @@ from bilprov.conformance.cases.byte_machine import byte_machine
 from bilprov.conformance.cases.proof import PROOFS, announcement, proof_sequences, suite
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.machines.wp_method import Mealy, Output, minimal
-from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.proof import proven
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol, load
 from tests.support.commands import command
+from tests.support.robots import simulated
 
 ANSWERS, MOTION, STATE = PROOFS
 ONLY_ANSWERS = Options(level="complete", only=("complete/answers/*",))
@@ -178,7 +178,7 @@ def test_the_command_says_it_before_and_what_is_proven_after() -> None:
 def test_a_device_that_reads_the_document_otherwise_passes_but_nothing_is_proven(
     protocol: Protocol,
 ) -> None:
-    device = Simulator(protocol, variants(protocol)["R-truncated-long=too-many"].fault)
+    device = simulated(protocol, "R-truncated-long=too-many")
     report = conform(device, grammar=protocol, options=ONLY_ANSWERS, logged=False)
 
     assert report.exit == 0

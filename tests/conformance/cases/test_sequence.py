@@ -5,31 +5,30 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
+from itertools import pairwise, product
 
 import pytest
 from msgspec.structs import replace
 
 from bilprov.conformance.api import Options, select_cases
-from bilprov.conformance.cases.budget import group
+from bilprov.conformance.cases.coverage import CUTS, TRIPLES, covered
 from bilprov.conformance.cases.levels import (
-    GENERATORS,
     INDEPENDENT_GROUPS,
-    LEVELS,
     SEQUENCE_PREFIXES,
     level_cases,
     reaches,
-    single_cases,
 )
-from bilprov.conformance.cases.proof import GROUP, PROOFS
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.cases.sweeps import soak
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge
-from bilprov.spec.motion import Motion, visible_motion
+from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
-from tests.vectors import BAD_DATA_FRAMES, READING_IDS
+from tests.vectors import READING_IDS
+
+pytestmark = pytest.mark.slow
 
 SEEDS = (1, 2)
 MOVERS = {
@@ -39,16 +38,17 @@ MOVERS = {
     "RotateLeft": Motion.ROTATE_LEFT,
 }
 MOVING = set(MOVERS.values())
-SETTINGS = {"Speed": range(256), "Right": range(256), "Left": range(256), "LED": range(8)}
+SETTINGS = {"Speed", "Right", "Left", "LED"}
 FAULTS = {"BAD_HEADER", "BAD_DATA", "TOO_MANY_DATA", "TOO_FEW_DATA"}
 WHOLE = {"Stop", *MOVERS, *SETTINGS, *FAULTS}
 CUT = "cut short"
+FILLS = (b"\x00", b"\x20", b"\xff")
 # Where a walk may be split: one time-out over the whole frame must not be reached by its pauses.
 MOST_PAUSES = 4
 # The levels that hold nothing but tours and sweeps; `test_proof` is about the other.
 TOURS = ("smoke", "standard", "deep")
 # Its cases take seconds to make.
-DEEP = [pytest.mark.slow, pytest.mark.sample(0)]
+DEEP = pytest.mark.sample(0)
 EACH_TOUR = [*TOURS[:2], pytest.param(TOURS[2], marks=DEEP)]
 
 
@@ -84,70 +84,52 @@ def states(
 # -- nothing is left out --------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_every_header_comes_with_all_its_data_in_three_fills(protocol: Protocol) -> None:
-    met: dict[int, Counter[bytes]] = {}
-    for sequence in sequences_of(protocol):
-        if sequence.id.startswith("sequence/headers"):
-            name = int(sequence.id.split("/")[2].split("-")[0], 16)
-            for burst in sequence.bursts:
-                (step,) = burst.steps
-                if burst.looks:
-                    met.setdefault(step.frame[0], Counter())[step.frame[1:]] += 1
-                    assert name <= step.frame[0] < name + 32, sequence.id
+def swept(protocol: Protocol, what: str) -> Counter[tuple[bytes, Motion]]:
+    """How often each frame that is swept was sent in each kind of motion; speed 0 is one of them.
 
-    assert set(met) == set(range(256))
-    for header, fills in met.items():
-        length = header & 0x0F
-        # Stops, a motion that would be seen if it were run, all bits set.
-        assert fills == Counter([b"\x00" * length, b"\x20" * length, b"\xff" * length])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["headers", "data", "bad-data"])
-def test_what_is_swept_is_sent_while_the_robot_moves(protocol: Protocol, what: str) -> None:
-    met = set()
-    for sequence in sequences_of(protocol):
-        if not sequence.id.startswith(f"sequence/{what}/"):
-            continue
-        for burst, _, state in states(protocol, sequence):
-            if burst is not None and burst.looks:
-                assert state.motion in MOVING, sequence.id
-                assert state.moving or what == "data", (
-                    sequence.id
-                )  # where Speed 0 is among the data
-                met.add(state.motion)
-
-    assert met == MOVING
-
-
-@pytest.mark.slow
-def test_every_value_of_every_setting_meets_each_kind_of_motion(protocol: Protocol) -> None:
-    met: Counter[tuple[str, int, Motion]] = Counter()
-    for sequence in sequences_of(protocol):
-        if sequence.id.startswith("sequence/data/"):
-            for burst, step, state in states(protocol, sequence):
-                if burst is not None:
-                    judged = judge(protocol, step.frame)
-                    ((_, value),) = judged.fields
-                    met[judged.name, value, state.motion] += 1
-
-    wanted = {(n, v, m) for n, values in SETTINGS.items() for v in values for m in MOVING}
-    assert met == dict.fromkeys(wanted, 1)
-
-
-@pytest.mark.slow
-def test_every_value_out_of_range_meets_each_kind_of_motion(protocol: Protocol) -> None:
+    Elsewhere the robot moves.
+    """
     met: Counter[tuple[bytes, Motion]] = Counter()
     for sequence in sequences_of(protocol):
-        if sequence.id.startswith("sequence/bad-data/"):
+        if sequence.id.startswith(f"sequence/{what}"):
             for burst, step, state in states(protocol, sequence):
                 if burst is not None and burst.looks:
+                    assert state.moving or what.startswith("data/"), sequence.id
                     met[step.frame, state.motion] += 1
+    return met
 
-    wanted = {(bytes([0x81, value]), m) for value in range(8, 256) for m in MOVING}
-    assert met == dict.fromkeys(wanted, 1)
-    assert {vector.frame for vector in BAD_DATA_FRAMES} <= {frame for frame, _ in met}
+
+def test_every_header_comes_with_all_its_data_in_three_fills(protocol: Protocol) -> None:
+    found = swept(protocol, "headers/")
+
+    met: Counter[bytes] = Counter()
+    for (frame, _), times in found.items():
+        met[frame] += times
+    # Stops, a motion that would be seen if it were run, all bits set.
+    fills = [bytes([header]) + fill * (header & 15) for header in range(256) for fill in FILLS]
+    assert met == Counter(fills)
+    assert {motion for _, motion in found} == MOVING
+
+
+@pytest.mark.parametrize(
+    ("what", "values"),
+    [
+        ("data/", {0x11: range(256), 0x41: range(256), 0x51: range(256), 0x81: range(8)}),
+        ("bad-data/", {0x81: range(8, 256)}),
+    ],
+)
+def test_every_value_meets_each_kind_of_motion_once(
+    protocol: Protocol, what: str, values: dict[int, range]
+) -> None:
+    frames = [bytes([header, value]) for header, found in values.items() for value in found]
+
+    assert swept(protocol, what) == dict.fromkeys(product(frames, MOVING), 1)
+
+
+def test_standard_leaves_nothing_out_but_some_of_the_cuts(protocol: Protocol) -> None:
+    found = covered(protocol, level_cases(protocol, "standard", 1))
+
+    assert {name for name, (done, of) in found.items() if done < of} == {CUTS, TRIPLES}
 
 
 def pairs_in_motion(kinds: set[str]) -> set[tuple[str, str, Motion]]:
@@ -159,12 +141,10 @@ def pairs_in_motion(kinds: set[str]) -> set[tuple[str, str, Motion]]:
     return found
 
 
-def pairs_met(
-    protocol: Protocol, level: str, prefix: str, seed: int = 1
-) -> set[tuple[str, str, Motion]]:
+def pairs_met(protocol: Protocol, level: str) -> set[tuple[str, str, Motion]]:
     met = set()
-    for sequence in sequences_of(protocol, level, seed):
-        if sequence.id.startswith(prefix):
+    for sequence in sequences_of(protocol, level):
+        if sequence.id.startswith("sequence/tour/"):
             last = ""
             for burst, step, state in states(protocol, sequence):
                 kind = kind_of(protocol, step)
@@ -174,74 +154,29 @@ def pairs_met(
     return met
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [SEEDS[0], pytest.param(SEEDS[1], marks=DEEP)])
-def test_standard_meets_every_pair_of_kinds_in_every_kind_of_motion(
-    protocol: Protocol, seed: int
+@pytest.mark.parametrize(
+    ("level", "more"), [("standard", set()), pytest.param("deep", {CUT}, marks=DEEP)]
+)
+def test_every_pair_of_kinds_is_met_in_every_kind_of_motion(
+    protocol: Protocol, level: str, more: set[str]
 ) -> None:
-    met = pairs_met(protocol, "standard", "sequence/tour/", seed)
+    met = pairs_met(protocol, level)
 
-    assert pairs_in_motion(WHOLE) - met == set()
-
-
-@pytest.mark.sample(0)
-@pytest.mark.slow
-def test_deep_meets_every_pair_with_frames_cut_short_too(protocol: Protocol) -> None:
-    met = pairs_met(protocol, "deep", "sequence/tour/")
-
-    assert pairs_in_motion(WHOLE | {CUT}) - met == set()
+    assert pairs_in_motion(WHOLE | more) - met == set()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("way", ["pipelined", "split"])
-def test_standard_delivers_every_pair_of_kinds_in_one_go_too(protocol: Protocol, way: str) -> None:
+def test_standard_delivers_every_pair_of_kinds_in_one_go_too(protocol: Protocol) -> None:
     met = {
         tuple(kind_of(protocol, step) for step in steps)
         for sequence in sequences_of(protocol)
         for burst in sequence.bursts
-        if burst.delivery == ("pipelined" if way == "pipelined" else "split")
-        for steps in zip(burst.steps, burst.steps[1:], strict=False)
-    }
-    wanted = {(first, second) for first in WHOLE for second in WHOLE}
-
-    if way == "pipelined":
-        assert wanted - met == set()
-    else:
-        # Where a pause falls matters to a frame; which frame is beside it much less.
-        assert {kind for pair in met for kind in pair} == WHOLE
-        assert len(met & wanted) > len(wanted) // 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("level", EACH_TOUR)
-def test_each_level_delivers_in_each_way(protocol: Protocol, level: str) -> None:
-    met = Counter(
-        burst.delivery for sequence in sequences_of(protocol, level) for burst in sequence.bursts
-    )
-    ways = {"waited", "pipelined", "split", "left alone", "cut"}
-
-    assert set(met) == ways
-    assert min(met.values()) >= 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("level", EACH_TOUR[1:])
-def test_every_kind_is_left_alone_in_each_kind_of_motion(protocol: Protocol, level: str) -> None:
-    met = {
-        (kind_of(protocol, step), visible_motion(state))
-        for sequence in sequences_of(protocol, level)
-        if sequence.id.startswith("sequence/left-alone/")
-        for burst, step, state in states(protocol, sequence)
-        if burst is not None and burst.idle_ms
+        if burst.delivery == "pipelined"
+        for steps in pairwise(burst.steps)
     }
 
-    assert {kind for kind, _ in met} >= WHOLE | {CUT}
-    if level == "deep":
-        wanted = {(kind, motion) for kind in WHOLE | {CUT} for motion in Motion}
-        assert wanted - met == set()
+    assert set(product(WHOLE, repeat=2)) - met == set()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("level", "count"),
     [("smoke", 30), ("standard", 300), pytest.param("deep", 1100, marks=DEEP)],
@@ -278,7 +213,6 @@ def test_a_soak_has_as_many_faults_as_it_is_told(protocol: Protocol, count: int)
 # -- what is expected -----------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("level", ["smoke", "standard"])
 def test_every_step_agrees_with_the_judge(protocol: Protocol, level: str) -> None:
     for sequence in sequences_of(protocol, level):
@@ -306,7 +240,6 @@ def require_agreement(protocol: Protocol, step: Step) -> None:
         assert step.point.split(" ")[0] == step.reading, step
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("level", ["smoke", "standard"])
 def test_a_walk_begins_in_motion_and_leaves_nothing_open(protocol: Protocol, level: str) -> None:
     for sequence in [found for found in sequences_of(protocol, level) if not found.seeded]:
@@ -317,7 +250,6 @@ def test_a_walk_begins_in_motion_and_leaves_nothing_open(protocol: Protocol, lev
             assert names & set(MOVERS), sequence.id
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("level", EACH_TOUR)
 def test_a_burst_is_one_that_can_be_sent_and_judged(protocol: Protocol, level: str) -> None:
     for sequence in sequences_of(protocol, level):
@@ -332,68 +264,9 @@ def test_a_burst_is_one_that_can_be_sent_and_judged(protocol: Protocol, level: s
             assert not (burst.idle_ms and not burst.looks), sequence.id
 
 
-@pytest.mark.slow
-def test_pauses_fall_inside_frames_and_between_them(protocol: Protocol) -> None:
-    inside = between = 0
-    for sequence in sequences_of(protocol):
-        for burst in sequence.bursts:
-            ends, end = set(), 0
-            for step in burst.steps:
-                end += len(step.frame)
-                ends.add(end)
-            for place in burst.pauses:
-                between += place in ends
-                inside += place not in ends
-
-    assert inside > 50
-    assert between > 20
-
-
 # -- seeds and ids --------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("level", EACH_TOUR)
-def test_a_level_holds_the_groups_of_the_generators_that_it_has_an_amount_of(
-    protocol: Protocol, level: str
-) -> None:
-    found = {group(sequence.id) for sequence in sequences_of(protocol, level)}
-
-    assert found == {row.group for row in GENERATORS if row.amount(LEVELS[level])}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("level", EACH_TOUR)
-def test_ids_are_unique_at_each_level(protocol: Protocol, level: str) -> None:
-    soaked = 500 if level == "smoke" else 0
-    counted = Counter(case.id for case in level_cases(protocol, level, 1, soaked))
-
-    assert [ident for ident, times in counted.items() if times > 1] == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("less", "more"), [TOURS[:2], pytest.param(*TOURS[1:], marks=DEEP)], ids=str
-)
-def test_each_level_holds_the_ids_of_the_one_before(
-    protocol: Protocol, less: str, more: str
-) -> None:
-    fewer, many = ({case.id for case in level_cases(protocol, name, 1)} for name in (less, more))
-
-    assert fewer < many
-
-
-def test_the_level_complete_holds_what_standard_does_and_the_proofs() -> None:
-    more = {
-        row.group
-        for row in GENERATORS
-        if row.amount(LEVELS["complete"]) != row.amount(LEVELS["standard"])
-    }
-
-    assert more == {f"{GROUP}/{one.name}" for one in PROOFS}
-
-
-@pytest.mark.slow
 def test_a_group_that_is_independent_is_the_same_without_the_others(protocol: Protocol) -> None:
     whole = level_cases(protocol, "standard", 1)
     for left_out in (INDEPENDENT_GROUPS[1:],):
@@ -401,21 +274,7 @@ def test_a_group_that_is_independent_is_the_same_without_the_others(protocol: Pr
         assert found == tuple(c for c in whole if c.id.rpartition("/")[0] not in left_out)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("level", EACH_TOUR)
-def test_the_cases_that_are_no_sequences_come_first_and_are_made_alone(
-    protocol: Protocol, level: str
-) -> None:
-    cases, singles = level_cases(protocol, level, 1), single_cases(protocol, level, 1)
-
-    assert cases[: len(singles)] == singles
-    assert all(isinstance(case, SequenceCase) for case in cases[len(singles) :])
-    ids = [case.id for case in cases if case.id.startswith(SEQUENCE_PREFIXES)]
-    assert ids == [case.id for case in cases[len(singles) :]]
-
-
 @pytest.mark.sample(3)
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("glob", "reached"),
     [
@@ -455,7 +314,6 @@ def sent(sequence: SequenceCase) -> tuple[object, ...]:
     return sequence.id, tuple(step.frame for step in sequence.setup), bursts
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("level", ["smoke", pytest.param("standard", marks=DEEP)])
 def test_another_seed_makes_other_walks_with_the_same_ids(protocol: Protocol, level: str) -> None:
     one, two = (sequences_of(protocol, level, seed) for seed in SEEDS)
@@ -469,28 +327,15 @@ def test_another_seed_makes_other_walks_with_the_same_ids(protocol: Protocol, le
 # -- another grammar ------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_a_horn_is_swept_and_toured(horn: Protocol) -> None:
-    sequences = sequences_of(horn)
-    values, refused = set(), set()
-    for sequence in sequences:
-        for burst, step, state in states(horn, sequence):
-            if burst is not None and sequence.id.startswith("sequence/data/Horn"):
-                values.add((step.frame, state.motion))
-            if (
-                burst is not None
-                and burst.looks
-                and sequence.id.startswith("sequence/bad-data/Horn")
-            ):
-                refused.add((step.frame, state.motion))
-
-    assert values == {(bytes([0x91, v]), m) for v in range(4) for m in MOVING}
-    assert refused == {(bytes([0x91, v]), m) for v in range(4, 256) for m in MOVING}
-    for sequence in sequences[::9]:
+    for what, values in (("data/Horn", range(4)), ("bad-data/Horn", range(4, 256))):
+        frames = [bytes([0x91, value]) for value in values]
+        assert swept(horn, what) == dict.fromkeys(product(frames, MOVING), 1)
+    for sequence in sequences_of(horn)[::9]:
         for step in (*sequence.setup, *sequence.steps):
             require_agreement(horn, step)
     kinds = WHOLE | {"Horn"}
-    met = pairs_met(horn, "standard", "sequence/tour/")
+    met = pairs_met(horn, "standard")
     # The horn changes no motion: it may come in each of them, like a setting.
     wanted = {(a, b, m) for a, b, m in pairs_in_motion(kinds) if a != "Horn"}
     wanted |= {("Horn", kind, motion) for kind in kinds for motion in MOVING}
