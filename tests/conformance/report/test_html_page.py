@@ -40,10 +40,10 @@ def show(page: Page, protocol: Protocol, tmp_path: Path) -> Open:
     return opened
 
 
+@pytest.fixture(scope="module")
 def failing(protocol: Protocol) -> Report:
-    return a_run(
-        protocol, "bad-data/LED/1?", "unused-id/9/*", "valid/LED/*", fault="restarts-by-itself"
-    )
+    only = ("bad-data/LED/1?", "unused-id/9/*", "valid/LED/*")
+    return a_run(protocol, *only, fault="restarts-by-itself")
 
 
 def visible_ids(page: Page) -> list[str]:
@@ -84,8 +84,8 @@ def wire_log(page: Page) -> list[list[str]]:
 # -- what is in the file --------------------------------------------------------------------------
 
 
-def test_it_is_one_file_that_asks_no_other_place(protocol: Protocol) -> None:
-    text = as_html([failing(protocol)], protocol)
+def test_it_is_one_file_that_asks_no_other_place(failing: Report, protocol: Protocol) -> None:
+    text = as_html([failing], protocol)
     elements = Seen(text).elements
 
     assert not {tag for tag, _ in elements} & {"link", "img", "iframe", "object", "embed", "base"}
@@ -98,8 +98,8 @@ def test_it_is_one_file_that_asks_no_other_place(protocol: Protocol) -> None:
     assert not re.search(r"url\(|@import", text)
 
 
-def test_only_its_own_script_and_style_may_run(protocol: Protocol) -> None:
-    elements = Seen(as_html([failing(protocol)], protocol)).elements
+def test_only_its_own_script_and_style_may_run(failing: Report, protocol: Protocol) -> None:
+    elements = Seen(as_html([failing], protocol)).elements
     (policy,) = [
         attributes["content"] or ""
         for tag, attributes in elements
@@ -111,11 +111,10 @@ def test_only_its_own_script_and_style_may_run(protocol: Protocol) -> None:
     assert not [a for _, a in elements if "style" in a or any(key.startswith("on") for key in a)]
 
 
-def test_matrix_and_cases_are_there_without_any_script(protocol: Protocol) -> None:
-    report = failing(protocol)
-    text = as_html([report], protocol).partition("<script")[0]
+def test_matrix_and_cases_are_there_without_any_script(failing: Report, protocol: Protocol) -> None:
+    text = as_html([failing], protocol).partition("<script")[0]
 
-    for result in report.results:
+    for result in failing.results:
         assert f'<span class="id">{result.id}</span>' in text
     assert "sim does not conform" in text
     assert '<table class="matrix">' in text
@@ -144,13 +143,12 @@ def test_hostile_text_makes_no_element_and_no_attribute(protocol: Protocol, evil
 @pytest.mark.parametrize("width", [1280, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_open_filter_click_and_read(
-    protocol: Protocol, page: Page, show: Open, width: int, scheme: str
+    failing: Report, page: Page, show: Open, width: int, scheme: str
 ) -> None:
-    report = failing(protocol)
-    failed = [result for result in report.results if result.verdict is Verdict.FAIL]
+    failed = [result for result in failing.results if result.verdict is Verdict.FAIL]
     page.size(width)
     page.scheme(scheme)
-    show(report)
+    show(failing)
 
     # Nothing is wider than the window, and the ground is as light or dark as was asked for.
     assert page.eval("document.documentElement.scrollWidth") == width
@@ -161,14 +159,14 @@ def test_open_filter_click_and_read(
     # What did not pass is there first; then everything; then what passed.
     assert visible_ids(page) == [result.id for result in failed]
     page.click("#everything")
-    assert visible_ids(page) == ids(report)
+    assert visible_ids(page) == ids(failing)
     page.click('.chip[data-v="pass"]')
-    assert visible_ids(page) == ids(report, Verdict.PASS)
+    assert visible_ids(page) == ids(failing, Verdict.PASS)
     assert page.eval("document.querySelector('.chip[data-v=pass]').ariaPressed") == "true"
     page.click('.chip[data-v="pass"]')
     page.click('.chip[data-v="fail"]')
     assert visible_ids(page) == [result.id for result in failed]
-    assert f"{len(failed)} of {len(report.results)}" in page.eval("shown.textContent")
+    assert f"{len(failed)} of {len(failing.results)}" in page.eval("shown.textContent")
 
     # One case, with everything that is known of it.
     case = failed[0]
@@ -202,17 +200,15 @@ def test_the_wire_log_says_what_bytes_mean(protocol: Protocol, show: Open) -> No
 
 
 @needs_chromium
-def test_the_timing_picture_has_a_mark_for_each_entry(protocol: Protocol, show: Open) -> None:
-    report = failing(protocol)
-    case = next(result for result in report.results if result.verdict is Verdict.FAIL)
-    page = show(report)
+def test_the_timing_picture_has_a_mark_for_each_entry(failing: Report, show: Open) -> None:
+    case = next(result for result in failing.results if result.verdict is Verdict.FAIL)
+    page = show(failing)
     open_case(page, case.id)
     kinds = [event.kind for event in case.log]
 
     assert page.eval("document.querySelectorAll('.timing .host').length") == kinds.count("sent")
-    assert page.eval("document.querySelectorAll('.timing .device').length") == kinds.count(
-        "received"
-    )
+    answers = page.eval("document.querySelectorAll('.timing .device').length")
+    assert answers == kinds.count("received")
     circles = "[...document.querySelectorAll('.timing circle')]"
     places = page.eval(f"{circles}.map(circle => circle.cx.baseVal.value)")
     assert len(places) == kinds.count("look")
@@ -237,28 +233,26 @@ def test_a_reading_is_told_with_its_point_default_and_verdicts(
 
 
 @needs_chromium
-def test_search_and_matrix_narrow_the_list(protocol: Protocol, show: Open) -> None:
-    report = failing(protocol)
-    page = show(report)
+def test_search_and_matrix_narrow_the_list(failing: Report, show: Open) -> None:
+    page = show(failing)
     page.click("#everything")
 
     page.click("#search")
     page.type("LED/1")
-    assert visible_ids(page) == [ident for ident in ids(report) if "LED/1" in ident]
+    assert visible_ids(page) == [ident for ident in ids(failing) if "LED/1" in ident]
 
     page.click('.matrix a[data-g="unused-id"][data-v="pass"]')
-    wanted = [i for i in ids(report, Verdict.PASS) if i.startswith("unused-id/")]
+    wanted = [i for i in ids(failing, Verdict.PASS) if i.startswith("unused-id/")]
     assert visible_ids(page) == wanted
     assert page.eval("scope.textContent").endswith("unused-id ×")
 
     page.click("#scope")
-    assert visible_ids(page) == ids(report, Verdict.PASS)
+    assert visible_ids(page) == ids(failing, Verdict.PASS)
 
 
 @needs_chromium
-def test_a_case_opens_by_keyboard_and_by_its_address(protocol: Protocol, show: Open) -> None:
-    report = failing(protocol)
-    page = show(report)
+def test_a_case_opens_by_keyboard_and_by_its_address(failing: Report, show: Open) -> None:
+    page = show(failing)
     first = visible_ids(page)[0]
 
     page.eval("document.querySelector('#list details:not([hidden]) summary').focus()")
@@ -267,7 +261,7 @@ def test_a_case_opens_by_keyboard_and_by_its_address(protocol: Protocol, show: O
     assert page.eval("decodeURIComponent(location.hash)") == f"#case={first}"
 
     # A case that the filter hides is found by its address too.
-    passed = ids(report, Verdict.PASS)[-1]
+    passed = ids(failing, Verdict.PASS)[-1]
     page.eval(f"location.hash = '#case={passed}'")
     page.wait(f"document.querySelector('details[data-id=\"{passed}\"][open] .inside')")
     assert passed in visible_ids(page)
@@ -275,24 +269,24 @@ def test_a_case_opens_by_keyboard_and_by_its_address(protocol: Protocol, show: O
 
 @needs_chromium
 @pytest.mark.parametrize("place", [".cause .again", "#list .again"])
-def test_the_line_to_try_it_again_is_copied(protocol: Protocol, show: Open, place: str) -> None:
-    report = failing(protocol)
-    page = show(report)
-    case = ids(report, Verdict.FAIL)[0]
+def test_the_line_to_try_it_again_is_copied(failing: Report, show: Open, place: str) -> None:
+    page = show(failing)
+    case = ids(failing, Verdict.FAIL)[0]
     page.call("Browser.grantPermissions", permissions=["clipboardReadWrite"])
     open_case(page, case)
 
     page.click(f"{place} button")
     page.wait(f"/Copied|Selected/.test(document.querySelector('{place} button').textContent)")
 
-    again = next(r.reproduce for r in report.results if r.id == case)
-    again = report.send_line(report.causes[0]) if "cause" in place else again
+    again = next(r.reproduce for r in failing.results if r.id == case)
+    again = failing.send_line(failing.causes[0]) if "cause" in place else again
     assert page.eval(f"document.querySelector('{place} code').textContent") == again
     if page.eval(f"document.querySelector('{place} button').textContent") == "Copied":
         assert page.eval("navigator.clipboard.readText()") == again
 
 
 @needs_chromium
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("evil", EVIL)
 def test_hostile_text_does_not_run(protocol: Protocol, show: Open, evil: str) -> None:
     report = hostile(protocol, evil)
@@ -315,9 +309,9 @@ def test_hostile_text_does_not_run(protocol: Protocol, show: Open, evil: str) ->
 
 @needs_chromium
 def test_a_script_that_got_in_all_the_same_would_be_refused(
-    page: Page, show: Open, protocol: Protocol
+    page: Page, show: Open, failing: Report
 ) -> None:
-    show(failing(protocol))
+    show(failing)
 
     page.eval(
         "(() => { const s = document.createElement('script'); s.textContent = 'window.hit = 1';"
@@ -359,16 +353,15 @@ def test_several_runs_stand_side_by_side(
 
 
 @needs_chromium
-def test_profile_and_coverage_are_shown(protocol: Protocol, show: Open) -> None:
-    report = failing(protocol)
+def test_profile_and_coverage_are_shown(failing: Report, show: Open) -> None:
     readings = {"R-fault-state": "speed zeroed", "R-new": "of a later kit"}
-    page = show(replace(report, profile=replace(report.profile, boot_ms=12.5, readings=readings)))
+    page = show(replace(failing, profile=replace(failing.profile, boot_ms=12.5, readings=readings)))
     profile = page.eval("document.querySelector('#profile').innerText")
     coverage = page.eval("document.querySelector('#coverage').innerText")
 
     for words in ("boot (ms)", "12.5", "what a fault resets", "speed zeroed", "R-new"):
         assert words in profile, words
-    for name, covered in report.coverage.items():
+    for name, covered in failing.coverage.items():
         assert name in coverage
         assert f"{covered.done:,} of {covered.of:,}" in coverage
 

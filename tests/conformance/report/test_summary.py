@@ -3,37 +3,25 @@
 from __future__ import annotations
 
 import re
-from io import StringIO
-from xml.etree.ElementTree import fromstring
 
 import pytest
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 from msgspec.structs import replace
-from rich.console import Console
 
 from bilprov.captures.text import escape_controls
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import Axis, Verdict, WireEvent
 from bilprov.conformance.report.html.cases import WireWords
 from bilprov.conformance.report.html.page import as_html
-from bilprov.conformance.report.json_report import as_json, parse_report
-from bilprov.conformance.report.junit import as_junit
+from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.markdown import as_markdown, code, prose
 from bilprov.conformance.report.run_report import Covered, Grammar, Report, conclusion
-from bilprov.conformance.report.summary import show
 from bilprov.spec.protocol import Protocol
-from tests.support.reports import EVIL, a_case, every_verdict, hostile
+from tests.support.reports import EVIL, a_case, a_run, every_form, every_verdict, hostile, shown
 from tests.support.robots import Blind
-
-
-def shown(report: Report, *, everything: bool = False) -> str:
-    text = StringIO()
-    show(report, Console(file=text, width=200), everything=everything)
-    return text.getvalue()
 
 
 @pytest.fixture
@@ -47,9 +35,8 @@ def unseen(protocol: Protocol) -> Report:
 def test_every_form_says_what_was_not_seen_and_what_to_know(protocol: Protocol) -> None:
     told = "From observation 600 on the probe saw less", "the device never gives up a frame"
     report = replace(every_verdict(protocol), unseen=told[:1], notices=told[1:])
-    written = (form([report], protocol) for form in (as_markdown, as_html, as_junit))
 
-    for text in (shown(report), as_json(report).decode(), *written):
+    for text in (as_json(report).decode(), *every_form(report, protocol).values()):
         assert [words for words in told if words not in text] == []
 
 
@@ -95,14 +82,13 @@ def test_the_reason_why_nothing_could_be_judged_stands_first(protocol: Protocol)
 def test_no_column_is_cut_off_at_80_columns_or_in_a_file(protocol: Protocol) -> None:
     report = every_verdict(protocol)
     long = a_case("wrong-length/Right/3", Verdict.FAIL)
-    text = StringIO()
 
-    show(replace(report, results=(*report.results, long)), Console(file=text, width=80))
+    text = shown(replace(report, results=(*report.results, long)), width=80)
 
-    head = next(line for line in text.getvalue().splitlines() if "cases" in line)
+    head = next(line for line in text.splitlines() if "cases" in line)
     words = ["cases", "skipped", "pass", "info", "non-strict", "inconc", "fail", "error"]
     assert [word for word in head.replace("\u2503", " ").split() if word in words] == words
-    assert "\u2026" not in text.getvalue()
+    assert "\u2026" not in text
 
 
 def test_a_failed_case_lists_the_axes_that_failed(protocol: Protocol) -> None:
@@ -209,33 +195,15 @@ def test_nobody_is_mentioned_and_nothing_becomes_an_address() -> None:
     assert prose("see www.x.org, http://y") == "see www<!-- -->.x.org, http://<!-- -->y"
 
 
-LINE = "bilprov send PORT '11 c9' 60 '81 08'"
-
-
-@pytest.fixture(scope="module")
-def report(protocol: Protocol) -> Report:
-    fault = fault_bank(protocol)["no-stop-on-bad-data"]
-    return conform(Simulator(protocol, fault), options=Options(level="smoke"))
-
-
-def test_every_form_begins_with_the_causes(report: Report, protocol: Protocol) -> None:
-    page, text = as_html([report], protocol), as_markdown([report], protocol)
-    suite = fromstring(as_junit([report], protocol))[0]
+def test_the_page_begins_with_what_to_mend_and_ends_with_the_facts(protocol: Protocol) -> None:
+    report = a_run(protocol, "bad-data/LED/[89]", fault="no-stop-on-bad-data")
+    page = as_html([report], protocol)
     [cause] = report.causes
-
-    for form, parts in (
-        (page, ("Causes", cause.sentence, "Matrix by clause", ">Coverage</h2>", "<dt>seed")),
-        (text, ("Causes", LINE, "| cases |")),
-    ):
-        places = [form.index(part) for part in parts]
-        assert places == sorted(places)
+    parts = ("Causes", cause.sentence, "Matrix by clause", ">Coverage</h2>", "<dt>seed")
+    places = [page.index(part) for part in parts]
+    assert places == sorted(places)
     assert "LED rgb=8 (faulty, 02 BAD_DATA is due)" in page
     assert all(f"#case={ident}" in page for ident in cause.cases)
-    assert (suite.get("name"), suite.get("tests")) == ("causes", "0")
-    assert LINE in str(suite.findtext("system-out"))
-    again = parse_report(as_json(report), "r.json")
-    assert (again.causes, again.unexplained) == (report.causes, 0)
-    assert again.causes[0].log
 
 
 # -- wire log entries in words ---------------------------------------------------------------------
@@ -245,7 +213,7 @@ def sent(hex: str, t: int = 0) -> WireEvent:
     return WireEvent(t / 1e3, "sent", hex)
 
 
-def words(protocol: Protocol, *log: WireEvent, **profile: float) -> list[str]:
+def words(protocol: Protocol, *log: WireEvent, **profile: float | None) -> list[str]:
     report = replace(every_verdict(protocol), profile=Figures(**profile))
     return list(WireWords(protocol, report).of(log))
 
@@ -261,17 +229,10 @@ def test_a_frame_that_comes_in_parts_is_one_frame(protocol: Protocol) -> None:
 def test_after_the_time_out_a_byte_is_a_header_again(protocol: Protocol) -> None:
     log = (sent("11"), sent("20", 30))
 
-    assert words(protocol, *log)[1] == "(goes on), Speed speed=32"
+    for measured in ({}, {"truncation_timeout_ms": None}, {"truncation_timeout_ms": 0}):
+        assert words(protocol, *log, **measured)[1] == "(goes on), Speed speed=32"
     assert words(protocol, *log, truncation_timeout_ms=25.0)[1] == "Forward"
     assert words(protocol, sent("11"), sent("20", 60))[1] == "Forward"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("odd", [None, 0])
-def test_a_measured_time_out_that_is_none_is_passed_over(protocol: Protocol, odd: object) -> None:
-    log = (sent("11"), sent("20", 30))
-
-    assert words(protocol, *log, truncation_timeout_ms=odd)[1] == "(goes on), Speed speed=32"
 
 
 def test_answers_looks_and_gaps_are_told(protocol: Protocol) -> None:
