@@ -11,8 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,6 @@ from bilprov.conformance.cases.levels import CONDITIONAL_CASES
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
@@ -45,6 +43,7 @@ from tests.support.robots import (
     simulate,
 )
 from tests.support.signals import ignoring
+from tests.support.wires import Running, running
 from tests.vectors import READING_IDS
 
 pytestmark = pytest.mark.waits
@@ -72,29 +71,16 @@ def report_of(data: bytes) -> Node:
 def test_the_report_is_pure_json_on_standard_output() -> None:
     result = command("conform", "sim", *FEW, "--json", "-")
 
-    assert result.returncode == 0
     report = report_of(result.stdout)
     assert b"conforms" in result.stderr
     assert (report.device, report.seed, report.verdict, report.exit) == ("sim", 1, "pass", 0)
-    assert report.grammar["name"] == "robot-car"
     assert report.counts["pass"] == len(report.cases) == 10 + 8 + len(OPENING) + READING_CASES
-    assert (report.unusable, report.ended, report.ended_by) == (None, None, None)
-    assert report.expected_failures is None
-    sent = [bytes.fromhex("".join(case.sent)) for case in report.cases]
-    assert report.timing["bytes_sent"] > sum(map(len, sent))
-    assert {name.split()[0] for name in report.profile.readings} <= set(READING_IDS)
-    assert report.profile.readings["R-unused-length"] == "header"
-    assert report.options["only"] == ["unused-id/9/?", "valid/LED/*"]
+    sent = bytes.fromhex("".join(data for case in report.cases for data in case.sent))
+    assert report.timing["bytes_sent"] > len(sent)
     for case in report.cases:
         assert case.axes
-        assert case.verdict == "pass"
-        assert bytes.fromhex("".join(case.sent)) or case.id == "power-on/at-rest"
-        assert all(len(byte.hex) == 2 for byte in case.received)
         assert case.reading is None or case.reading in READING_IDS
-        assert case.clause
-        assert case.requirement
         assert case.id in case.reproduce
-        assert not case.expected_failure
         assert {entry.kind for entry in case.log} >= ({"sent", "received"} if case.sent else set())
 
 
@@ -233,82 +219,58 @@ def test_a_run_is_recorded_with_its_cases_and_looks_and_decodes_again(tmp_path: 
 
     assert result.returncode == 1
     report = report_of(report_file.read_bytes())
-    capture = open_capture(file)
-    assert not capture.unfinished
-    assert capture.damage == ()
-    marks: list[Any] = [m.value for m in messages(capture) if m.topic == "/conformance/cases"]
-    begun = [mark["id"] for mark in marks if mark["phase"] == "begin"]
-    ended = {mark["id"]: mark["verdict"] for mark in marks if mark["phase"] == "end"}
+    marks: list[Any] = list(messages(open_capture(file), {"/conformance/cases"}))
+    ended = {m.value["id"]: m.value["verdict"] for m in marks if m.value["phase"] == "end"}
     assert ended == {case.id: case.verdict for case in report.cases}
-    assert set(ended) - set(begun) <= set(CONDITIONAL_CASES)  # nothing is sent for these
+    begun = [m.value["id"] for m in marks if m.value["phase"] == "begin"]
     assert len(begun) == len(set(begun))
-    looks: list[Any] = [m.value for m in messages(capture) if m.topic == "/conformance/looks"]
-    assert {look["moving"] for look in looks} == {True, False}
-    facets = {"moving", "motion", "speed", "steering", "led", "left", "right"}
-    assert {"t", "t_ns", *facets} == set(looks[0])
+    assert set(ended) - set(begun) <= set(CONDITIONAL_CASES)  # nothing is sent for these
     records = list(read_capture(file))
-    sent = [r for r in records if isinstance(r, HostRecord)]
+    frames = b"".join(bytes.fromhex(r.value.hex) for r in records if isinstance(r, HostRecord))
+    assert all(bytes.fromhex("".join(case.sent)) in frames for case in report.cases)
     answered = [r for r in records if isinstance(r, DeviceRecord)]
-    frames = [bytes.fromhex(r.value.hex) for r in sent]
-    probes = {c.id: bytes.fromhex("".join(c.sent)) for c in report.cases if c.sent}
-    single = {data for ident, data in probes.items() if not ident.startswith("reading/")}
-    assert single <= set(frames)
-    assert [ident for ident, data in probes.items() if data not in b"".join(frames)] == []
-    assert len(answered) == len(sent)
+    assert len(answered) == sum(isinstance(r, HostRecord) for r in records)
     assert all(r.value.agrees for r in answered)
 
 
 # -- ends -----------------------------------------------------------------------------------------
 
 
-class Conforming:
+def conforming(port: str, *arguments: str) -> AbstractContextManager[Running]:
     """A run on a served simulator that is under way."""
-
-    def __init__(self, port: str, *arguments: str, ignored: Sequence[signal.Signals] = ()) -> None:
-        with ignoring(*ignored):
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "bilprov", "conform", port, "--yes", *SMOKE, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                cwd=ROOT,
-            )
-
-    def wait_until_it_moves(self, robot: Served) -> None:
-        while not robot.state()["moving"]:
-            assert self.process.poll() is None
-            time.sleep(0.01)
-
-    def end(self) -> tuple[int, str, str]:
-        out, err = self.process.communicate(timeout=PATIENCE)
-        assert b"Traceback" not in err, err.decode()
-        return self.process.returncode, out.decode(), err.decode()
+    return running("conform", port, "--yes", *SMOKE, *arguments)
 
 
-# In the background a shell has SIGINT ignored, and one that is sent ends the run all the same.
+def signalled_once_it_moves(
+    run: Running, robot: Served, number: signal.Signals
+) -> tuple[int, str, dict[str, Any]]:
+    """Send a signal to a run while it drives: its exit code and output, and the robot's state."""
+    while not robot.state()["moving"]:
+        assert run.process.poll() is None
+        time.sleep(0.01)
+    code, out, err = run.end(number)
+    assert b"Traceback" not in err, err.decode()
+    return code, out.decode(), robot.state()
+
+
 @pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("number", "ignored"),
     [
-        (signal.SIGINT, False),
-        (signal.SIGINT, True),
-        (signal.SIGTERM, False),
-        (signal.SIGHUP, False),
+        (signal.SIGINT, []),
+        (signal.SIGTERM, []),
+        (signal.SIGHUP, []),
+        (signal.SIGINT, [signal.SIGINT]),  # as a shell starts what is in the background
     ],
 )
 def test_ctrl_c_leaves_the_robot_at_rest_and_ends_with_3(
-    tmp_path: Path, number: signal.Signals, ignored: bool
+    tmp_path: Path, number: signal.Signals, ignored: list[signal.Signals]
 ) -> None:
     file, capture = tmp_path / "report.json", tmp_path / "run.mcap"
     with simulate() as robot:
-        run = Conforming(
-            *(robot.port, "--probe", robot.probe, "--json", str(file), "--record", str(capture)),
-            ignored=[number] * ignored,
-        )
-        run.wait_until_it_moves(robot)
-        run.process.send_signal(number)
-        code, out, _ = run.end()
-        state = robot.state()
+        words = ("--probe", robot.probe, "--json", str(file), "--record", str(capture))
+        with ignoring(*ignored), conforming(robot.port, *words) as run:
+            code, out, state = signalled_once_it_moves(run, robot, number)
 
     assert code == 3, out
     assert state["moving"] is False
@@ -339,23 +301,23 @@ class Heralding(Simulator):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_ctrl_c_after_a_failure_ends_with_1(protocol: Protocol, number: signal.Signals) -> None:
     device = Heralding(protocol, "ok-to-unknown-id")
-    with served_here(device) as (port, probe):
-        run = Conforming(port, "--probe", probe, "--json", "-")
+    with (
+        served_here(device) as (port, probe),
+        conforming(port, "--probe", probe, "--json", "-") as run,
+    ):
         assert device.in_its_cases.wait(PATIENCE)  # the link check has failed by then
-        run.process.send_signal(number)
-        code, out, _ = run.end()
+        code, out, _ = run.end(number)
 
-    assert code == report_of(out.encode()).exit == 1
+    assert code == report_of(out).exit == 1
     assert not device.state.moving
 
 
 def test_a_run_that_nohup_started_goes_on_without_its_terminal() -> None:
     with simulate() as robot:
         few = ("--level", "standard", "--only", "unused-id/9/*", "--json", "-")
-        run = Conforming(robot.port, "--probe", robot.probe, *few, ignored=[signal.SIGHUP])
-        run.wait_until_it_moves(robot)
-        run.process.send_signal(signal.SIGHUP)
-        code, out, _ = run.end()
+        words = ("--probe", robot.probe, *few)
+        with ignoring(signal.SIGHUP), conforming(robot.port, *words) as run:
+            code, out, _ = signalled_once_it_moves(run, robot, signal.SIGHUP)
 
     report = report_of(out.encode())
     assert code == report.exit != 1
@@ -366,8 +328,9 @@ def test_a_run_that_nohup_started_goes_on_without_its_terminal() -> None:
 # -- simulate -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("pty", [True, False])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("number", "pty"), [(signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGHUP, True)]
+)
 def test_the_simulator_serves_until_it_is_told_to_stop(number: signal.Signals, pty: bool) -> None:
     with simulate(pty=pty) as robot:
         assert robot.port.startswith("/dev/" if pty else "socket://127.0.0.1:")
@@ -418,27 +381,6 @@ def test_a_report_does_not_depend_on_the_order_of_a_set() -> None:
     ]
 
     assert hashed[0] == hashed[1]
-
-
-def test_a_listener_is_told_of_the_cases_and_of_what_passes_over_the_link() -> None:
-    class Notes(RunListener):
-        """Notes the results of cases, and the bytes that are sent."""
-
-        def __init__(self) -> None:
-            self.results: list[str] = []
-            self.bytes: list[bytes] = []
-
-        def end(self, result: CaseResult) -> None:
-            self.results.append(result.id)
-
-        def sent(self, data: bytes, t: int) -> None:
-            self.bytes.append(data)
-
-    notes = Notes()
-    report = conform(options=Options(only=("valid/LED/5",)), listener=notes)
-
-    assert notes.results == [result.id for result in report.results]
-    assert b"\x81\x05" in notes.bytes
 
 
 def test_the_last_resort_is_for_runs_that_have_begun(protocol: Protocol) -> None:

@@ -25,6 +25,8 @@ from bilprov.spec.state import Effect, From, State
 from tests.support.drawn_grammars import Drawn, drawn
 from tests.support.grammars import use
 
+pytestmark = pytest.mark.slow
+
 Value = int | Motion | tuple[str, int]
 
 CHUNK = 10
@@ -79,7 +81,6 @@ def moved(protocol: Protocol, state: State, frame: bytes) -> State:
     return judged.instruction.effect.apply(state, dict(judged.fields))
 
 
-@pytest.mark.slow
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seeds", CHUNKS, ids=str)
 def test_the_simulator_of_each_drawn_grammar_conforms(seeds: range) -> None:
@@ -129,7 +130,6 @@ def _doubled(variable: str, name: str, value: object) -> tuple[str, object]:
     return name, 2 * value if name == variable and isinstance(value, int) else value
 
 
-@pytest.mark.slow
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seeds", CHUNKS, ids=str)
 def test_a_fault_in_the_device_of_a_drawn_grammar_fails(seeds: range) -> None:
@@ -144,7 +144,6 @@ def test_a_fault_in_the_device_of_a_drawn_grammar_fails(seeds: range) -> None:
     assert tried
 
 
-@pytest.mark.slow
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("seeds", CHUNKS, ids=str)
 def test_a_drawn_grammar_is_explained_encoded_and_emitted(seeds: range) -> None:

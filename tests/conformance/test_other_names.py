@@ -11,11 +11,11 @@ import pytest
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import device_target
-from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.json_report import as_json
 from bilprov.spec.protocol import Protocol, load
 from tests.support.grammars import mutated
+from tests.support.robots import simulated
 
 # In the same alphabetical order as the car's.
 NAMES = {"motion": "mode", "speed": "pace", "steering": "turn", "led": "lamp"}
@@ -27,18 +27,9 @@ WORDS = {
     "rotate_left": "spin_left",
 }
 DEVICES = (
-    "",
-    "no-stop-on-bad-data",
-    "left-is-signed",
-    "led-order-reversed",
-    "speed-stops-it",
-    "moves-at-power-on",
-    "stop-keeps-one-wheel",
-    "no-faster-above-half-speed",
-    "restarts-after-stop",
-    "R-stop-speed=zeroed",
-    "R-steer-rotating=curve",
-    "random:5.3",
+    *("", "no-stop-on-bad-data", "left-is-signed", "led-order-reversed", "speed-stops-it"),
+    *("moves-at-power-on", "stop-keeps-one-wheel", "no-faster-above-half-speed"),
+    *("restarts-after-stop", "R-stop-speed=zeroed", "R-steer-rotating=curve", "random:5.3"),
 )
 
 
@@ -55,8 +46,8 @@ def renamed(text: str) -> str:
 
 def judged(protocol: Protocol, name: str, level: str) -> list[dict[str, object]]:
     """The cases and causes of a report, with the same names for both cars."""
-    device = Simulator(protocol, find_fault(protocol, name) if name else None)
-    report = json.loads(as_json(run_suite(device_target(protocol, device), Options(level=level))))
+    target = device_target(protocol, simulated(protocol, name))
+    report = json.loads(as_json(run_suite(target, Options(level=level))))
     text = json.dumps([report[key] for key in ("verdict", "cases", "causes", "counts", "coverage")])
     for own, other in (NAMES | WORDS).items():
         text = re.sub(rf"\b{other}\b", own, text)

@@ -18,7 +18,6 @@ from bilprov.captures.reader import open_capture
 from bilprov.conformance.api import Options
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.json_report import as_json
@@ -27,7 +26,7 @@ from tests.support import ROOT
 from tests.support.commands import command
 from tests.support.messages import Message, messages
 from tests.support.recordings import attachments_of, forged, recorded
-from tests.support.robots import FEW_LOOKS, judged_exit, sentence, simulate
+from tests.support.robots import FEW_LOOKS, judged_exit, sentence, simulate, simulated
 
 SOME = ("bad-data/LED/8", "unused-id/9/*", "wrong-length/*/0", "valid/Speed/25*", "recovery/*")
 
@@ -84,7 +83,7 @@ def test_a_faulty_device_comes_out_as_faulty_as_it_was(
 def test_the_options_of_the_run_hold_again(
     tmp_path: Path, protocol: Protocol, options: Options, fault: str, code: int
 ) -> None:
-    device = Simulator(protocol, find_fault(protocol, fault) if fault else None)
+    device = simulated(protocol, fault)
 
     report = recorded(tmp_path / "run.mcap", protocol, options=options, device=device)
 
@@ -103,8 +102,9 @@ def test_what_could_not_be_seen_cannot_be_seen_again(
     same(tmp_path / "run.mcap", report)
 
 
-@pytest.mark.parametrize("why", [True, "the recording cannot go on: disk full"])
-@pytest.mark.parametrize("after", [0, 3, 60, 200])
+@pytest.mark.parametrize(
+    ("after", "why"), [(0, True), (3, "disk full"), (60, True), (200, "disk full")]
+)
 def test_an_interrupted_run_is_interrupted_again(
     tmp_path: Path, protocol: Protocol, after: int, why: bool | str
 ) -> None:
@@ -121,8 +121,7 @@ def test_an_interrupted_run_is_interrupted_again(
     assert "the run ended early" in recheck(str(tmp_path / "run.mcap")).notes[0]
 
 
-@pytest.mark.parametrize("works", [True, False])
-@pytest.mark.parametrize("at", [1, 2, 40, 90])
+@pytest.mark.parametrize(("at", "works"), [(1, True), (2, False), (40, False), (90, True)])
 def test_a_link_that_fails_fails_again(
     tmp_path: Path, protocol: Protocol, at: int, works: bool
 ) -> None:
@@ -189,6 +188,18 @@ def changed(topic: str, number: int, **values: Any) -> Callable[[Message], Messa
         return msgspec.structs.replace(message, value={**message.value, **values})
 
     return change
+
+
+def with_run(
+    faulty: Path, change: Callable[[Message], Message] | None = None, **about: Any
+) -> Path:
+    """The recording with other facts about its run, and with some of its options changed."""
+    run = json.loads(attachments_of(faulty)["run.json"])
+    run |= about | {"options": run["options"] | about.get("options", {})}
+    changes = [change] if change else []
+    to = faulty.with_name("forged.mcap")
+    to.unlink(missing_ok=True)
+    return forged(faulty, to, *changes, run_json=json.dumps(run).encode())
 
 
 def test_a_recording_written_anew_without_a_change_is_the_same(
@@ -259,8 +270,8 @@ def test_a_forged_verdict_is_not_trusted(faulty: Path, tmp_path: Path) -> None:
 def test_a_forged_report_is_not_trusted(
     faulty: Path, tmp_path: Path, path: tuple[Any, ...], value: object
 ) -> None:
-    report = json.loads(attachments_of(faulty)["verdict.json"])
-    part = report
+    report = part = json.loads(attachments_of(faulty)["verdict.json"])
+    ident = report["cases"][3]["id"]
     for name in path[:-1]:
         part = part[name]
     assert part[path[-1]] != value
@@ -271,19 +282,11 @@ def test_a_forged_report_is_not_trusted(
 
     assert found.exit == 1
     about = {difference.about for difference in found.differences}
-    assert about <= {"the report", report["cases"][3]["id"], *(["no/such/case"])} | {
-        json.loads(attachments_of(faulty)["verdict.json"])["cases"][3]["id"]
-    }
+    assert about <= {"the report", "no/such/case", ident}
 
 
-def test_a_recording_that_goes_on_after_the_run_is_not_the_same(
-    tmp_path: Path, protocol: Protocol, faulty: Path
-) -> None:
-    run = json.loads(attachments_of(faulty)["run.json"])
-    run["options"]["only"] = list(SOME[:1])
-    found = recheck(str(forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())))
-
-    assert found.exit == 1
+def test_a_recording_that_goes_on_after_the_run_is_not_the_same(faulty: Path) -> None:
+    assert recheck(str(with_run(faulty, options={"only": SOME[:1]}))).exit == 1
 
 
 def test_what_is_worded_otherwise_is_no_difference(faulty: Path, tmp_path: Path) -> None:
@@ -305,18 +308,11 @@ def test_what_is_worded_otherwise_is_no_difference(faulty: Path, tmp_path: Path)
     assert (found.exit, found.differences) == (0, ())
 
 
-OTHER_CASES = {"fewer": SOME[:1], "others": ("valid/Stop", *SOME)}
-
-
-@pytest.mark.parametrize("only", OTHER_CASES.values(), ids=OTHER_CASES)
+@pytest.mark.parametrize("only", [SOME[:1], ("valid/Stop", *SOME)], ids=["fewer", "others"])
 def test_cases_of_another_version_that_are_no_longer_made_are_no_difference(
-    faulty: Path, tmp_path: Path, only: tuple[str, ...]
+    faulty: Path, only: tuple[str, ...]
 ) -> None:
-    run = json.loads(attachments_of(faulty)["run.json"])
-    run |= {"kit": "0.0.1", "options": run["options"] | {"only": list(only)}}
-    file = forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())
-
-    result = command("recheck", str(file))
+    result = command("recheck", str(with_run(faulty, kit="0.0.1", options={"only": only})))
 
     assert result.returncode == 3
     assert "no longer makes all of its cases" in result.stderr.decode()
@@ -324,26 +320,17 @@ def test_cases_of_another_version_that_are_no_longer_made_are_no_difference(
 
 
 def test_a_verdict_of_another_version_is_compared_as_far_as_its_cases_are_made(
-    faulty: Path, tmp_path: Path
+    faulty: Path,
 ) -> None:
-    run = json.loads(attachments_of(faulty)["run.json"]) | {"kit": "0.0.1"}
-    run["options"]["only"] = list(SOME[:1])
     forgery = changed(topics.LOOKS, 0, moving=True)
-    file = forged(faulty, tmp_path / "f.mcap", forgery, run_json=json.dumps(run).encode())
-
-    found = recheck(str(file))
+    found = recheck(str(with_run(faulty, forgery, kit="0.0.1", options={"only": SOME[:1]})))
 
     assert found.exit == 1
     assert found.differences[0].about == "power-on/at-rest"
 
 
-def test_another_version_of_the_kit_is_said(faulty: Path, tmp_path: Path) -> None:
-    run = json.loads(attachments_of(faulty)["run.json"])
-    run["kit"] = "9.9"
-    run["options"]["unheard_of"] = 5
-    file = forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())
-
-    result = command("recheck", str(file))
+def test_another_version_of_the_kit_is_said(faulty: Path) -> None:
+    result = command("recheck", str(with_run(faulty, kit="9.9", options={"unheard_of": 5})))
 
     assert result.returncode == 0
     assert "recorded by bilprov 9.9" in result.stderr.decode()
@@ -448,13 +435,9 @@ def test_what_the_run_rests_on_may_be_anything(
     "options",
     [{"deadline": 1e308}, {"truncation_timeout": -1e308}, {"only": ["nothing"]}, {"seed": 1 << 62}],
 )
-def test_options_may_be_anything(faulty: Path, tmp_path: Path, options: dict[str, Any]) -> None:
-    run = json.loads(attachments_of(faulty)["run.json"])
-    run["options"] |= options
-    file = forged(faulty, tmp_path / "f.mcap", run_json=json.dumps(run).encode())
-
+def test_options_may_be_anything(faulty: Path, options: dict[str, Any]) -> None:
     with suppress(CaptureError):
-        assert recheck(str(file)).exit == 1
+        assert recheck(str(with_run(faulty, options=options))).exit == 1
 
 
 @pytest.mark.sample(6)

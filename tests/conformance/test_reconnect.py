@@ -14,11 +14,10 @@ from benchmarks.adapter import Adapter
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Line
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
-from tests.support.robots import sentence, served_here
+from tests.support.robots import sentence, served_here, simulated
 
 pytestmark = pytest.mark.waits
 
@@ -51,7 +50,7 @@ def judge_unplugged(tmp_path: Path, protocol: Protocol) -> Judge:
     """Judge a robot whose adapter is unplugged after so many bytes each."""
 
     def judged(*words: str, after: list[int], away: float | None = 0.5, fault: str = "") -> Judged:
-        robot = Simulator(protocol, fault_bank(protocol)[fault] if fault else None)
+        robot = simulated(protocol, fault)
         record, report = tmp_path / "run.mcap", tmp_path / "report.json"
         with (
             served_here(robot, pty=True) as (line, probe),

@@ -15,11 +15,10 @@ import pytest
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cli.shell.prompt import candidates
-from bilprov.conformance.dut.simulator import Fault, Simulator
-from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
-from tests.support.commands import Done, command
+from tests.support.commands import command
 from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here, until
 from tests.support.terminals import (
     CONTINUE,
@@ -33,6 +32,8 @@ from tests.support.terminals import (
     on_terminal,
 )
 
+pytestmark = pytest.mark.waits
+
 SAYS_MORE = b"\x81\x07"
 
 
@@ -42,8 +43,8 @@ class Car(Simulator):
     More than a few bytes it says again and again.
     """
 
-    def __init__(self, protocol: Protocol, fault: Fault | None = None, more: bytes = b"") -> None:
-        super().__init__(protocol, fault)
+    def __init__(self, protocol: Protocol, more: bytes = b"") -> None:
+        super().__init__(protocol)
         self.heard = b""
         self.said = 0
         self._more = more
@@ -68,50 +69,29 @@ class Car(Simulator):
 
 
 @contextmanager
-def car(
-    protocol: Protocol, *, fault: str = "", more: bytes = b""
-) -> Iterator[tuple[Car, str, str]]:
+def car(protocol: Protocol, more: bytes = b"") -> Iterator[tuple[Car, str, str]]:
     """A car on a pty; with the names of its port and its probe."""
-    device = Car(protocol, fault_bank(protocol)[fault] if fault else None, more)
+    device = Car(protocol, more)
     with served_here(device, pty=True) as (port, probe):
         yield device, port, probe
-
-
-def shell(port: str, lines: str, *more: str) -> Done:
-    return command("send", port, "--yes", *more, stdin=lines.encode())
 
 
 # -- lines from a pipe ----------------------------------------------------------------------------
 
 
-@pytest.mark.waits
 def test_a_line_that_is_too_long_ends_it_and_is_told(protocol: Protocol) -> None:
     with car(protocol) as (device, port, _):
-        result = shell(port, "Speed 80\n" + "81 05 " * 20_000)
+        lines = "Speed 80\n" + "81 05 " * 20_000
+        result = command("send", port, "--yes", stdin=lines.encode())
 
     assert result.returncode == 2
     assert "a line is longer than 65536 bytes" in sentence(result)
     assert device.heard.strip(b"\x00") == b"\x11\x50"
 
 
-@pytest.mark.waits
-def test_unless_it_may_move_nothing_is_sent(protocol: Protocol) -> None:
-    with car(protocol) as (device, port, _):
-        result = command("send", port, stdin=b"Forward")
-        with on_terminal("send", port) as terminal:
-            terminal.wait_for("[y/N]")  # the question is wrapped
-            terminal.type("n\n")
-            assert terminal.end() == 2
-
-    assert result.returncode == 2
-    assert "give --yes if it may move" in sentence(result)
-    assert device.heard == b""
-
-
 # -- limits ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.waits
 def test_a_device_that_floods_the_line_is_stopped_and_fills_neither_screen_nor_memory(
     protocol: Protocol,
 ) -> None:
@@ -178,7 +158,6 @@ WAYS_OUT: dict[str, Callable[[Terminal], None]] = {
 
 
 @pytest.mark.sample(4)
-@pytest.mark.waits
 @pytest.mark.parametrize("way", WAYS_OUT)
 def test_every_way_out_leaves_the_robot_at_rest(protocol: Protocol, way: str) -> None:
     with car(protocol) as (device, port, _), on_terminal("send", port, "--yes") as terminal:
@@ -191,7 +170,6 @@ def test_every_way_out_leaves_the_robot_at_rest(protocol: Protocol, way: str) ->
         assert "Traceback" not in terminal.shown
 
 
-@pytest.mark.waits
 def test_ctrl_c_ends_a_pause_and_stops_the_robot_and_the_shell_goes_on(protocol: Protocol) -> None:
     with car(protocol) as (device, port, probe):
         with on_terminal("send", port, "--yes", "--probe", probe) as terminal:
@@ -222,7 +200,6 @@ def test_ctrl_c_ends_a_pause_and_stops_the_robot_and_the_shell_goes_on(protocol:
 SHELL = ("-m", "bilprov", "send", "--yes")
 
 
-@pytest.mark.waits
 @pytest.mark.parametrize("line", ["", "LED 5; pause=60000; Speed 1"])
 def test_ctrl_z_stops_the_robot_and_then_suspends_and_the_shell_goes_on(
     protocol: Protocol, line: str
@@ -256,7 +233,6 @@ with Robot(sys.argv[1]) as robot:
 """
 
 
-@pytest.mark.waits
 @pytest.mark.parametrize(
     ("words", "after", "told"),
     [
@@ -285,7 +261,6 @@ def test_ctrl_z_stops_the_robot_before_any_program_that_drives_it_is_suspended(
         assert not device.state.moving
 
 
-@pytest.mark.waits
 def test_at_the_prompt_unasked_bytes_are_shown_and_a_long_drive_is_ended(
     protocol: Protocol,
 ) -> None:
@@ -303,7 +278,6 @@ def test_at_the_prompt_unasked_bytes_are_shown_and_a_long_drive_is_ended(
         assert terminal.end() == 0
 
 
-@pytest.mark.waits
 def test_what_fails_while_it_drives_is_told_in_one_sentence(protocol: Protocol) -> None:
     answers = (b'{"moving": false}\n', b'{"moving": true}\n', b"")
     with ProbeServer(*answers) as probe, car(protocol) as (device, port, _):
@@ -319,7 +293,6 @@ def test_what_fails_while_it_drives_is_told_in_one_sentence(protocol: Protocol) 
         assert not device.state.moving
 
 
-@pytest.mark.waits
 def test_a_port_that_is_unplugged_at_the_prompt_is_told_in_one_sentence(
     protocol: Protocol,
 ) -> None:
@@ -332,7 +305,6 @@ def test_a_port_that_is_unplugged_at_the_prompt_is_told_in_one_sentence(
     assert "Traceback" not in terminal.shown
 
 
-@pytest.mark.waits
 def test_tab_completes_and_the_history_outlives_the_shell(
     protocol: Protocol, tmp_path: Path
 ) -> None:
@@ -358,7 +330,6 @@ def test_tab_completes_and_the_history_outlives_the_shell(
     assert device.heard.strip(b"\x00") == b"\x81\x05\x60"
 
 
-@pytest.mark.waits
 @pytest.mark.parametrize("home", ["/dev/null", "relative"])
 def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, home: str) -> None:
     with car(protocol) as (_, port, _):
@@ -373,7 +344,6 @@ def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, 
             assert terminal.end() == 0
 
 
-@pytest.mark.waits
 def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(
     protocol: Protocol,
 ) -> None:
