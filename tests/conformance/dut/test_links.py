@@ -215,14 +215,14 @@ def test_what_an_interrupted_operation_brought_is_not_judged() -> None:
 
 
 class Room:
-    """A served simulator with a port link to it."""
+    """A served simulator with a port link to it, and its own probe or one of that name."""
 
-    def __init__(self, stack: ExitStack, device: Simulator, *, pty: bool) -> None:
-        name, probe = stack.enter_context(served_here(device, pty=pty))
+    def __init__(self, stack: ExitStack, device: Simulator, *, pty: bool, probe: str = "") -> None:
+        name, own = stack.enter_context(served_here(device, pty=pty))
         self.device = device
         self.stopper = stack.enter_context(Stopper())
         self.port = stack.enter_context(open_port(name))
-        self.probe = open_probe(probe, self.port, device.protocol)
+        self.probe = open_probe(probe or own, self.port, device.protocol)
         assert self.probe is not None
         stack.callback(self.probe.close)
         self.tap = Noted()
@@ -271,19 +271,12 @@ def test_the_port_goes_on_being_read_while_the_probe_is_asked(protocol: Protocol
     slow = Fault("x", "test", "", react=lambda d, e, r: answers(r, 0, delay=20 * MS))
     device = Simulator(protocol, slow)
     with ExitStack() as stack:
-        name, _ = stack.enter_context(served_here(device))
         server = stack.enter_context(ProbeServer(b'{"moving": false}\n'))
-        stopper = stack.enter_context(Stopper())
-        port = stack.enter_context(open_port(name))
-        probe = open_probe(server.name, port, protocol)
-        assert probe is not None
-        stack.callback(probe.close)
-        tap = Noted()
-        link = PortLink(port, probe, stopper, tap)
-        link.do(Send(b"\x20"))
-        while ("received", b"\0") not in [note[:2] for note in tap.notes]:
-            link.do(Observe())
-        assert heard_of(link, None, 0).codes == (0,)
+        room = Room(stack, device, pty=False, probe=server.name)
+        room.link.do(Send(b"\x20"))
+        while ("received", b"\0") not in [note[:2] for note in room.tap.notes]:
+            room.link.do(Observe())
+        assert heard_of(room.link, None, 0).codes == (0,)
 
     assert server.requests
     assert set(server.requests) == {b"state\n"}

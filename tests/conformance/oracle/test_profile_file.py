@@ -52,39 +52,28 @@ def test_what_was_not_measured_stays_unknown(protocol: Protocol) -> None:
     assert profile.choices.led_id is None
 
 
-@pytest.mark.parametrize("word", ["true", "false", "0", "-1", "60001", '"40"', "nan"])
-def test_a_time_is_a_number_above_0_and_at_most_60_seconds(protocol: Protocol, word: str) -> None:
-    text = _text(protocol).replace("= 40.5", f"= {word}")
-
-    with pytest.raises(
-        ValueError, match=r"truncation_timeout_ms( = .* is not a time|`; give a file)"
-    ):
-        profile_from(protocol, text, LED_ID)
-
-
 def test_the_longest_time_is_taken(protocol: Protocol) -> None:
     text = _text(protocol).replace("= 40.5", "= 60000")
 
     assert profile_from(protocol, text, LED_ID).truncation_timeout == 60_000 * MS
 
 
-@pytest.mark.parametrize("word", ["1", "0", '"true"', "[]"])
-def test_a_flag_is_true_or_false(protocol: Protocol, word: str) -> None:
-    text = _text(protocol).replace("flushes = true", f"flushes = {word}")
-
-    with pytest.raises(ValueError, match=r"Expected `bool .*\$\.flushes.; give a file"):
-        profile_from(protocol, text, LED_ID)
-
-
-@pytest.mark.parametrize("identity", [-1, 0, 8, 16])
-def test_the_leds_other_id_is_an_unused_one(protocol: Protocol, identity: int) -> None:
-    with pytest.raises(ValueError, match=f"led_id = {identity} is not an unused ID"):
-        profile_from(protocol, _text(protocol, led_id=identity), LED_ID)
+TIME = r"truncation_timeout_ms( = .* is not a time|`; give a file)"
+FLAG = r"Expected `bool .*\$\.flushes.; give a file"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
+        *(
+            ("= 40.5", f"= {word}", TIME)
+            for word in ("true", "false", "0", "-1", "60001", '"40"', "nan")
+        ),
+        *(("flushes = true", f"flushes = {word}", FLAG) for word in ("1", "0", '"true"', "[]")),
+        *(
+            ("led_id = 9", f"led_id = {other}", f"led_id = {other} is not an unused ID")
+            for other in (-1, 0, 8, 16)
+        ),
         ("[readings]", "[readings", "it is not TOML"),
         ('sha256 = "', 'sha256 = "0', "made with another grammar"),
         ('[readings]\n"R-stop-speed" = "zeroed"', "readings = 1", r"Expected `object .*readings"),
