@@ -18,6 +18,7 @@ from bilprov.conformance.cli.outputs import write_each
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
+from bilprov.conformance.oracle.choices import verdict_of
 from bilprov.spec.by_effect import all_movement
 
 if TYPE_CHECKING:
@@ -117,7 +118,8 @@ def _told(learned: Learned) -> Iterator[str]:
         yield f"learned {states} over {inputs}, from {quantity(learned.sent.frames, 'frame')}"
         looks = ", ".join(learned.seen) or "nothing of the robot: no probe"
         yield f"seen beside the answers: {looks}"
-    for point, word, label in learned.choices:
+    for point, word in sorted(learned.report.profile.other_readings.items()):
+        label = verdict_of(point, word).label
         yield f"another reading, taken into account: {point} = {word} ({label})"
     for case, reason in learned.beside:
         yield f"failed beside it: {case}: {reason}"

@@ -95,11 +95,10 @@ class Learned:
 
     `steps` are the inputs, `machine` is the device's, None where it was not learned, and then
     `trouble` says why in a sentence. `differences` were each seen on the device, the
-    shortest first; a device may have more than MOST_DIFFERENCES. `choices` are the open points at
-    which the device chooses otherwise than the kit, with its word and the verdict of that. `report`
-    is that of the run in which it was learned, whose failures were found beside the sequences.
-    `seen` are facets of the look, in words. Of `sent`, `flaky` also counts what came between the
-    sequences; on a line that loses nothing (`lossless`) it is the device's.
+    shortest first; a device may have more than MOST_DIFFERENCES. `report` is that of the run in
+    which it was learned, whose failures were found beside the sequences. `seen` are facets of the
+    look, in words. Of `sent`, `flaky` also counts what came between the sequences; on a line that
+    loses nothing (`lossless`) it is the device's.
     """
 
     protocol: Protocol
@@ -107,7 +106,6 @@ class Learned:
     steps: tuple[Step, ...]
     machine: Mealy[Output] | None = None
     differences: tuple[Difference, ...] = ()
-    choices: tuple[tuple[str, str, str], ...] = ()
     trouble: str = ""
     seen: tuple[str, ...] = ()
     sent: Sent = field(default_factory=Sent)
@@ -212,10 +210,6 @@ class _Learning:
         run, learned, begun = self._run, self._learned, len(self._run.results)
         yield from home(run)
         model = Model(run.protocol, run.profile.choices)
-        learned.choices = tuple(
-            (point, model.choices.word(point), model.choices.verdict(point).label)
-            for point in sorted(model.choices.others)
-        )
         reference = reference_machine(model, learned.steps)
         system = System(run, self._ask, learned.steps, reference, learned.sent)
         learner = Learner(system, reference, seed=self._seed)

@@ -17,7 +17,7 @@ from bilprov.analyzer.client.operations import Received
 from bilprov.analyzer.files import from_toml
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.link import Environment
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.choices import Choices, default_of
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
 
@@ -167,6 +167,12 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     preamble_speed: int | None = None
     all_but_two_answers_ms: Milliseconds | None = None
     readings: dict[str, str] | None = None
+
+    @property
+    def other_readings(self) -> dict[str, str]:
+        """The choices that are not the kit's own, by open point."""
+        shown = (self.readings or {}).items()
+        return {point: word for point, word in shown if word != default_of(point)}
 
     def toml(self, protocol: Protocol) -> str:
         """The text of the file that can be given to a run."""

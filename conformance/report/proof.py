@@ -8,7 +8,6 @@ from bilprov.captures.text import quantity
 from bilprov.conformance.cases.levels import COMPLETE
 from bilprov.conformance.cases.options import Options
 from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, sequences, silence, suite
-from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
@@ -83,11 +82,7 @@ def _missing(
     unseen = [facet for facet in proof.facets(protocol) if facet not in (profile.facets or ())]
     if unseen:
         return f"no probe reported the robot's {' and '.join(unseen)}"
-    others = [
-        point
-        for point, word in (profile.readings or {}).items()
-        if word != default_of(point) and (proof.looks or point not in STATE_POINTS)
-    ]
+    others = [p for p in profile.other_readings if proof.looks or p not in STATE_POINTS]
     if others:
         return (
             "the device reads the document differently from the machine "

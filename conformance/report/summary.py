@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from bilprov.captures.text import quantity
-from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.grouping import (
     Row,
@@ -137,8 +136,7 @@ def _facts(report: Report) -> Iterator[str]:
         yield f"measured truncation time-out: {timeout} ms"
     if latency is not None and report.link.get("kind") == "port":
         yield f"answers after {latency} ms (median), {profile.latency_max_ms} ms (longest)"
-    readings = (profile.readings or {}).items()
-    chosen = {point: word for point, word in readings if word != default_of(point)}
+    chosen = profile.other_readings
     if chosen:
         yield "other readings of the document: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
     if timing.keys() >= _TIMED and report.link.get("kind") == "port":

@@ -140,7 +140,7 @@ def test_another_reading_is_named_and_no_difference(
     assert (learned.exit, learned.differences) == (0, ())
     assert learned.machine is not None
     assert len(learned.machine) == states
-    points = [point.partition(" ")[0] for point, _, _ in learned.choices]
+    points = [point.partition(" ")[0] for point in learned.report.profile.other_readings]
     assert variant.partition("=")[0] in [*points, "R-stop-latency"]
 
 
