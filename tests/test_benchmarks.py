@@ -24,7 +24,7 @@ from tests.support import ROOT
 TINY = Sizes(60_000, 2_000, 500, 1, 20_000, 0.5, 20_000, 5_000, 0.3, 20, 1)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.waits
 @pytest.mark.parametrize("work", WORKS, ids=lambda work: work.name)
@@ -107,7 +107,7 @@ def test_a_command_whose_port_is_unplugged_ends_or_goes_on_as_it_must(name: str,
 
 @pytest.mark.slow
 @pytest.mark.waits
-@pytest.mark.sample(1)
+@pytest.mark.sample(0)
 @pytest.mark.parametrize(("name", "peer"), floods.PAIRS, ids=lambda word: word.replace(" ", "-"))
 def test_a_command_at_a_bad_device_stays_small(name: str, peer: str) -> None:
     assert floods.wrong_with(floods.flooded(name, peer, 1)) == ""

@@ -206,7 +206,7 @@ def whole(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str
 ROWS = list(product(JUDGING, FAULTS, STREAMS, BREAKS))
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(("name", "robot", "stream", "how"), ROWS)
 def test_a_verdict_is_given_only_where_everything_was_shown_and_written(
     name: str,
@@ -283,7 +283,7 @@ QUIET = [
 ]
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("arguments", QUIET, ids=lambda words: words[0])
 def test_any_other_command_ends_quietly_when_nobody_reads(arguments: tuple[str, ...]) -> None:
     both, alone = (broken(stream, "unread", *arguments) for stream in ("both", "stdout"))

@@ -79,6 +79,7 @@ def test_a_file_for_which_there_is_no_room_is_named(name: str, runs: Path) -> No
     refused(command(*words(name, runs, "/dev/full")), "/dev/full")
 
 
+@pytest.mark.sample(1)
 @pytest.mark.waits
 @NOW_AND_THEN
 @pytest.mark.parametrize("name", REPORTS)

@@ -144,6 +144,7 @@ def test_all_agree_on_the_sample(each_protocol: Protocol) -> None:
     require_agreement(SAMPLE, each_protocol)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @settings(
     max_examples=8,

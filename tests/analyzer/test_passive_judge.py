@@ -289,7 +289,7 @@ OTHERS = ("stays-dead-after-fault", "moves-at-power-on", "bad-data-shown", "stee
 SHOWN_BY_ONE_FRAME = ("answer", "stop", "parsing", "motion", "setting", "line")
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n, f in BANK.items() if f.family in SHOWN_BY_ONE_FRAME])
 def test_a_faulty_device_is_found_by_its_answers_and_its_stops(

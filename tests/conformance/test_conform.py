@@ -253,7 +253,7 @@ def signalled_once_it_moves(
     return code, out.decode(), robot.state()
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("number", "ignored"),
     [

@@ -56,7 +56,7 @@ def judged(protocol: Protocol, name: str, level: str) -> list[dict[str, object]]
     return found
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DEVICES)
 def test_the_suite_knows_a_car_by_its_declarations(

@@ -53,7 +53,7 @@ FAMILIES = {fault.family: name for name, fault in BANK.items()}
 FEW_OF_EACH = sorted({*FAMILIES.values(), *list(BANK)[::20]})
 
 
-@pytest.mark.sample(5)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FEW_OF_EACH)
 def test_a_faulty_device_comes_out_as_faulty_as_it_was(
@@ -440,7 +440,7 @@ def test_options_may_be_anything(faulty: Path, options: dict[str, Any]) -> None:
         assert recheck(str(with_run(faulty, options=options))).exit == 1
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "values",

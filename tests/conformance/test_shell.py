@@ -233,6 +233,7 @@ with Robot(sys.argv[1]) as robot:
 """
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("words", "after", "told"),
     [

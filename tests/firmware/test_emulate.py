@@ -126,7 +126,7 @@ def bench() -> Iterator[Callable[..., Bench]]:
 Make = Callable[..., Bench]
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @AVR
 @pytest.mark.parametrize("step", [None, 7 * MS, 19 * MS], ids=["as wanted", "late", "very late"])
 @pytest.mark.parametrize(

@@ -241,7 +241,7 @@ def test_the_suite_passes_the_clean_build_the_same_to_the_last_nanosecond(
         assert (one.id, one.received) == (other.id, other.received)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("bug", BUGS)
 def test_the_suite_finds_every_planted_bug(bug: str) -> None:

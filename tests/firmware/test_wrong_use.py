@@ -70,6 +70,7 @@ ROWS: list[tuple[str, Content, str]] = [
 ]
 
 
+@pytest.mark.sample(12)
 @pytest.mark.parametrize(("line", "content", "words"), ROWS)
 def test_wrong_use_is_one_sentence(tmp_path: Path, line: str, content: Content, words: str) -> None:
     file = tmp_path / "a.elf"

@@ -178,7 +178,7 @@ finally:
 """
 
 
-@pytest.mark.sample(1)
+@pytest.mark.sample(0)
 @pytest.mark.waits
 @pytest.mark.parametrize("style", FORMATS)
 def test_memory_does_not_grow_with_the_capture(tmp_path: Path, style: str) -> None:
@@ -209,6 +209,7 @@ def test_an_interrupted_export_leaves_no_file(tmp_path: Path, number: signal.Sig
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.waits
 @pytest.mark.parametrize(
     ("kilobytes", "more", "words", "code"),

@@ -137,6 +137,7 @@ def test_an_older_capture_is_replayed_and_said_to_be_slow(protocol: Protocol, sa
         assert lines(sample, protocol, start, seek=True) == later(full, start)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("lie", ["grammar", "crc", "nonsense", "settings"])
 def test_a_checkpoint_that_lies_is_not_believed(

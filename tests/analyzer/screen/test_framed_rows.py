@@ -38,7 +38,7 @@ def unused(protocol: Protocol, length: int) -> bytes:
 
 
 @pytest.mark.slow
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("size", [(100, 30), (80, 24)])
 @pytest.mark.parametrize("grammar", FRAMED)
 def test_every_row_can_be_chosen_and_looked_into(

@@ -337,7 +337,7 @@ class Deaf(PtyPair):
 # the suite over the line
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("robot", "faults", "globs", "ends"),
     [

@@ -177,6 +177,7 @@ def test_standard_delivers_every_pair_of_kinds_in_one_go_too(protocol: Protocol)
     assert set(product(WHOLE, repeat=2)) - met == set()
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("level", "count"),
     [("smoke", 30), ("standard", 300), pytest.param("deep", 1100, marks=DEEP)],
@@ -213,6 +214,7 @@ def test_a_soak_has_as_many_faults_as_it_is_told(protocol: Protocol, count: int)
 # -- what is expected -----------------------------------------------------------------------------
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("level", ["smoke", "standard"])
 def test_every_step_agrees_with_the_judge(protocol: Protocol, level: str) -> None:
     for sequence in sequences_of(protocol, level):
@@ -327,6 +329,7 @@ def test_another_seed_makes_other_walks_with_the_same_ids(protocol: Protocol, le
 # -- another grammar ------------------------------------------------------------------------------
 
 
+@pytest.mark.sample(0)
 def test_a_horn_is_swept_and_toured(horn: Protocol) -> None:
     for what, values in (("data/Horn", range(4)), ("bad-data/Horn", range(4, 256))):
         frames = [bytes([0x91, value]) for value in values]

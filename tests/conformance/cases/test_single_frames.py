@@ -218,6 +218,7 @@ def test_a_grammar_whose_robot_cannot_move_has_cases_too(grammar_text: str) -> N
         assert {case.id.split("/")[0] for case in cases} >= {"valid", "unused-id", "wrong-length"}
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_a_field_of_four_bytes_takes_no_more_memory_than_one_of_one(grammar_text: str) -> None:
     speed = '"speed" / Ranged(Byte, 0, 255)'

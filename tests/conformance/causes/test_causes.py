@@ -65,7 +65,7 @@ def report_of(protocol: Protocol, fault: Fault) -> Report:
     return conform(Simulator(protocol, fault), grammar=protocol, options=SMOKE)
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "axis", "what", "when"), NAMED, ids=[row[0] for row in NAMED])
 def test_one_cause_names_what_goes_wrong_and_when(
@@ -171,6 +171,7 @@ def test_a_deviation_that_nothing_predicts_is_just_wrong() -> None:
     assert explained_by_it == [bag]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["no-stop-once-it-has-rotated", "speed-ignored-after-left"])
 def test_a_cause_takes_in_nothing_that_contradicts_it(protocol: Protocol, name: str) -> None:
@@ -188,6 +189,7 @@ def test_what_a_cause_does_not_foresee_is_another_cause(protocol: Protocol) -> N
     assert [cause.when.split(",")[0] for cause in causes] == ["Stop", "Stop"]
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["stops-late", "restarts-by-itself"])
 def test_a_fault_acts_where_something_changes_by_it(protocol: Protocol, name: str) -> None:
@@ -195,6 +197,7 @@ def test_a_fault_acts_where_something_changes_by_it(protocol: Protocol, name: st
     assert (found.causes, found.named, found.of) == (1, 1, 1)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["every-100th-fault-missed", "no-stop-after-100-faults"])
 def test_what_a_cause_counts_is_in_its_line(protocol: Protocol, name: str) -> None:
@@ -202,6 +205,7 @@ def test_what_a_cause_counts_is_in_its_line(protocol: Protocol, name: str) -> No
     assert (found.causes, found.named, found.shown) == (1, 1, True)
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "line"),

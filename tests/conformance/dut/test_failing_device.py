@@ -219,7 +219,7 @@ LINES = {
 
 
 @pytest.mark.waits
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("fault", ["", "ok-to-unknown-id"])
 @pytest.mark.parametrize("line", LINES)
 def test_a_line_that_is_lost_ends_the_run_and_what_was_judged_is_in_every_report(

@@ -210,7 +210,7 @@ def at_times(condition: Condition, change: React, turns: Container[int]) -> Faul
     return Fault("between", "test", "", react=react)
 
 
-@pytest.mark.sample(1)
+@pytest.mark.sample(0)
 @pytest.mark.parametrize(
     ("condition", "change", "turns", "case"),
     [
@@ -244,6 +244,7 @@ def test_what_begins_late_and_then_stays_is_a_difference(protocol: Protocol) -> 
     assert (learned.exit, len(learned.differences), learned.sent.flaky) == (1, 1, 1)
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_a_bad_line_changes_nothing_about_the_machine(protocol: Protocol) -> None:
     robot = faulty(protocol, "R-drive-steering=straight")
@@ -251,7 +252,7 @@ def test_a_bad_line_changes_nothing_about_the_machine(protocol: Protocol) -> Non
 
     assert learned.machine is not None
     assert (len(learned.machine), learned.differences) == (36, ())
-    assert "R-drive-steering" in [point.partition(" ")[0] for point, _, _ in learned.choices]
+    assert "R-drive-steering" in learned.report.profile.other_readings
     assert learned.sent.flaky > 0
     assert learned.verdict is Verdict.INCONCLUSIVE
 

@@ -92,7 +92,7 @@ def test_every_machine_of_one_or_two_states_is_told_from_every_other(
 
 
 @pytest.mark.slow
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("reset", RESETS.values(), ids=RESETS)
 @pytest.mark.parametrize(("states", "extra"), [(1, 2), (2, 1), (3, 0)])
 def test_every_machine_of_three_states_is_told_from_a_drawn_one(

@@ -114,7 +114,7 @@ def test_every_glob_that_a_fault_names_has_cases(protocol: Protocol) -> None:
     assert {glob for glob in globs if not any(matching(ident, (glob,)) for ident in suite)} == set()
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n, fault in BANK.items() if by_single_frames(fault)])
 def test_a_fault_fails_the_cases_that_are_meant_to_catch_it(protocol: Protocol, name: str) -> None:

@@ -415,7 +415,7 @@ SOMETIMES = [
 ]
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "only", "verdict", "axis", "reading", "reason"), [*CHOICES, *SOMETIMES]

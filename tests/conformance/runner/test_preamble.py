@@ -107,6 +107,7 @@ def verdicts(report: Report) -> set[Verdict]:
     return {result.verdict for result in report.results if fnmatchcase(result.id, FAULTS)}
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("dead", "most"), [(0, 30), (14, 30), (15, 62), (40, 126), (63, None), (100, None)]
 )
@@ -247,6 +248,7 @@ def test_motor_power_that_is_switched_on_meanwhile_is_no_failure(protocol: Proto
     assert told(run_of(protocol, react, power=False)) == []
 
 
+@pytest.mark.sample(1)
 def test_another_grammar_is_tried_in_its_own_settings(each_protocol: Protocol) -> None:
     found = list(settings(each_protocol))
     _, top = each_protocol.limits["speed"]

@@ -107,6 +107,7 @@ def test_a_walk_that_fails_says_where_and_names_the_clause(
         assert result.clause == clause
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("change", [drives_on, wrong_code])
 @pytest.mark.parametrize("times", [(1,), (2,), (1, 4)])
 def test_what_fails_once_is_flaky_and_never_a_pass(
@@ -171,6 +172,7 @@ def test_a_line_that_is_trusted_is_not_tried_again(protocol: Protocol) -> None:
 # -- ends in the middle ---------------------------------------------------------------------------
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("hangs", [1, 2, 3])
 def test_a_device_that_hangs_while_it_is_tried_again_fails_there_and_the_rest_is_open(
@@ -276,7 +278,7 @@ def played(device: Simulator, items: Sequence[str]) -> list[tuple[tuple[int, ...
 
 
 @pytest.mark.slow
-@pytest.mark.sample(3)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", STATELESS)
 def test_the_reproducer_is_short_and_shows_the_failure_on_a_fresh_device(
     protocol: Protocol, name: str

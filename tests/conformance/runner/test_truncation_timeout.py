@@ -110,6 +110,7 @@ def target(protocol: Protocol, name: str, *, blind: bool = False) -> Target:
     return made
 
 
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("blind", [False, True])
 def test_it_is_told_once_however_many_cases_follow_from_it(protocol: Protocol, blind: bool) -> None:
