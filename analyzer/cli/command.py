@@ -1,6 +1,6 @@
 """Commands whose options are declared once: as the fields of a frozen Struct.
 
-        class PlotOptions(msgspec.Struct, frozen=True):
+    class PlotOptions(msgspec.Struct, frozen=True):
         file: str = argument(metavar="FILE.mcap")
         force: bool = flag("Overwrite what exists.")
 
