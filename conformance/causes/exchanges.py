@@ -27,6 +27,7 @@ ANSWER, MOTION = "answer", "motion"
 """The facets besides the values that are set; no variable has these names but the kind of motion.
 """
 FRAMES, FAULTS, VALID, TRUNCATED, STOPPING = "frames", "faults", "valid", "truncated", "stopping"
+IN_A_ROW = "two faults in a row"
 """Classes of frames that are counted, besides each `kind` and each open point."""
 
 
@@ -260,6 +261,8 @@ class Exchanges:
         classes = {FRAMES, general, exchange.kind, step.point, *points}
         if protocol.stops(step.frame_effect.effect or protocol.on_fault):
             classes.add(STOPPING)
+        if step.faulty and row:
+            classes.add(IN_A_ROW)
         self._counts = History(
             row + 1 if step.faulty else 0,
             {**times, **{one: times.get(one, 0) + 1 for one in classes}},

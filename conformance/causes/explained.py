@@ -196,6 +196,7 @@ def _rank(found: Found) -> int:
 
 _CODES = 4
 """Pairs of answers that are named; of more it is said what they have in common."""
+_NO_STOP, _LATE_STOP = "does not stop", "stops late"
 
 
 def condition(rule: Rule) -> str:
@@ -238,8 +239,12 @@ def _literal(literal: Literal) -> str:
 
 
 def deviations(protocol: Protocol, effects: Sequence[Effect]) -> str:
-    """Return what goes wrong in words: `does not stop, and steering is off by -256`."""
-    return " and ".join(dict.fromkeys(_effect(protocol, effect) for effect in effects))
+    """Return what goes wrong in words: `does not stop and steering is off by -256`."""
+    words = dict.fromkeys(_effect(protocol, effect) for effect in effects)
+    if {_NO_STOP, _LATE_STOP} <= words.keys():  # how late decides what an observation shows
+        words = {"stops late or not at all": None} | words
+        del words[_NO_STOP], words[_LATE_STOP]
+    return " and ".join(words)
 
 
 def _effect(protocol: Protocol, effect: Effect) -> str:
@@ -251,9 +256,9 @@ def _effect(protocol: Protocol, effect: Effect) -> str:
     if relation.facet == MOTION:
         expected = {bag.deviation.expected for bag in effect.bags}
         if relation.how == "late":
-            return "stops late" if expected == {effect.bags[0].still} else "moves late"
+            return _LATE_STOP if expected == {effect.bags[0].still} else "moves late"
         if effect.keeps_moving:
-            return "moves again by itself" if late else "does not stop"
+            return "moves again by itself" if late else _NO_STOP
         seen = {str(bag.deviation.seen) for bag in effect.bags}
         stays = relation.words.startswith("stays") and len(seen) > 1
         motion = "keeps its motion" if stays else relation.words

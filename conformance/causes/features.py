@@ -12,6 +12,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.causes.exchanges import (
     FAULTS,
     FRAMES,
+    IN_A_ROW,
     STOPPING,
     TRUNCATED,
     VALID,
@@ -160,6 +161,7 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
         name = kind if kind in (FRAMES, FAULTS) else f"{kind} frames"
         words = f"with {{}} {name} before it since power-on"
         yield Feature(name, _times(kind), words, 6 if kind == FRAMES else 5, counts=True)
+    kinds.append(IN_A_ROW)
     yield Feature("row", lambda e: e.history.row, "with {} faults in a row before it", 3)
     for kind in kinds:
         yield Feature(f"since {kind}", _since(kind), f"with {kind} {{}} frames before it", 6)
@@ -185,6 +187,10 @@ def _since(kind: str) -> Of:
     return of
 
 
+_LAST = {FAULTS: "fault", VALID: "valid frame", TRUNCATED: "truncated frame"}
+_ONE = {kind: f"a {words}" for kind, words in _LAST.items()}
+
+
 def _later(one: str, other: str) -> Of:
     def of(exchange: Exchange) -> Value:
         last = exchange.history.last
@@ -192,7 +198,7 @@ def _later(one: str, other: str) -> Of:
         if first == second:
             return None
         late, early = (one, other) if first > second else (other, one)
-        return f"{late} was sent since {early}"
+        return f"with {_ONE.get(late, late)} since the last {_LAST.get(early, early)}"
 
     return of
 

@@ -167,7 +167,7 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
 
     def last_seen(exchange: Exchange) -> Value:
         look = exchange.last_seen
-        if look is None:
+        if look is None or exchange.ahead:  # a frame since then may have changed it
             return before(exchange)
         car = exchange.before.state.wheels
         return seen_motion(car, look) if facet == MOTION else getattr(look, facet)

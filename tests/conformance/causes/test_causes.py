@@ -45,6 +45,13 @@ NAMED = [
     ("double-answer", "answer", "answers more than once", "any frame"),
     ("no-stop-on-bad-data", "stop", "does not stop", "bad data"),
     ("restarts-by-itself", "stop", "moves again by itself", "a faulty frame"),
+    ("stops-late", "stop", "stops late or not at all", "a faulty frame"),
+    (
+        "stays-dead-after-two-faults",
+        "state",
+        "is stopped",
+        "a valid frame, with two faults in a row since the last Stop",
+    ),
     ("rotateleft-does-nothing", "state", "is stopped", "RotateLeft"),
     ("speed-bit-0-lost", "state", "speed lacks bit 0", "Speed"),
     ("random:96", "state", "led has bit 0 inverted", "LED"),
