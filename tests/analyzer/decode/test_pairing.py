@@ -78,6 +78,7 @@ def test_what_is_odd_is_one_fault(protocol: Protocol, name: str) -> None:
     assert words in faults[0].reason
     told = [line for record in records if (line := json_line(record))]
     assert any(faults[0].reason in line.reason for line in told)
+    assert all(line.sequence == 0 for line in told if not line.hex)  # that of the instruction
 
 
 def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:
