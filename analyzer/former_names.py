@@ -32,8 +32,8 @@ DROPPED = {
 
 DROPPED_OPTIONS = {
     "--ask": (
-        "ports --ask is gone: bilprov send PORT 90 --baud RATE asks once at a rate, and at a wrong "
-        "one a device may do anything"
+        "ports --ask is gone: bilprov send PORT FRAME --baud RATE asks once at a rate, and at a "
+        "wrong one a device may do anything"
     ),
     "--csv": "stats --csv is gone: stats --json has the same figures",
     "--budget": (

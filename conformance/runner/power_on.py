@@ -318,7 +318,7 @@ def _other_device(run: Run, exchanges: list[tuple[bytes, Received]]) -> Procedur
     )
     return (
         f"{none} code of the grammar ({begin}): text, another baud rate or another device; check "
-        "the port and --baud, or ask with bilprov ports PORT --ask"
+        "the port and --baud, or listen with bilprov ports PORT"
     )
 
 
