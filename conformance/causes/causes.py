@@ -50,6 +50,11 @@ class Cause:
         """How long (ns) after a frame all that it does has shown."""
         return max(max(e.watched, e.answered) for e in self.exchanges)
 
+    @property
+    def disturbs(self) -> bool:
+        """Whether what it does may show at later frames, too."""
+        return not all(effect.bags[0].deviation.right_code for effect in self.effects)
+
     def foresees(self, exchange: Exchange) -> bool:
         """Return whether it takes in an exchange and would show there."""
         differs = any(effect.relation.differs(exchange) for effect in self.effects)
@@ -63,7 +68,7 @@ def find_causes(
     failed: Container[str],
 ) -> list[Cause]:
     """Find the causes of the deviations in the failed cases."""
-    clean = [e for e in exchanges if not e.deviations and e.right]
+    clean = [e for e in exchanges if e.right and all(d.right_code for d in e.deviations.values())]
     wrong = [bag for bag in bags if bag.exchanges[0].case in failed]
     table = Table(features, [*clean, *(e for bag in wrong for e in bag.exchanges)])
     effects = sorted(_effects(wrong, clean), key=lambda effect: -len(effect.bags))[:_EFFECTS]
@@ -111,7 +116,7 @@ def _brought_about(bag: Bag, causes: Sequence[Cause], back: int) -> Cause | None
     in_burst = True
     while exchange is not None and exchange.case == case and (in_burst or back > 0):
         for cause in causes:
-            if cause.foresees(exchange):
+            if cause.disturbs and cause.foresees(exchange):
                 return cause
         in_burst = in_burst and exchange.ahead > 0
         back -= 1

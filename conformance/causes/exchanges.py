@@ -7,7 +7,7 @@ frame hides is no evidence for it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import NamedTuple
@@ -43,6 +43,11 @@ class Deviation(NamedTuple):
     how: str
     expected: int | str | None = None
     seen: int | str | None = None
+
+    @property
+    def right_code(self) -> bool:
+        """Whether it is an answer with the right code: the frame was taken as what it is."""
+        return self.facet == ANSWER and self.how in ("late", "extra")
 
 
 class History(NamedTuple):
@@ -158,6 +163,7 @@ class Exchanges:
         self._stop_longest = int(model.protocol.timing.stop_longest * MS)
         self._case, self._first = "", 0
         self._expected = model.found()
+        self._late = False
         self._power_on()
         for event in events:
             self._take(event)
@@ -173,6 +179,8 @@ class Exchanges:
         self._counts = History(0, {}, {})
         self._previous: Exchange | None = None
         self._over = 0
+        self._waited = 0
+        self._owed = 0
         self._lost = False
         self._last_seen: Look | None = None
         self._unseen: dict[str, list[Exchange]] = {}
@@ -187,6 +195,7 @@ class Exchanges:
                     if self._burst:  # else nothing has asked for it
                         self._answers.append((t, code))
                 self._silent_until(now)
+                self._waited = now
             case Done(_, Observation(asked, _, look)):
                 self._silent_until(asked)
                 if self._burst:
@@ -277,6 +286,11 @@ class Exchanges:
         self._burst, self._answers, self._looks = [], [], []
         if not burst:
             return
+        if (burst[0].gap or 0) > 2 * self._longest:
+            self._owed = 0
+        if self._late and self._owed:
+            self._lost = True  # what comes now may be what an earlier frame waits for
+        self._owed += len(burst) - len(answers)
         guilty: Exchange | None = None
         for exchange, codes in zip(burst, self._paired(burst, answers), strict=True):
             exchange.codes = tuple(codes)
@@ -287,8 +301,10 @@ class Exchanges:
             elif deviation:
                 exchange.deviations[ANSWER] = deviation
                 self.bags.append(Bag(deviation, (exchange,)))
-                guilty = guilty or exchange
-                self._lost = deviation.how in ("silent", "extra")
+                if not deviation.right_code:
+                    guilty = guilty or exchange
+                self._lost = deviation.how == "silent"
+                self._late = self._late or deviation.how == "late"
             elif not self._chosen(exchange.step):
                 exchange.right.add(ANSWER)
             self._may_show_in(exchange)
@@ -315,19 +331,46 @@ class Exchanges:
         pairs: list[list[tuple[int, int]]] = [[] for _ in burst]
         if len(answers) % len(burst) == 0:
             each = len(answers) // len(burst)
-            return [answers[at * each : (at + 1) * each] for at in range(len(burst))]
+            in_order = [answers[at * each : (at + 1) * each] for at in range(len(burst))]
+            return self._overtaken(burst, answers) or in_order
         due = 0
         for number, answer in enumerate(answers):
             left = len(answers) - number
-            if due >= len(burst):
-                pairs[-1].append(answer)
-                continue
-            # With fewer answers than frames, a frame whose code does not fit has got none.
+            # Of fewer answers than frames, a frame whose code does not fit has got none. Of more,
+            # an answer whose code does not fit is one more to the frame before.
             while left < len(burst) - due and answer[1] not in self._accepted(burst[due]):
                 due += 1
-            pairs[due].append(answer)
-            due += 1
+            surplus = left > len(burst) - due
+            if surplus and due and answer[1] not in self._due(burst, due):
+                pairs[due - 1].append(answer)
+            else:
+                pairs[due].append(answer)
+                due += 1
         return pairs
+
+    def _due(self, burst: Sequence[Exchange], due: int) -> set[int | None]:
+        """The codes that are right for a frame of a burst, none behind its last one."""
+        return self._accepted(burst[due]) if due < len(burst) else set()
+
+    def _overtaken(
+        self, burst: list[Exchange], answers: list[tuple[int, int]]
+    ) -> list[list[tuple[int, int]]] | None:
+        """The answers by their codes, if those that others have overtaken came too late."""
+        left = list(answers)
+        pairs = []
+        for exchange in burst:
+            accepted = self._accepted(exchange)
+            own = next((answer for answer in left if answer[1] in accepted), None)
+            if own is None or (own is not left[0] and not self._comes_late(exchange, own)):
+                return None
+            left.remove(own)
+            pairs.append([own])
+        return None if left else pairs
+
+    def _comes_late(self, exchange: Exchange, answer: tuple[int, int]) -> bool:
+        """Whether an answer came later than it may to this frame."""
+        over = self._timeout if exchange.step.truncated else 0
+        return answer[0] - exchange.end > self._longest + over
 
     def _accepted(self, exchange: Exchange) -> set[int | None]:
         """The codes that are right for a frame, None for no answer, with the device's choices."""
@@ -346,13 +389,15 @@ class Exchanges:
         expected = next(iter(accepted))
         codes = [code for _, code in exchange.codes]
         if not codes:
-            return None if None in accepted else Deviation(ANSWER, "silent", expected)
+            may_come = self._late and self._waited - exchange.end < 2 * self._longest
+            how = "late" if may_come else "silent"
+            return None if None in accepted else Deviation(ANSWER, how, expected)
         if codes[0] not in accepted:
             return Deviation(ANSWER, "other", expected, codes[0])
         if len(codes) > 1:
             return Deviation(ANSWER, "extra", expected, len(codes))
-        late = exchange.codes[0][0] - exchange.end
-        if late > self._longest + (self._timeout if exchange.step.truncated else 0):
+        if self._comes_late(exchange, exchange.codes[0]):
+            late = exchange.codes[0][0] - exchange.end
             return Deviation(ANSWER, "late", expected, late // MS)
         return None
 

@@ -104,6 +104,19 @@ def test_what_keeps_it_moving_stands_before_a_wrong_led(protocol: Protocol) -> N
     assert "LED" in report.causes[1].when
 
 
+def test_answers_that_others_overtake_are_late_and_no_other_cause(protocol: Protocol) -> None:
+    [cause] = report_of(protocol, find_fault(protocol, "answers-too-late")).causes
+    assert cause.sentence.startswith("answers late after a faulty frame (")
+
+
+@pytest.mark.parametrize("name", ["answers-too-late", "double-answer-to-faults"])
+def test_an_answer_with_the_right_code_hides_no_missing_stop(protocol: Protocol, name: str) -> None:
+    fault = both(find_fault(protocol, name), find_fault(protocol, "no-stop-on-bad-data"))
+    first, second = report_of(protocol, fault).causes
+    assert (first.axis, first.when) == ("stop", "bad data")
+    assert (second.axis, second.when) == ("answer", "a faulty frame")
+
+
 def test_causes_follow_the_grammar(horn: Protocol) -> None:
     def react(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
         refused = horn.answers[Outcome.BAD_DATA].code
