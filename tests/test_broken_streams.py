@@ -277,7 +277,7 @@ QUIET = [
     ("encode", "Stop"),
     ("conform", "sim", "--level", "smoke", "--list"),
     ("simulate", "--list-faults"),
-    ("lab", "score", "--only", "always-1", "--level", "smoke", "--jobs", "1"),
+    ("lab", "score", "--only", "always-1", "--level", "smoke", "--random", "0", "--jobs", "1"),
     ("ports", "/dev/null"),
     ("--help",),
 ]

@@ -19,7 +19,7 @@ from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.safe_grammar import WORDS
 from examples.demo import FILES, PAGE
 from tests.support import ROOT
-from tests.support.commands import parsed
+from tests.support.commands import command, parsed
 from tests.support.pages import (
     PROGRAMS,
     Reader,
@@ -251,6 +251,6 @@ def test_the_demo_ends_well_leaves_its_files_and_names_three_commands_that_work(
     for printed in ("40", "41 ff", "91 02", "81 02"):
         assert f" {printed} " in done.stdout
     lines = [shlex.split(line) for line in done.stdout.split("Try next:\n")[1].splitlines()]
-    tried = [run("-m", "bilprov", *words, folder=tmp_path) for _, *words in lines]
+    tried = [command(*words, cwd=tmp_path) for _, *words in lines]
     assert [one.returncode for one in tried] == STATUSES
     assert (folder / PAGE).is_file()

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
-from itertools import product
 from typing import Any
 
 import msgspec
@@ -163,18 +162,27 @@ def _where_it_arises(protocol: Protocol, variant: Variant) -> tuple[list[int], l
     """Return the IDs and the motions at which the device can take the choice."""
     acting = variant.fault.trigger
     assert acting is not None
-    top = {name: high for name, (_, high) in protocol.limits.items()}
     ids: set[int] = set()
     motions: dict[str, None] = {}
-    by = protocol.car.by
-    for motion, frame in product(protocol.variables[by].words, _frames(protocol)):
-        judgement = judge(protocol, frame)
-        before = protocol.state(**{by: motion}, **top)
-        kind = "truncated" if judgement.truncated else "instruction"
-        if acting.holds(Event(protocol, judgement, before, 0, 0, kind, 0), {}):
-            ids.add(judgement.id)
+    for motion, event in _moments(protocol):
+        if acting.holds(event, {}):
+            ids.add(event.judgement.id)
             motions[motion] = None
     return sorted(ids), list(motions)
+
+
+@cache
+def _moments(protocol: Protocol) -> list[tuple[str, Event]]:
+    """Each frame in each motion at the highest settings, as a device meets it."""
+    top = {name: high for name, (_, high) in protocol.limits.items()}
+    judgements = [judge(protocol, frame) for frame in _frames(protocol)]
+    by, met = protocol.car.by, []
+    for motion in protocol.variables[by].words:
+        before = protocol.state(**{by: motion}, **top)
+        for judgement in judgements:
+            kind = "truncated" if judgement.truncated else "instruction"
+            met.append((motion, Event(protocol, judgement, before, 0, 0, kind, 0)))
+    return met
 
 
 def _frames(protocol: Protocol) -> Iterator[bytes]:

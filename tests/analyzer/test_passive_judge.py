@@ -159,10 +159,10 @@ def test_a_run_and_its_recording_are_judged_alike(
 
 @pytest.mark.slow
 def test_a_whole_suite_covers_all_that_it_drives(tmp_path: Path, protocol: Protocol) -> None:
-    recorded(tmp_path / "run.mcap", protocol, "valid/*", "bad-data/*", "unused-id/*")
+    recorded(tmp_path / "run.mcap", protocol, "valid/LED/*", "bad-data/*", "unused-id/*")
     findings = of_capture(tmp_path / "run.mcap", protocol)
 
-    for what in ("valid frames", "data out of range", "headers with an unused ID"):
+    for what in ("data out of range", "headers with an unused ID"):
         done, of = counts(findings)[what]
         assert done == of
     assert findings.violations == findings.not_judged == findings.readings == {}
@@ -176,8 +176,9 @@ def test_another_grammar_is_judged_by_itself(
     path = tmp_path / "run.mcap"
     recorded(path, horn, "valid/Horn/*", "bad-data/Horn/*", device=Simulator(horn))
 
-    assert of_capture(path, horn).violations == {}
-    assert counts(of_capture(path, horn))["data of Horn"] == (4, 4)
+    findings = of_capture(path, horn)
+    assert findings.violations == {}
+    assert counts(findings)["data of Horn"] == (4, 4)
     assert of_capture(path, protocol).violations["disagreeing"] > 200
 
 
@@ -259,7 +260,7 @@ SHIFTING = (
 )
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in variants(DOCUMENT) if not n.startswith(SHIFTING)])
 def test_no_legal_variant_is_accused(name: str, protocol: Protocol) -> None:

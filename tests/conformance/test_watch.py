@@ -114,6 +114,7 @@ def test_a_port_that_is_unplugged_in_a_run_is_tested_again_and_ctrl_c_leaves_it_
     assert not second.state.moving
 
 
+@pytest.mark.sample(1)
 @pytest.mark.waits
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_changed_file_begins_a_run_and_the_exit_code_is_the_last_ones(

@@ -89,6 +89,7 @@ def test_avrdude_writes_a_program_to_the_simulated_bootloader(
     assert "300 bytes of flash verified" in told
 
 
+@pytest.mark.sample(1)
 @PROGRAMS
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("start", [["--start", "0x7c00"], []], ids=["Optiboot", "ATmegaBOOT"])

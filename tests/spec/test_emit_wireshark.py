@@ -159,7 +159,7 @@ LONG = 5_000 * MS
 
 
 @pytest.mark.sample(1)
-@settings(max_examples=5, phases=[Phase.generate])  # to shrink would start too many programs
+@settings(max_examples=3, phases=[Phase.generate])  # to shrink would start too many programs
 @given(lives=st.lists(ACTS, min_size=1, max_size=5), attached=st.booleans())
 def test_it_pairs_and_follows_the_state_as_the_kit_does(
     each_protocol: Protocol,

@@ -120,7 +120,7 @@ def test_another_split_of_the_header_is_followed(grammar_text: str) -> None:
     assert synchroniser.first_frame(0.99) == 1
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("timers", [False, True], ids=["one-clock", "usb"])
 @pytest.mark.parametrize(

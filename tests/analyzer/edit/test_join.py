@@ -65,7 +65,7 @@ def chunks(path: Path, side: str) -> list[tuple[int, bytes]]:
 
 
 @pytest.mark.slow
-@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(acts=ACTS, later=st.integers(0, 3000), shift=st.integers(0, 5000))
 def test_two_taps_and_what_follows_them_keep_every_chunk(
     protocol: Protocol, tmp_path: Path, acts: Any, later: int, shift: int

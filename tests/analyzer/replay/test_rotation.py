@@ -118,7 +118,7 @@ def raw(path: Path) -> list[tuple[str, bytes]]:
 
 
 @pytest.mark.slow
-@limits(max_examples=20)
+@limits(max_examples=8)
 @given(
     acts=ACTS,
     settings=SETTINGS,

@@ -161,6 +161,7 @@ def test_without_a_probe_answers_alone_are_learned_which_is_no_pass(
     assert (learned.exit, learned.seen, learned.differences) == (3, (), ())
 
 
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_another_grammar_is_learned_too_though_a_motion_alone_sets_its_led(wide: Protocol) -> None:
     learned = learn(wide, Simulator(wide))
