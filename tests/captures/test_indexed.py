@@ -290,7 +290,7 @@ def test_a_file_that_changed_since_it_was_opened_is_an_error_of_ours(path: Path)
             read()
 
 
-def test_a_verified_capture_hides_no_damage(path: Path) -> None:
+def test_a_verified_capture_hides_no_damage(path: Path, pytestconfig: pytest.Config) -> None:
     def told(opening: Callable[[Path], Capture]) -> object:
         try:
             return opening(path).damage
@@ -299,6 +299,6 @@ def test_a_verified_capture_hides_no_damage(path: Path) -> None:
 
     data = path.read_bytes()
     assert open_verified(path).indexes
-    for at in range(0, len(data), 17):
+    for at in range(0, len(data), 17 if pytestconfig.getoption("--whole") else 71):
         path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         assert told(open_verified) == told(open_capture)

@@ -114,6 +114,7 @@ def one_frame(draw: Random, protocol: Protocol) -> tuple[bytes, dict[str, Any], 
     return build(protocol, spec.name, values), values, spec.name
 
 
+@pytest.mark.sample(60)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_is_built_is_read_back_and_construct_agrees(seed: int) -> None:
     one, draw = drawn(seed), Random(seed)
@@ -127,6 +128,7 @@ def test_what_is_built_is_read_back_and_construct_agrees(seed: int) -> None:
         assert {key: alone[key] for key in values} == values, one.text
 
 
+@pytest.mark.sample(60)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_stream_of_frames_is_cut_into_them_however_it_comes(seed: int) -> None:
     one, draw = drawn(seed), Random(seed)
@@ -141,6 +143,7 @@ def test_a_stream_of_frames_is_cut_into_them_however_it_comes(seed: int) -> None
     assert {record.kind for record in found} == {"instruction"}
 
 
+@pytest.mark.sample(60)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_frame_that_construct_refuses_is_faulty(seed: int) -> None:
     """Every bit of a frame is flipped once: what construct cannot read is never valid."""
@@ -159,6 +162,7 @@ def test_a_frame_that_construct_refuses_is_faulty(seed: int) -> None:
                 pytest.fail(f"{record.data.hex(' ')} is valid; construct: {error}\n{one.text}")
 
 
+@pytest.mark.sample(60)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_answer_is_read_back_and_construct_agrees(seed: int) -> None:
     one, draw = drawn(seed), Random(seed)

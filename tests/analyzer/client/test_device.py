@@ -408,6 +408,7 @@ def test_client_simulator_and_decoder_agree(name: str) -> None:
         agreeing(client, device, tap, drawn_request(client.protocol, chance))
 
 
+@pytest.mark.sample(60)
 @pytest.mark.parametrize("seed", range(200))
 def test_client_simulator_and_decoder_agree_in_any_layout(seed: int) -> None:
     protocol, draw = drawn_layout(seed).protocol, Random(seed)

@@ -25,7 +25,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-@settings(max_examples=100)
 @given(ACTS, st.integers(0, 60), SETTINGS, st.booleans())
 def test_a_session_that_is_resumed_gives_the_records_that_were_left(
     each_protocol: Protocol,

@@ -35,7 +35,7 @@ def protocol_of(name: str | int) -> Protocol:
     return load_protocol(str(ROOT / "examples" / f"{name}.py") if name in EXAMPLES else name)
 
 
-@pytest.mark.sample(12)
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("name", [*SHIPPED, *range(40)])
 def test_regular_traffic_is_columns_alone(name: str | int) -> None:
     count = 500 if name in SHIPPED else 60
@@ -60,7 +60,7 @@ def stamped(random: Random, events: list[Event]) -> list[Event]:
     return sorted(moved, key=lambda event: event.t)
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("seed", range(70))
 @pytest.mark.parametrize("name", [*SHIPPED, None])
 def test_odd_traffic_is_that_of_a_session(name: str | None, seed: int) -> None:

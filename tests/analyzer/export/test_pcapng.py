@@ -102,7 +102,7 @@ WINDOWS = st.sampled_from([None, 0, 1, MS, 100 * MS, 2_000 * MS])
 
 
 @given(data=st.data(), acts=ACTS, chosen=SETTINGS, first=WINDOWS, after=WINDOWS)
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_a_filter_and_a_window_choose_as_elsewhere_and_an_instruction_brings_its_answer(
     protocol: Protocol,
     tmp_path_factory: pytest.TempPathFactory,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Batch, Records
@@ -160,7 +160,6 @@ FILTERS = (
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-@settings(max_examples=80)
 @given(ACTS, BATCHES, SETTINGS, st.none() | st.sampled_from(FILTERS))
 def test_totals_are_the_counts_of_the_records_that_pass_a_filter_if_there_is_one(
     each_protocol: Protocol,
