@@ -45,6 +45,7 @@ def test_a_row_is_measured_beside_its_peers_which_give_the_same_results(
 # -- mutants --------------------------------------------------------------------------------------
 
 
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("room", ROOMS)
 def test_mutants_of_a_room_are_other_python_on_as_many_lines(room: str) -> None:

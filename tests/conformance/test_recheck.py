@@ -346,7 +346,7 @@ def test_a_recording_that_was_never_finished_is_judged_as_far_as_it_goes(
     content = faulty.read_bytes()
     path, counts = tmp_path / "cut.mcap", []
     end = content.index(b"profile.json")
-    for at in range(0, end, end // 25):
+    for at in range(0, end, end // 10):
         path.write_bytes(content[:at])
         with suppress(CaptureError):
             found = recheck(str(path))

@@ -104,7 +104,7 @@ def agrees(look: Look, state: State, full: int) -> bool:
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_its_pins_follow_the_motion_model(
     bench: Bench, protocol: Protocol, data: st.DataObject
 ) -> None:

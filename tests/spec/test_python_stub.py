@@ -145,6 +145,7 @@ def where(servo: Servo) -> int:
 """
 
 
+@pytest.mark.sample(0)
 def test_a_type_checker_sees_the_methods_and_refuses_what_is_wrong(tmp_path: Path) -> None:
     stub = python_stub(load_protocol(str(ROOT / "examples" / "feetech.py")))
     (tmp_path / "servo.pyi").write_text(stub.replace("FeetechSts3215", "Servo"))

@@ -33,7 +33,7 @@ def randoms(protocol: Protocol, level: str, soaked: int = 0) -> list[SequenceCas
     return [c for c in cases if isinstance(c, SequenceCase) and c.id.startswith(RANDOM)]
 
 
-@pytest.mark.sample(1)
+@pytest.mark.sample(0)
 @pytest.mark.slow
 def test_the_arrays_cover_every_feasible_combination_of_three(each_protocol: Protocol) -> None:
     only = ("combined/waited/*", "combined/pipelined/*", "combined/split/*")

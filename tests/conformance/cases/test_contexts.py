@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import pytest
 
@@ -39,17 +39,26 @@ def places(step: Step) -> Iterator[tuple[str, int]]:
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-def test_each_faulty_header_comes_right_after_each_kind(each_protocol: Protocol) -> None:
+def test_each_faulty_header_setting_and_motion_comes_right_after_each_kind(
+    each_protocol: Protocol,
+) -> None:
     kinds = set(Inputs(each_protocol, 1).kinds)
-    met = defaultdict(set)
+    headers, values = defaultdict(set), defaultdict(set)
     for before, step in neighbours(each_protocol, contexts(each_protocol)):
-        if step.faulty and step.kind is not FrameClass.BAD_DATA:
-            met[step.frame[0]].add(before)
+        if not step.faulty:
+            values[before, kind_of(each_protocol, step)].update(step.frame[1:2])
+        elif step.kind is not FrameClass.BAD_DATA:
+            headers[step.frame[0]].add(before)
 
     known = {s.id: s.length for s in each_protocol.instructions}
     faulty = [h for h, (i, n) in enumerate(each_protocol.headers) if known.get(i) != n]
-    assert sorted(met) == faulty
-    assert all(kinds <= met[header] for header in faulty)
+    assert sorted(headers) == faulty
+    assert all(kinds <= headers[header] for header in faulty)
+    for before, spec in product(kinds, each_protocol.instructions):
+        assert (before, spec.name) in values
+        if spec.length == 1:
+            low, high = spec.fields[0].low, spec.fields[0].high
+            assert {v for v in MARKED if low <= v <= high} <= values[before, spec.name]
 
 
 @pytest.mark.slow
@@ -85,23 +94,6 @@ def test_frames_under_test_come_ahead_of_answers_and_after_them_and_what_leads_t
         observed = [len(burst.steps) for burst in case.bursts if burst.looks]
         assert set(observed) == {1}
         assert max(len(burst.steps) for burst in case.bursts) > 1
-
-
-@pytest.mark.sample(1)
-@pytest.mark.slow
-def test_every_setting_and_motion_comes_after_each_kind(each_protocol: Protocol) -> None:
-    inputs = Inputs(each_protocol, 1)
-    met = defaultdict(set)
-    for before, step in neighbours(each_protocol, contexts(each_protocol)):
-        if not step.faulty:
-            met[before, kind_of(each_protocol, step)].update(step.frame[1:2])
-
-    for before in inputs.kinds:
-        for spec in each_protocol.instructions:
-            assert (before, spec.name) in met
-            if spec.length == 1:
-                low, high = spec.fields[0].low, spec.fields[0].high
-                assert {v for v in MARKED if low <= v <= high} <= met[before, spec.name]
 
 
 def test_cuts_hold_marked_values_and_stand_before_and_after_what_they_should(
