@@ -59,6 +59,7 @@ def _of_frames(protocol: Protocol) -> Iterator[Feature]:
     yield Feature("frame", lambda e: e.kind, "{}", 0, subject=True)
     yield Feature("fault", _fault, "{}", 0, subject=True)
     yield Feature("stops", partial(_stops, protocol), "{}", 1, subject=True)
+    yield Feature("sets", partial(_sets_motion, protocol), "{}", 1, subject=True)
     yield Feature("outcome", lambda e: _whole(e, e.judgement.outcome.value), "{}", 0, subject=True)
     yield Feature("instruction", _instruction, "{}", 1, subject=True)
     yield Feature("cut", lambda e: "cut short" if e.step.truncated else "complete", "{}", 1)
@@ -82,6 +83,12 @@ def _stops(protocol: Protocol, exchange: Exchange) -> str:
     effect = exchange.step.frame_effect.effect
     stops = effect is None or protocol.stops(effect)
     return "a frame that stops it" if stops else "a frame that does not stop it"
+
+
+def _sets_motion(protocol: Protocol, exchange: Exchange) -> str:
+    name = protocol.car.by
+    effect = exchange.step.frame_effect.effect or protocol.on_fault
+    return f"a frame that {'sets' if effect.sets(name) else 'does not set'} {name}"
 
 
 def _whole(exchange: Exchange, outcome: str) -> str | None:
@@ -156,6 +163,11 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
     yield Feature("previous fault", _of_previous(_fault), "sent after {}", 2)
     named = _of_previous(lambda before: before.judgement.name)
     yield Feature("previous instruction", named, "sent after {}, right or wrong", 4)
+    for name in (name for name, spec in protocol.variables.items() if spec.words):
+        words = f"sent after a frame before which {name} is {{}}"
+        yield Feature(f"{name} before the previous", _of_previous(_before(name)), words, 3)
+    words = "sent after a frame before which it {}"
+    yield Feature("moving before the previous", _of_previous(_moved), words, 3)
     kinds = [FAULTS, VALID, TRUNCATED, *(s.name for s in protocol.instructions)]
     for kind in (FRAMES, *kinds, STOPPING, *POINTS):
         name = kind if kind in (FRAMES, FAULTS) else f"{kind} frames"

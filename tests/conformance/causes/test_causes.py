@@ -19,7 +19,7 @@ from bilprov.captures.schemas import MS, look_class
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes
 from bilprov.conformance.causes.exchanges import MOTION, Bag, Deviation, Exchanges, Timing
-from bilprov.conformance.causes.features import features, matches
+from bilprov.conformance.causes.features import Literal, features, matches
 from bilprov.conformance.causes.relations import relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
 from bilprov.conformance.causes.trace import Done, Mark, Trace
@@ -63,6 +63,8 @@ NAMED = [
      "a faulty frame, while motion is backward or rotate left or stopped"),
     ("mixture:R-stop-steering=kept:by-frame", "state", "steering is 0",
      "Stop, at one in 2 of the Stop frames"),
+    ("mixture:R-drain-known=flushed-after-wrong-lengths:by-motion", "answer", "gives no answer",
+     "sent after a frame before which motion is forward or rotate right"),
     ("no-stop-on-unknown-id-while-forward", "stop", "does not stop",
      "unknown ID, while motion is forward"),
 ]  # fmt: skip
@@ -244,12 +246,20 @@ def test_its_line_shows_what_depends_on_more_than_a_rule_says(
     assert "tried again: the same" in cause.sentence
 
 
-@pytest.mark.slow
-def test_a_line_of_frames_that_were_waited_for_is_not_sent_together(protocol: Protocol) -> None:
-    fault = find_fault(protocol, "mixture:R-drain-known=flushed-after-wrong-lengths:by-motion")
-    cause = report_of(protocol, fault).causes[0]
-    assert "--together" not in cause.send
-    assert "tried again: the same" in cause.sentence
+@pytest.mark.parametrize(
+    ("name", "value", "together"),
+    [("split", "in one go", False), ("sent ahead", "waited for", False), ("gap", 16, True)],
+)
+def test_only_frames_that_depend_on_their_times_are_sent_together(
+    protocol: Protocol, name: str, value: str | int, *, together: bool
+) -> None:
+    recorded = Recorded(protocol, fault_bank(protocol)["no-stop-on-bad-data"])
+    [cause] = recorded.causes
+    by_name = {feature.name: feature for feature in features(protocol)}
+    cause.rule += (Literal(by_name[name], "to" if together else "is", value),)
+    model = Model(protocol, Choices())
+    line = Finder(model, recorded.timing).lines(cause)[0]
+    assert line.together == together
 
 
 @pytest.mark.sample(1)
