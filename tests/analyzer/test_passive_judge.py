@@ -389,6 +389,7 @@ def traffic(protocol: Protocol, seed: int, pause: float) -> list[Event]:
     return events
 
 
+@pytest.mark.sample(4)
 @pytest.mark.parametrize("pause", [1, 20, 300])
 @pytest.mark.parametrize("seed", range(3))
 def test_attached_anywhere_a_conforming_device_is_never_accused(

@@ -80,6 +80,7 @@ def test_every_constant_of_a_framed_grammar_is_one_of_c(name: str, tmp_path: Pat
     compiled(tmp_path, "\n".join(['#include "protocol.h"', *uses, main]))
 
 
+@pytest.mark.sample(8)
 @GCC
 @pytest.mark.parametrize("seed", range(0, 200, 10))
 def test_the_header_of_any_layout_compiles(seed: int, tmp_path: Path) -> None:

@@ -56,7 +56,7 @@ def every_first_byte(protocol: Protocol, random: Random) -> list[bytes]:
     return frames
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 def test_every_header_and_first_byte_has_the_verdict_and_the_state_of_the_grammar(
     each_protocol: Protocol,

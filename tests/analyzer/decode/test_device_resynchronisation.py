@@ -103,6 +103,7 @@ def damaged(random: Random, answer: bytes, how: str) -> bytes:
     return answer[:at] + bytes([answer[at] ^ 1 << random.randrange(8)]) + answer[at + 1 :]
 
 
+@pytest.mark.sample(20)
 @pytest.mark.parametrize("how", ["stray", "lost", "flipped"])
 @pytest.mark.parametrize("name", ["dynamixel1", "modbus-rtu", "receiver", "relay_board"])
 @pytest.mark.parametrize("seed", range(4))

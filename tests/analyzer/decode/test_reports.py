@@ -80,6 +80,7 @@ def test_what_the_variable_cannot_be_is_not_taken_over() -> None:
     assert states(RELAYS, asked(RELAYS, "On", 7, 0)) == [1, 1]
 
 
+@pytest.mark.sample(10)
 @pytest.mark.parametrize("protocol", [RELAYS, FAN], ids=["number", "word"])
 @pytest.mark.parametrize("seed", range(12))
 def test_arrays_have_the_states_of_one_by_one(protocol: Protocol, seed: int) -> None:

@@ -125,6 +125,7 @@ def _differ(one: Any, other: Any) -> bool:
     return one is not None and other is not None and one != other
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("text", "holds"),
     [
@@ -184,6 +185,7 @@ def test_the_reasons_of_long_frames_are_theirs(wide: Protocol) -> None:
         require_selected(test, batch, lambda row: "lamp" in row["reason"])
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     "text",
     [

@@ -196,6 +196,7 @@ def answered(protocol: Protocol, count: int, seed: int) -> list[Event]:
     return events
 
 
+@pytest.mark.sample(5)
 @pytest.mark.parametrize("heard", [{"host", "device"}, {"host"}, {"device"}])
 def test_totals_of_answers_of_every_kind_are_the_counts_of_the_records(
     each_protocol: Protocol, heard: set[Any]

@@ -51,7 +51,7 @@ def test_a_frame_that_is_lost_changes_nothing_and_a_late_answer_makes_its_stop_l
     assert not robot.look(1111 * MS).moving
 
 
-@pytest.mark.sample(6)
+@pytest.mark.sample(3)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(PAIRS))
 def test_a_device_of_two_legal_readings_does_not_fail(name: str, protocol: Protocol) -> None:

@@ -54,6 +54,7 @@ def test_a_banner_instead_of_the_first_answer_is_informational(protocol: Protoco
     assert max(found.values()) is Verdict.INFORMATIONAL
 
 
+@pytest.mark.sample(6)
 @pytest.mark.parametrize("count", [1, 3, 10])
 @pytest.mark.parametrize("at", [1, 60, 150, 400])
 def test_bytes_that_come_before_the_first_case_and_belong_to_none_are_never_a_pass(
