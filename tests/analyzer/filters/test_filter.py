@@ -144,21 +144,6 @@ def test_time_is_the_readers_time_of_day(
     assert passing(test, records) == []
 
 
-def test_the_time_of_day_follows_the_clock_that_is_put_back(
-    protocol: Protocol, zone: Callable[[str], None]
-) -> None:
-    zone("Europe/Stockholm")
-    stop = bytes([protocol.pad_byte])
-    events: list[Event] = [Chunk(n * 1800 * 1000 * MS, "host", stop) for n in range(6)]
-    records: list[Record] = [*hosts(decoded(Session(protocol), events))]
-    # At 3:00 on 2026-10-25 it is 2:00 again.
-    test = compile_filter("time in 2:00..2:45", protocol).started(
-        wall("Europe/Stockholm", "2026-10-25 01:30")
-    )
-
-    assert [record.t / 1800e9 for record in passing(test, records)] == [1, 2, 3, 4]
-
-
 @pytest.mark.parametrize("start", [0, -5, 1 << 62, 10**20])
 def test_a_recording_without_a_start_has_no_time_of_day(
     protocol: Protocol, talk: list[Record], start: int

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from textual.pilot import Pilot
 
-from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.details import details
@@ -57,19 +56,6 @@ def test_every_row_can_be_chosen_and_looked_into(
 
     operated(on_screen(load(FRAMED[grammar])), steps, size)
     assert (tmp_path / "rows.csv").read_text()
-
-
-def test_an_answer_shows_its_fields_and_what_it_answers() -> None:
-    protocol = load(FRAMED["roboclaw"])
-    asked = build(protocol, "MainBattery", {"address": 0x80})
-    answer = build_reply(protocol, judge(protocol, asked), {"voltage": 123})
-    events = [Chunk(0, "host", asked), Chunk(MS, "device", answer)]
-    (batch,) = told(StreamDecoder(protocol), events, [2])
-    record = batch.records()[1]
-    assert isinstance(record, DeviceRecord)
-    shown = {line.label: line.text for line in details(protocol, record, state=False)}
-    assert shown["voltage"] == "0000 0000 0111 1011  123  tenths of a volt"
-    assert shown["answers"] == f"{asked.hex(' ')}  @128 MainBattery"
 
 
 @pytest.mark.parametrize(
