@@ -13,7 +13,6 @@ from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.readings import ERRATA, EXAMPLES, POINTS, READINGS, Reading
 from tests.support import ROOT
-from tests.support.commands import command
 from tests.vectors import ERRATA_IN_BYTES, ERRATUM_IDS, READING_IDS
 
 VERDICTS = ("informational", "non-strict", "fail", "as R-")
@@ -152,14 +151,3 @@ def test_one_point_decides_about_a_variable_after_a_frame() -> None:
     assert places
     assert max(places.values()) == 1
     assert all(bool(p.about) is bool(p.moments) for p in POINTS.values())
-
-
-def test_the_help_of_allow_names_every_option() -> None:
-    words = command("conform", "--help", COLUMNS="200").stdout.decode().split()
-    told = {word.strip("│,.") for word in words}
-    options = {choice.option for point in POINTS.values() for choice in point.choices}
-    options |= {point.skipped for point in POINTS.values()}
-    options -= {"", "version=VERSION"}  # of a version, the help names one
-
-    assert options | {"version=1.0"} <= told
-    assert len(options) == 4

@@ -16,12 +16,12 @@ from bilprov.spec.arrays.states import Known
 from bilprov.spec.by_effect import change_by, effect_words
 from bilprov.spec.codec import judge
 from bilprov.spec.errors import WrongValue
-from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.protocol import GrammarError, load
 from bilprov.spec.state import Variables, Whole
 from tests.support import ROOT
 from tests.support.car import car_state
 from tests.support.commands import command
-from tests.support.grammars import embedded, mutated, undeclared
+from tests.support.grammars import embedded, mutated
 
 SWITCHES = ROOT / "tests" / "support" / "switch_grammar.py"
 TEXT = SWITCHES.read_text(encoding="utf-8")
@@ -39,17 +39,6 @@ def test_a_grammar_without_a_rest_has_no_stop() -> None:
 
 def test_it_may_come_from_a_capture() -> None:
     assert embedded(TEXT) == BOARD
-
-
-def test_a_text_that_does_not_declare_the_cars_state_has_it(
-    protocol: Protocol, grammar_text: str
-) -> None:
-    older = load(undeclared(grammar_text))
-    assert older.variables == protocol.variables
-    assert older.state_type is protocol.state_type
-    assert older.power_on == protocol.power_on
-    assert (older.device, older.at_rest) == ("robot", protocol.at_rest)
-    assert older.instructions == protocol.instructions
 
 
 WRONG: list[tuple[dict[str, str], str]] = [

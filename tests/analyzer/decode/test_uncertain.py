@@ -17,7 +17,6 @@ import msgspec
 import pytest
 
 from bilprov.analyzer import api
-from bilprov.analyzer.client import device as of_device
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
@@ -97,9 +96,6 @@ def test_frames_are_uncertain_until_a_check_is_right() -> None:
     assert found[0].reason.endswith(UNCLEAR)
 
 
-ASK, TOLD = bytes.fromhex("3020"), bytes.fromhex("1410")  # Get Sync
-
-
 @pytest.fixture
 def machine(tmp_path: Path) -> FakeMachine:
     return FakeMachine(tmp_path)
@@ -150,17 +146,6 @@ def answering_late(machine: FakeMachine, pause: float) -> Iterator[str]:
 
         threading.Thread(target=answers).start()
         yield pair.name
-
-
-def test_a_client_waits_for_the_rest_of_an_answer_that_an_adapter_holds_back(
-    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(of_device, "Machine", lambda: machine)
-    with (
-        answering_late(machine, 0.1) as port,  # twice the longest pause of the grammar
-        of_device.Device(port, grammar=MODBUS, address=17) as meter,
-    ):
-        assert meter.read_holding_registers(0x6B, 3) == (555, 0, 100)
 
 
 def test_an_answer_to_a_faster_replay_is_not_cut_by_a_pause_that_an_adapter_makes(

@@ -147,16 +147,6 @@ def test_bootloader_answers_what_it_does_not_know(sent: str, answer: str) -> Non
 RELAY = str(ROOT / "examples" / "relay_board.py")
 
 
-def test_an_answer_tells_the_state_that_it_reports() -> None:
-    line = Line(RELAY)
-    told = [
-        line.do(name, address=3)["state"] for name in ("Read", "On", "Read", "Off", "Toggle", "Off")
-    ]
-    assert told == [2, 1, 1, 2, 1, 2]
-    assert line.do("On", address=1) == {"state": 1}
-    assert line.do("Read", address=3) == {"state": 2}
-
-
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
