@@ -323,7 +323,7 @@ def _listen(
     end = None if duration is None else round(duration * 1e9)
     overrun, told = "", False
     unplugged: dict[str, str] = {}
-    recorder = pipeline.recorder
+    recorder, patience = pipeline.recorder, pipeline.patience
     with collecting_when_idle() as collect:
         while not stopper.stopped and not pipeline.shown.full:
             now, due = source.now(), pipeline.deadline
@@ -345,6 +345,7 @@ def _listen(
             collect(not events)
             if not events:
                 continue
+            pipeline.patience = PATIENCE if source.busy else patience
             pipeline.events(events)
             for event in events:
                 if isinstance(event, Line) and event.event == "unplugged":

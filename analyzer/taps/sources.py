@@ -76,7 +76,7 @@ class Source(Closing):
         self._looked_at = 0.0
         self.seen = 0  # ns; up to when it is known what came
         self._came = 0  # bytes
-        self._busy = False
+        self.busy = False  # whether more than 4 kB/s come
         self._rated = 0, 0  # when (ns) it was last looked at whether the line is busy; `_came` then
         self._counts = {tap: port.error_counts() for tap, port in ports.items()}
         self.start_wall = wall_clock()
@@ -130,9 +130,9 @@ class Source(Closing):
         """Append what comes soon after the first events, until `most` bytes have come in all."""
         since, before = self._rated
         if self.seen - since >= GATHERED:
-            self._busy = (self._came - before) * GATHERED >= _BUSY * (self.seen - since)
+            self.busy = (self._came - before) * GATHERED >= _BUSY * (self.seen - since)
             self._rated = self.seen, self._came
-        pause, longest = (GATHERED, GATHERED) if self._busy else self.linger
+        pause, longest = (GATHERED, GATHERED) if self.busy else self.linger
         until, came = self.now() + longest, -1
         while came < self._came < most and (now := self.now()) < until and self._ports:
             known, came, timeout = len(events), self._came, min(pause, until - now)
