@@ -254,6 +254,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from bilprov.analyzer.cli.failures import interrupts_kept, report
     from bilprov.analyzer.cli.streams import standard_streams
 
+    # The threads that numpy would begin with are for matrices, and take longer than its import.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with interrupts_kept(), standard_streams() as settled:
         try:
             status = settled(_run(list(sys.argv[1:] if arguments is None else arguments)))
