@@ -24,7 +24,6 @@ _CALM = 1_500_000_000  # ns at the protocol's own rate, after which decoded chan
 _PAGE = 4096  # bytes of a read
 _SAMPLES = 4  # times the sample for construct, so that opening the file does not count
 _CHUNK = 2_000 * 33  # bytes of a chunk of a capture with one message a frame
-_LONGEST = 24  # times the patience of a row that a whole command may take
 
 _KEPT = ROOT / "build/bench"
 
@@ -196,22 +195,17 @@ def replayed(
     times_construct: float,
     captures: tuple[Maker, Maker] = (small, big),
 ) -> Row:
-    """A whole command on the big capture, unless it takes too long.
+    """A whole command on the big capture.
 
     Beside it is construct on a sample of the one with reads of 4 KiB, on which it is the fastest.
     """
     few, made = (make(setting) for make in captures)
     reads_of_4k = big(setting).path
-    note, lines = "", words is product.replayed
+    lines = words is product.replayed
     little = run(words(few.path), keep=lines)
     if lines and little.output.count("\n") < 2 * few.frames:
         raise RuntimeError(f"{few.frames} frames and their answers gave fewer lines")
-    longest = _LONGEST * setting.sizes.patience
-    if little.seconds * made.frames / few.frames > longest:
-        note = f"{made.frames / 1e6:.3g} M frames would take over {longest:.0f} s"
-        made, ended = few, little
-    else:
-        ended = run(words(made.path))
+    ended = run(words(made.path))
     start, most = open_capture(reads_of_4k).start + _CALM, _SAMPLES * setting.sample.frames
     with Path(os.devnull).open("wb") as nowhere:
         out = nowhere if lines else None
@@ -238,7 +232,6 @@ def replayed(
             "MB with the small capture": little.memory / 1e6,
             "frames/s with the small capture": few.frames / little.seconds,
         },
-        note=note,
     )
 
 

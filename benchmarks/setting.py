@@ -118,9 +118,8 @@ class Work(NamedTuple):
         *goals: Goal,
         figures: dict[str, float] | None = None,
         beside: dict[str, float] | None = None,
-        note: str = "",
     ) -> Row:
         """Its row; `measured` has the figure of bilprov and those of the peers."""
         peers = dict(measured)
         ours = peers.pop(OURS)
-        return Row(self.name, work, unit, ours, peers, figures or {}, beside or {}, goals, note)
+        return Row(self.name, work, unit, ours, peers, figures or {}, beside or {}, goals)
