@@ -188,7 +188,7 @@ def _pieces(
                 if surveyed:
                     raise found.damage
             elif found.opcode in _WITH_MESSAGES:
-                starts = found.starts[found.starts >= passed]
+                starts = found.starts[found.starts >= passed] if passed else found.starts
                 if len(starts):
                     yield Piece(found.content, starts, where)
                     where = ""
