@@ -74,11 +74,10 @@ def with_imported(source: str) -> str:
     Raises GrammarError if it declares what the imported declarations have under the same name.
     """
     tree, lines = ast.parse(source), source.splitlines(keepends=True)
-    own = set(_assigned(tree))
     for node in reversed([one for one in tree.body if isinstance(one, ast.ImportFrom)]):
         file = _MODULES.get(node.module or "")
         if file:
-            wanted = {one.name for one in node.names}
+            wanted, own = {one.name for one in node.names}, set(_assigned(tree))
             lines[node.lineno - 1 : node.end_lineno] = _declarations(file, wanted, own)
     return "".join(lines)
 
