@@ -99,7 +99,7 @@ def decoded_records(path: Path) -> tuple[float, Judged]:
 @contextmanager
 def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
     """What `sniff -w` does with each chunk that was read; nothing is shown."""
-    decoder = StreamDecoder(protocol, skew=0, as_rows=True)
+    decoder = StreamDecoder(protocol, skew=0)
     statistics = Statistics()
     with Recorder(path, time.time_ns(), metadata(protocol)) as recorder:
         shown = Shown(NoOutput())

@@ -209,7 +209,7 @@ def sniff(options: SniffOptions) -> int:
         if source.served:
             note(source.served)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
-        decoder = StreamDecoder(protocol, as_rows=quiet or style == "live", **decoding)
+        decoder = StreamDecoder(protocol, **decoding)
 
         def listened(shown: Shown, patience: int, tell: Callable[[str], object]) -> Lost:
             """Listen to the end, and finish the capture; `tell` is told at once what is lost."""

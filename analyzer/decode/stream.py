@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 LEAST = 1024
 """Bytes from which on single events are decoded as arrays; fewer are decoded faster one by one."""
 
-LEAST_AS_ROWS = 512
-"""The same for who does not take the records."""
-
 # After an event that is not regular, so many go through the Session; more and more if none of
 # those that follow is regular, so that an irregular line costs little more than a Session alone.
 _FEWEST, _MOST = 1, 1024
@@ -45,15 +42,13 @@ def preload(protocol: Protocol) -> None:
 class StreamDecoder:
     """Decodes one recording from its first event to its last, in batches.
 
-    The settings are those of a Session, whose records the batches have. `as_rows` says that few of
-    these are taken.
+    The settings are those of a Session, whose records the batches have.
     """
 
     def __init__(
         self,
         protocol: Protocol,
         *,
-        as_rows: bool = False,
         timeout: int | None = None,
         heard: frozenset[Direction] = BOTH,
         skew: int = SKEW,
@@ -65,7 +60,6 @@ class StreamDecoder:
             protocol, timeout=timeout, heard=heard, skew=skew, attached=attached
         )
         self._protocol = protocol
-        self._least = LEAST_AS_ROWS if as_rows else LEAST
         self._settings = timeout, skew, heard >= BOTH
         self._regular: ColumnDecoder | None = None
         self._unfit = False  # whether this protocol's state does not fit into columns
@@ -82,7 +76,7 @@ class StreamDecoder:
 
     def feed(self, events: Sequence[Chunk | Line]) -> list[Batch]:
         """Take the next events, one by one as they are, and return what they complete."""
-        if sum([len(event.data) for event in events if type(event) is Chunk]) >= self._least:
+        if sum([len(event.data) for event in events if type(event) is Chunk]) >= LEAST:
             from bilprov.captures.events import Events
 
             return self.decode(Events.of(events))
