@@ -29,6 +29,8 @@ ANSWER, MOTION = "answer", "motion"
 FRAMES, FAULTS, VALID, TRUNCATED, STOPPING = "frames", "faults", "valid", "truncated", "stopping"
 IN_A_ROW = "two faults in a row"
 """Classes of frames that are counted, besides each `kind` and each open point."""
+_NEARLY = 0.9
+"""The share of a time-out from which it is not certain, as measured, that a frame goes on."""
 
 
 class Deviation(NamedTuple):
@@ -290,6 +292,8 @@ class Exchanges:
             self._owed = 0
         if self._late and self._owed:
             self._lost = True  # what comes now may be what an earlier frame waits for
+        if any(exchange.pause > _NEARLY * self._timeout for exchange in burst):
+            self._lost = True  # it may have been cut
         self._owed += len(burst) - len(answers)
         guilty: Exchange | None = None
         for exchange, codes in zip(burst, self._paired(burst, answers), strict=True):

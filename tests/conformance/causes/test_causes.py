@@ -18,7 +18,7 @@ from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS, look_class
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes
-from bilprov.conformance.causes.exchanges import MOTION, Bag, Deviation, Exchanges, Timing
+from bilprov.conformance.causes.exchanges import ANSWER, MOTION, Bag, Deviation, Exchanges, Timing
 from bilprov.conformance.causes.features import Literal, features, matches
 from bilprov.conformance.causes.relations import relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
@@ -167,6 +167,20 @@ def test_what_was_seen_before_a_frame_is_no_evidence_for_it(protocol: Protocol) 
     found = Exchanges(Model(protocol, Choices()), events, timing)
     assert found.bags == []
     assert [one.looked for one in found.all] == [None, 280 * MS, 290 * MS]
+
+
+@pytest.mark.parametrize(("pause", "certain"), [(30, True), (49, False)])
+def test_a_frame_that_may_have_been_cut_is_no_evidence(
+    protocol: Protocol, pause: int, *, certain: bool
+) -> None:
+    events = [
+        Done(Send(b"\x11"), 0),
+        Done(Send(b"\xff"), pause * MS),
+        Done(None, Received(((pause * MS + MS, 0),), pause * MS + MS)),
+    ]
+    timing = Timing(50 * MS, 86_806, 250 * MS)
+    [exchange] = Exchanges(Model(protocol, Choices()), events, timing).all
+    assert exchange.right == ({ANSWER} if certain else set())
 
 
 class Recorded:
