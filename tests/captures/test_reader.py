@@ -271,6 +271,19 @@ def test_the_metadata_start_counts_in_a_foreign_file(tmp_path: Path) -> None:
         assert list(open_capture(path)) == [Chunk(t, "host", b"x")]
 
 
+def test_other_topics_alone_are_refused_and_shown_harmless(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        writer.register_channel("/b\x1b[31m\u202e", "json", 0)
+        writer.add_message(writer.register_channel("/a" * 300, "json", 0), 1, b"{}", 0)
+
+    with pytest.raises(CaptureError) as refused:
+        open_capture(foreign(tmp_path / "f.mcap", fill))
+    sentence = str(refused.value)
+    assert "bilprov needs /host/raw or /device/raw" in sentence
+    assert sentence.isprintable()
+    assert len(sentence) < 500
+
+
 def test_channels_without_messages_are_a_capture(tmp_path: Path) -> None:
     capture = open_capture(foreign(tmp_path / "f.mcap", raw_topics, use_chunking=False))
     assert (list(capture), capture.damage, capture.start) == ([], (), 0)

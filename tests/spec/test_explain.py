@@ -7,12 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain
 from bilprov.spec.protocol import load
 from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
 from tests.frame_vectors import RequestVector
 from tests.support import ROOT
-from tests.support.grammars import mutated
+from tests.support.framed_traffic import FRAMED
+from tests.support.grammars import mutated, undeclared
 
 PROTOCOL = load_protocol()
 
@@ -59,6 +61,19 @@ def test_a_faulty_frame_stops_and_its_nearest_is_valid(data: bytes) -> None:
 )
 def test_the_bits_that_make_it_faulty_are_marked(frame: str, faulty: list[str]) -> None:
     assert [group.name for group in only(frame).groups if group.fault] == faulty
+
+
+def test_a_field_of_two_bytes_is_one_group() -> None:
+    source = (
+        undeclared(PROTOCOL.source)
+        .replace("from construct import ", "from construct import Int16ub, ")
+        .replace('"speed" / Ranged(Byte, 0, 255)', '"speed" / Ranged(Int16ub, 0, 1000)')
+    )
+    (frame,) = explain(load(source), bytes.fromhex("12 03 e9")).frames
+    group = frame.groups[2]
+    assert (group.byte, group.size, group.high, group.value, group.fault) == (1, 2, 15, 1001, True)
+    assert group.bits == "0000001111101001"
+    assert frame.judgement.valid is judge(load(source), bytes.fromhex("12 03 e9")).valid is False
 
 
 FOREIGN = [
@@ -115,3 +130,12 @@ def test_fixed_data_are_explained_byte_by_byte(sent: str, meanings: list[str], r
 def test_what_belongs_to_no_frame_is_refused_with_the_right_beginning() -> None:
     with pytest.raises(ValueError, match="ff fe belong to no frame; a frame begins with ff ff"):
         explain(load_protocol("dynamixel1"), bytes.fromhex("FFFE FFFF 01 02 01 FB"))
+
+
+def test_a_field_without_prose_is_named_once() -> None:
+    protocol = load(FRAMED["roboclaw"].replace(' * "0 stops, 127 is full speed"', ""))
+    frame = build(protocol, "ForwardM1", {"address": 0x80, "speed": 64})
+    (group,) = (
+        group for group in explain(protocol, frame).frames[0].groups if group.name == "speed"
+    )
+    assert group.meaning == ""

@@ -10,7 +10,7 @@ import pytest
 
 from bilprov.analyzer.decode.decoded_share import near_miss
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.codec import all_data, bad_data, build, judge, nearest
+from bilprov.spec.codec import all_data, bad_data, build, judge, nearest, raw_frame
 from bilprov.spec.explain import explain
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
@@ -92,6 +92,26 @@ def test_a_grammar_without_the_led_leaves_its_id_unused(grammar_text: str) -> No
     assert "led" not in v1_0.limits
 
 
+def test_the_header_may_split_its_bits_otherwise(grammar_text: str) -> None:
+    protocol = load(
+        mutated(
+            without_led(grammar_text),
+            {
+                '"id" / BitsInteger(4)': '"id" / BitsInteger(3)',
+                '"length" / BitsInteger(4)': '"length" / BitsInteger(5)',
+            },
+        )
+    )
+
+    assert (protocol.ids, protocol.data_lengths) == (range(8), range(32))
+    assert protocol.unused_ids == ()
+    assert protocol.longest_frame == 32
+    assert build(protocol, "Speed", {"speed": 5}) == bytes([0b001_00001, 5])
+    assert judge(protocol, bytes([0b111_00000])).name == "RotateLeft"
+    assert judge(protocol, bytes([0b001_11111]) + bytes(31)).outcome is Outcome.TOO_MANY
+    assert raw_frame(protocol, 7, 31) == b"\xff"
+
+
 def wide_speed(text: str, low: int, high: int) -> Protocol:
     """Speed has a 16-bit field, most significant byte first, and a byte behind it."""
     two = f'"speed" / Ranged(Int16ub, {low}, {high}) * "v", "ramp" / Ranged(Byte, 1, 9)'
@@ -100,6 +120,28 @@ def wide_speed(text: str, low: int, high: int) -> Protocol:
         '"speed" / Ranged(Byte, 0, 255)': two,
     }
     return load(mutated(undeclared(text), changes))
+
+
+def test_a_field_may_have_two_bytes_and_another_may_follow(grammar_text: str) -> None:
+    protocol = wide_speed(grammar_text, 0, 1000)
+    spec = protocol.by_name["Speed"]
+
+    assert spec.length == 3
+    assert [(f.name, f.offset, f.size) for f in spec.fields] == [("speed", 0, 2), ("ramp", 2, 1)]
+    assert build(protocol, "Speed", {"speed": 1000, "ramp": 9}) == b"\x13\x03\xe8\x09"
+    assert judge(protocol, b"\x13\x03\xe8\x09").fields == (("speed", 1000), ("ramp", 9))
+    assert judge(protocol, b"\x13\x03\xe9\x09").reason == (
+        "Speed.speed is 1001, allowed are 0 to 1000 (frame 13 03 e9 09, byte 1)"
+    )
+    assert judge(protocol, b"\x13\x00\x00\x00").reason == (
+        "Speed.ramp is 0, allowed are 1 to 9 (frame 13 00 00 00, byte 3)"
+    )
+    assert judge(protocol, b"\x13\xff\xff\x00").reason == (  # the first fault is told
+        "Speed.speed is 65535, allowed are 0 to 1000 (frame 13 ff ff 00, byte 1)"
+    )
+    assert judge(protocol, b"\x11\xff").outcome is Outcome.TOO_FEW
+    assert protocol.limits["speed"] == (0, 1000)
+    assert nearest(protocol, b"\x13\xff\xff\xff") == b"\x13\x03\xe8\x09"
 
 
 def test_wide_data_are_sampled_to_both_ends_and_are_what_they_promise(grammar_text: str) -> None:

@@ -13,7 +13,7 @@ import pytest
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.emit.python_stub import RENEW, python_stub
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.python_names import method_names, parameter_names
+from bilprov.spec.python_names import method_names, parameter_names, snake_case
 from tests.support import ROOT
 
 STUB = ROOT / "analyzer" / "client" / "robot.pyi"
@@ -85,6 +85,25 @@ def test_answers_with_data_have_types(
     assert signatures(stub)[method] == typed.replace("ADDRESS", "*, address: int | None=None")
     assert len(signatures(stub)) == len(protocol.instructions)
     require_left_alone(stub, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("RotateLeft", "rotate_left"),
+        ("LEDOn", "led_on"),
+        ("Speed2Fast", "speed2_fast"),
+        ("Go-Round", "go_round"),
+        ("BackaÅt", "backa_åt"),
+        ("Ａ", "a"),
+        ("3rd", "do_3rd"),
+        ("!", "do_"),
+        ("_private", "do_private"),
+    ],
+)
+def test_names_are_written_as_python_writes_them(name: str, word: str) -> None:
+    assert snake_case(name, "do_") == word
+    assert word.isidentifier()
 
 
 def test_no_two_instructions_or_fields_have_one_name_and_none_is_a_keyword(horn_text: str) -> None:

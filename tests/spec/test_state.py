@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,12 @@ from bilprov.spec.arrays.states import Known
 from bilprov.spec.by_effect import change_by, effect_words
 from bilprov.spec.codec import judge
 from bilprov.spec.errors import WrongValue
-from bilprov.spec.protocol import GrammarError, load
-from bilprov.spec.state import Variables, Whole
+from bilprov.spec.protocol import GrammarError, Protocol, load
+from bilprov.spec.state import AllOf, AnyOf, Variables, Whole, state_class
 from tests.support import ROOT
 from tests.support.car import car_state
 from tests.support.commands import command
-from tests.support.grammars import embedded, mutated
+from tests.support.grammars import embedded, mutated, undeclared
 
 SWITCHES = ROOT / "tests" / "support" / "switch_grammar.py"
 TEXT = SWITCHES.read_text(encoding="utf-8")
@@ -39,6 +40,17 @@ def test_a_grammar_without_a_rest_has_no_stop() -> None:
 
 def test_it_may_come_from_a_capture() -> None:
     assert embedded(TEXT) == BOARD
+
+
+def test_a_text_that_does_not_declare_the_cars_state_has_it(
+    protocol: Protocol, grammar_text: str
+) -> None:
+    older = load(undeclared(grammar_text))
+    assert older.variables == protocol.variables
+    assert older.state_type is protocol.state_type
+    assert older.power_on == protocol.power_on
+    assert (older.device, older.at_rest) == ("robot", protocol.at_rest)
+    assert older.instructions == protocol.instructions
 
 
 WRONG: list[tuple[dict[str, str], str]] = [
@@ -85,6 +97,19 @@ def test_a_wrong_declaration_is_one_sentence(changes: dict[str, str], piece: str
 def test_a_variable_must_have_a_name_and_a_kind(kinds: dict[str, Any]) -> None:
     with pytest.raises(WrongValue):
         Variables(**kinds)
+
+
+def test_rest_is_any_or_all_of_the_values() -> None:
+    specs = tuple(Variables(a=Whole(-9, 9), b=Whole(-9, 9)).specs.values())
+    for condition, moving in ((AnyOf(a=0, b=0), False), (AllOf(a=0, b=0), True)):
+        state = state_class(specs, condition).of({"a": 0, "b": 3})
+        assert state.moving is moving
+        assert state.but(a=1).moving
+        assert not state.but(b=0).moving
+        assert pickle.loads(pickle.dumps(state)) == state
+    assert AllOf(a=0, b=0).follows({"a": 0, "b": 0})
+    assert not AllOf(a=0, b=0).follows({"a": 0})
+    assert AnyOf(a=0, b=0).follows({"a": 0})
 
 
 def test_a_state_is_told_in_words() -> None:

@@ -63,6 +63,33 @@ def test_a_capture_and_hex_are_read_too(tmp_path: Path) -> None:
     assert b"Ping (sync): it begins with ff fe, right is ff ff" in result.stdout
 
 
+def test_a_check_that_fits_the_answers_alone_is_told(tmp_path: Path) -> None:
+    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+    asked, answered = text.split("REPLY =")
+    wrong = (
+        asked.replace("    Sum,", "    Sum,\n    Xor,")
+        + "REPLY ="
+        + answered.replace("Sum(8)", "Xor()")
+    )
+    (tmp_path / "mine.py").write_text(wrong, encoding="utf-8")
+    rows = [
+        *(("host", "5556000000 01 01 ad"), ("device", "333c000000 01 01 71")),
+        *(("host", "5556000000 02 01 ae"), ("device", "333c000000 02 01 72")),
+    ]
+    lines = [
+        json.dumps({"t": t // 2 + t % 2 / 100, "dir": by, "hex": sent})
+        for t, (by, sent) in enumerate(rows)
+    ]
+    (tmp_path / "line.jsonl").write_text("\n".join(lines), encoding="utf-8")
+
+    told = json.loads(
+        checked(tmp_path / "mine.py", tmp_path / "line.jsonl", "--format", "json").stdout
+    )
+
+    assert (told["host"]["decoded"], told["device"]["decoded"]) == (16, 0)
+    assert told["first"]["check"] == '"sum" / Checksum(Byte, Sum(8), this.covered.data)'
+
+
 def test_a_grammar_that_captures_cannot_carry_is_told(tmp_path: Path) -> None:
     text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
     (tmp_path / "zeros.py").write_text(text.replace('b"\\x33\\x3c', 'b"\\x33\\x3c" + b"'))

@@ -225,6 +225,18 @@ def test_a_silent_address_does_not_keep_the_others_from_being_driven() -> None:
 # -- what a method returns ------------------------------------------------------------------------
 
 
+def test_a_method_returns_one_value_a_named_tuple_or_nothing() -> None:
+    bootloader, _, _ = driver("stk500v1")
+    assert bootloader.get_sync() is None
+    assert bootloader.read_sign() == b"\x1e\x95\x0f"
+    fuses = bootloader.read_fuse_ext()
+    assert (fuses.low, fuses.high, fuses.extended) == (0, 0, 0)
+    bootloader.load_address(16)
+    bootloader.prog_page(4, "flash", "01 02 03 04")
+    bootloader.load_address(16)
+    assert bootloader.read_page(size=4, memory="flash") == bytes([1, 2, 3, 4])
+
+
 def test_what_is_sent_to_all_returns_nothing_at_once() -> None:
     servos, device, _ = driver("dynamixel1", 254)
     assert servos.write(30, b"\x05") is None

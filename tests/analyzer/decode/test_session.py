@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from hypothesis import given
@@ -114,6 +114,50 @@ def test_each_instruction_is_answered_at_most_once_and_in_order(
     assert answered == sorted(set(answered))
 
 
+BEGUN, REST = Chunk(0, "host", b"\x11"), Chunk(2 * MS, "host", b"\x05")
+
+
+@pytest.mark.parametrize(
+    ("events", "chosen", "times"),
+    [
+        ([BEGUN, Chunk(51 * MS, "host", b"\x05")], {"timeout": 60 * MS}, (0, 51)),
+        ([BEGUN, Line(MS, "gap", "device"), REST], {}, (0, 2)),
+        ([Chunk(10 * MS, "host", b"\x11"), REST], {}, (10, 10)),  # what comes from the past
+        ([BEGUN, REST], {"attached": True}, (0, 2)),  # it is unclear until the end
+    ],
+)
+def test_two_bytes_are_one_frame(
+    protocol: Protocol, events: list[Event], chosen: dict[str, Any], times: tuple[int, int]
+) -> None:
+    (record,) = hosts(decoded(Session(protocol, **chosen), events))
+
+    assert (record.value.kind, record.data) == ("instruction", b"\x11\x05")
+    assert (record.value.t // MS, record.value.end // MS) == times
+
+
+@pytest.mark.parametrize(
+    ("begun", "answer", "kinds", "pairs"),
+    [
+        (b"\x11", b"\x04", ["truncated", "instruction"], [(0, True), (1, True)]),
+        (b"\x9f", b"\x00", ["garbage", "instruction"], [(None, None), (0, True)]),
+    ],
+)
+def test_an_answer_in_the_midst_of_a_frame_shows_that_the_device_gave_it_up(
+    protocol: Protocol, begun: bytes, answer: bytes, kinds: list[str], pairs: list[Any]
+) -> None:
+    events = [
+        Chunk(0, "host", begun),
+        Chunk(15 * MS, "device", answer),
+        Chunk(40 * MS, "host", b"\x20"),
+        Chunk(41 * MS, "device", b"\x00"),
+    ]
+
+    records = decoded(Session(protocol), events)
+
+    assert [r.value.kind for r in hosts(records)] == kinds
+    assert [(r.value.instruction, r.value.agrees) for r in devices(records)] == pairs
+
+
 FAULTY = ("break", "parity", "framing", "overrun", "unplugged")
 
 
@@ -162,6 +206,19 @@ def test_a_frame_that_is_unclear_comes_out_when_the_host_pauses(protocol: Protoc
 
     (record,) = hosts(session.advance(60 * MS))
     assert (record.value.kind, record.value.t) == ("instruction", 10 * MS)
+
+
+def test_the_last_byte_of_four_of_the_longest_frames_decides_what_was_unclear(
+    protocol: Protocol,
+) -> None:
+    most = 4 * protocol.longest_frame
+    # Every second byte looks like a frame, and every one like the data of another.
+    unclear = bytes([0x41, 0x51]) * most
+    session = Session(protocol, attached=True)
+
+    assert session.feed(Chunk(0, "host", unclear[: most - 1])) == []
+    found = hosts(session.feed(Chunk(0, "host", unclear[most - 1 :])))
+    assert len(unclear) - sum(len(record.data) for record in found) < 2
 
 
 def test_another_grammar_is_followed(horn: Protocol) -> None:

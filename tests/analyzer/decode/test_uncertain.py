@@ -17,10 +17,13 @@ import msgspec
 import pytest
 
 from bilprov.analyzer import api
+from bilprov.analyzer.cli.options import above_latency
+from bilprov.analyzer.client import device as of_device
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.json_lines import json_text
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.row_columns import CsvText, Times, usual_columns
@@ -30,10 +33,10 @@ from bilprov.analyzer.screen.details import details
 from bilprov.analyzer.transport import machine as of_machine
 from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Chunk
+from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
-from tests.support.decoding import MS, decoded, devices, hosts
+from tests.support.decoding import MS, Event, decoded, devices, hosts
 from tests.support.framed_traffic import framed_capture
 from tests.support.machines import FakeMachine
 
@@ -96,9 +99,46 @@ def test_frames_are_uncertain_until_a_check_is_right() -> None:
     assert found[0].reason.endswith(UNCLEAR)
 
 
+ASK, TOLD = bytes.fromhex("3020"), bytes.fromhex("1410")  # Get Sync
+
+
+def test_after_a_loss_frames_are_uncertain_again_and_columns_wait_for_that() -> None:
+    say = [Chunk(t * MS, "host", ASK) for t in range(2000, 2400)]
+    hear = [Chunk(t * MS + MS // 2, "device", TOLD) for t in range(2000, 2400)]
+    events: list[Event] = [*say[:200], Line(2200 * MS, "gap"), *say[200:], *hear]
+    events.sort(key=lambda event: event.t)
+    session = decoded(Session(STK500), events)
+    decoder = StreamDecoder(STK500)
+    batches = [*decoder.feed(events), *decoder.finish()]
+
+    assert [record for batch in batches for record in batch.records()] == session
+    assert [one.sequence for one in hosts(session) if one.uncertain] == [200]
+    assert any(not isinstance(batch, Records) for batch in batches)
+
+
 @pytest.fixture
 def machine(tmp_path: Path) -> FakeMachine:
     return FakeMachine(tmp_path)
+
+
+def test_a_frame_is_not_cut_by_a_pause_that_an_adapter_makes(
+    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    usb = machine.adapter(latency=16)
+    monkeypatch.setattr(of_machine, "Machine", lambda: machine)
+    ports = (usb, "/dev/ttyS0", "socket://localhost:4000")
+    assert above_latency(50 * MS, *ports) == 50 * MS
+    assert above_latency(5 * MS, *ports[1:]) == 5 * MS
+    assert not capsys.readouterr().err
+    timeout = above_latency(5 * MS, *ports)
+    said = capsys.readouterr().err
+    assert "a frame is cut after 20 ms of silence instead of 5 ms" in said
+
+    frame = UNKNOWN + bytes.fromhex("6233")
+    late = [Chunk(0, "host", frame[:3]), Chunk(16 * MS, "host", frame[3:])]
+    (one,) = hosts(decoded(Session(MODBUS, timeout=timeout), late))
+    assert (one.data, one.uncertain) == (frame, False)
+    assert len(hosts(decoded(Session(MODBUS, timeout=5 * MS), late))) == 2
 
 
 def test_sniff_cuts_and_records_by_what_its_adapter_needs(
@@ -146,6 +186,17 @@ def answering_late(machine: FakeMachine, pause: float) -> Iterator[str]:
 
         threading.Thread(target=answers).start()
         yield pair.name
+
+
+def test_a_client_waits_for_the_rest_of_an_answer_that_an_adapter_holds_back(
+    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(of_device, "Machine", lambda: machine)
+    with (
+        answering_late(machine, 0.1) as port,  # twice the longest pause of the grammar
+        of_device.Device(port, grammar=MODBUS, address=17) as meter,
+    ):
+        assert meter.read_holding_registers(0x6B, 3) == (555, 0, 100)
 
 
 def test_an_answer_to_a_faster_replay_is_not_cut_by_a_pause_that_an_adapter_makes(

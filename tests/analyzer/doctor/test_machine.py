@@ -67,6 +67,20 @@ def test_a_lasting_name_leads_to_the_same_adapter(machine: FakeMachine) -> None:
     assert machine.latency_timer(port) is None
 
 
+def test_a_port_of_the_mainboard_is_no_usb_device(machine: FakeMachine) -> None:
+    chip = "/sys/devices/pnp0/00:05"
+    port = f"{chip}/00:05:0/00:05:0.0"
+    machine.write("/dev/ttyS0")
+    machine.write(f"{port}/uevent")
+    machine.link("/sys/class/tty/ttyS0/device", port)
+    for folder in (port, f"{chip}/00:05:0"):
+        machine.link(f"{folder}/subsystem", "/sys/bus/serial-base")
+        machine.link(f"{folder}/driver", "/sys/bus/serial-base/drivers/port")
+    machine.link(f"{chip}/driver", "/sys/bus/pnp/drivers/serial")
+    assert machine.usb("/dev/ttyS0") is None
+    assert machine.driver("/dev/ttyS0") == "serial"
+
+
 def test_a_name_without_a_chip_behind_it_is_told_from_a_port(machine: FakeMachine) -> None:
     machine.write("/sys/class/tty/ttyS0/type", "4\n")
     machine.write("/sys/class/tty/ttyS9/type", "0\n")

@@ -20,8 +20,10 @@ from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.filters.syntax import FilterError
 from bilprov.analyzer.filters.values import offset
 from bilprov.captures.schemas import Chunk, Line
+from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol, load
 from tests.support.decoding import MS, Event, conversation, decoded, hosts
+from tests.support.framed_traffic import FRAMED
 
 TALK = [
     (b"\x11\x7f", b"\0"),
@@ -140,6 +142,21 @@ def test_time_is_the_readers_time_of_day(
 
     assert [record.t / 1e9 for record in passing(started, records)] == seconds
     assert passing(test, records) == []
+
+
+def test_the_time_of_day_follows_the_clock_that_is_put_back(
+    protocol: Protocol, zone: Callable[[str], None]
+) -> None:
+    zone("Europe/Stockholm")
+    stop = bytes([protocol.pad_byte])
+    events: list[Event] = [Chunk(n * 1800 * 1000 * MS, "host", stop) for n in range(6)]
+    records: list[Record] = [*hosts(decoded(Session(protocol), events))]
+    # At 3:00 on 2026-10-25 it is 2:00 again.
+    test = compile_filter("time in 2:00..2:45", protocol).started(
+        wall("Europe/Stockholm", "2026-10-25 01:30")
+    )
+
+    assert [record.t / 1800e9 for record in passing(test, records)] == [1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("start", [0, -5, 1 << 62, 10**20])
@@ -328,3 +345,22 @@ def test_a_field_that_is_called_like_a_name_of_the_row_is_reached_by_its_long_na
     test = compile_filter("len == 1 and fields.len == 5 and FIELDS.LEN & 4", protocol)
 
     assert len(passing(test, records)) == len(hosts(records)) == 1
+
+
+def test_an_answer_without_a_code_is_not_the_one_with_the_code_of_valid_requests() -> None:
+    protocol = load(FRAMED["roboclaw"])
+    frames = [build(protocol, "ForwardM1", {"speed": 5, "address": 128})]
+    frames.append(build(protocol, "MainBattery", {"address": 128}))
+    records = decoded(Session(protocol), [Chunk(0, "host", frame) for frame in frames])
+
+    (found,) = passing(compile_filter("judgement == ACK", protocol), records)
+    assert found is records[0]
+
+
+@pytest.mark.parametrize("name", ["values", "fields.values", "Values"])
+@pytest.mark.parametrize("given", ["00", "00 03", "0x0003", "'00 03'"])
+def test_behind_a_field_of_bytes_stands_hex_as_behind_data(name: str, given: str) -> None:
+    protocol = load(FRAMED["modbus_rtu"])
+    compile_filter(f"{name} contains {given}", protocol)
+    with pytest.raises(FilterError, match="bytes are written like 05 or 11 ff"):
+        compile_filter(f"{name} contains late", protocol)

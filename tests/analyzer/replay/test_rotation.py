@@ -18,7 +18,7 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.capture_decoding import said_about
+from bilprov.analyzer.replay.capture_decoding import opened_at, said_about
 from bilprov.analyzer.replay.recorder import Recorder, Rotation, rotation_at, session_metadata
 from bilprov.captures import topics
 from bilprov.captures.parts import part_paths
@@ -26,9 +26,11 @@ from bilprov.captures.reader import (
     Capture,
     open_capture,
     open_indexed,
+    open_quickly,
 )
 from bilprov.captures.schemas import MS, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
+from tests.support.attaching import Talk, attached
 from tests.support.captures import about
 from tests.support.commands import PATIENCE
 from tests.support.decoding import Event
@@ -149,6 +151,41 @@ def test_a_set_of_parts_is_what_one_file_would_have_been(
                 continue
             rest = records(protocol, open_capture(several), settings, attached=True)
             assert rest == expected[len(expected) - len(rest) :]
+
+
+def test_each_part_begins_with_a_checkpoint_and_the_state(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    settings = {
+        "timeout": None,
+        "skew": 0,
+        "heard": frozenset({"host", "device"}),
+        "attached": False,
+    }
+    events = list(attached(protocol, Talk(), random.Random(1), 300).events)
+    recorded(protocol, path, [*events], settings, Rotation(age=200 * MS))
+    parts = part_paths(path)
+    assert len(parts) > 5
+    seen = 0
+    for number, part in parts.items():
+        capture = open_capture(part)
+        first, *others = messages(capture)
+        assert capture.grammar_text == protocol.source
+        held = [message.topic for message in others]
+        assert held.count("/host/raw") or number == len(parts)
+        assert (first.topic == topics.CHECKPOINT) == (number > 1)
+        if number > 1:
+            assert isinstance(first.value, dict)
+            assert first.value["resumes"] is True
+            assert capture.metadata[topics.CUT_START] == str(first.t)
+            assert "/state" in held or "/host/instructions" not in held
+            seen += 1
+            # A replay from within the part goes on from a checkpoint of that part or before.
+            opened = opened_at(open_quickly(path), protocol, first.t + MS)
+            assert opened.after
+            assert opened.after.value.t <= first.t + MS
+    assert seen == len(parts) - 1
 
 
 def test_what_the_oldest_parts_held_may_be_gone_and_is_said(

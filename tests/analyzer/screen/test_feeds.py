@@ -20,13 +20,14 @@ from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.replay.capture_decoding import Opened, capture_decoder, opened_at
 from bilprov.analyzer.replay.recorder import PARTS, Spool, session_metadata
 from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_feed
-from bilprov.analyzer.screen.panes import status_line
+from bilprov.analyzer.screen.panes import figures, picture, status_line
 from bilprov.analyzer.screen.recording import Recording, View, export
 from bilprov.captures.reader import open_capture, open_quickly
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
+from tests.support.car import car_state
 from tests.support.decoding import MS
 from tests.support.robots import until
 from tests.support.traffic import told
@@ -182,3 +183,39 @@ def test_an_export_is_a_new_file_or_none(protocol: Protocol, tmp_path: Path) -> 
 
     full = export(recording, view, "/proc/out.jsonl", RowStyle(), 0)
     assert full.startswith("/proc/out.jsonl cannot be written (")
+
+
+def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> None:
+    totals = recorded(protocol, 1001).totals
+    lines = [line.plain for line in figures(totals, None, 86_805, 27)]
+    assert lines == [
+        "█▁",
+        "1,001 frames",
+        "1,001 answers",
+        "1,000 frames/s, 17% full",
+        "latency 0.5 ms",
+        "p95 0.5, max 0.5 ms",
+        "",
+        "Speed        1,001   0.5 ms",
+    ]
+    for frame in (b"\x90", b"\x91\x02"):
+        (batch,) = told(StreamDecoder(protocol), [Chunk(0, "host", frame)], [1])
+        totals.add(batch)
+    lines = [line.plain for line in figures(totals, None, 86_805, 18)]
+    assert lines[7:9] == ["! 2 from the host", "  faulty instruction: 2"]
+    assert lines[-2:] == ["Sp… 1,001   0.5 ms", "un…     2         "]
+
+
+def test_the_car_turns_and_lights_as_its_state_says(protocol: Protocol) -> None:
+    state = car_state("forward", 255, 255, 0b100)
+    front, body, _, words, wheels, speed, steering, led = (
+        line.plain for line in picture(protocol, state)
+    )
+    left, right = front.split("┌───────┐")
+    assert (left.strip(), right.strip()) == ("▲", "▪")  # to the right: the left wheel turns
+    assert "▲" in body
+    assert words.strip() == "forward"
+    assert wheels.split() == ["wheels", "+255", "+0"]
+    assert speed == f"speed {'█' * 14} 255"
+    assert steering.endswith("● +255")
+    assert led.split() == ["led", "●", "R", "○", "G", "○", "B"]

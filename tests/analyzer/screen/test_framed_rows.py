@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 from textual.pilot import Pilot
 
+from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.details import details
+from bilprov.analyzer.screen.frame_list import words_of
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import build, judge, raw_frame
 from bilprov.spec.protocol import Protocol, load
@@ -55,6 +57,19 @@ def test_every_row_can_be_chosen_and_looked_into(
 
     operated(on_screen(load(FRAMED[grammar])), steps, size)
     assert (tmp_path / "rows.csv").read_text()
+
+
+def test_an_answer_shows_its_fields_and_what_it_answers() -> None:
+    protocol = load(FRAMED["roboclaw"])
+    asked = build(protocol, "MainBattery", {"address": 0x80})
+    answer = build_reply(protocol, judge(protocol, asked), {"voltage": 123})
+    events = [Chunk(0, "host", asked), Chunk(MS, "device", answer)]
+    (batch,) = told(StreamDecoder(protocol), events, [2])
+    record = batch.records()[1]
+    assert isinstance(record, DeviceRecord)
+    shown = {line.label: line.text for line in details(protocol, record, state=False)}
+    assert shown["voltage"] == "0000 0000 0111 1011  123  tenths of a volt"
+    assert shown["answers"] == f"{asked.hex(' ')}  @128 MainBattery"
 
 
 @pytest.mark.parametrize(
@@ -120,6 +135,15 @@ def test_data_without_a_field_are_one_line_that_lights_them_all(protocol: Protoc
     assert data.text.startswith("c8 c9 ca  taken because")
     assert data.group
     assert (data.group.byte, data.group.size) == (1, 3)
+
+
+def test_a_damaged_answer_tells_what_is_wrong_with_it() -> None:
+    protocol = load(FRAMED["roboclaw"])
+    asked = build(protocol, "MainBattery", {"address": 0x80})
+    events = [Chunk(0, "host", asked), Chunk(MS, "device", b"\0\x7b\0\0")]
+    (batch,) = told(StreamDecoder(protocol), events, [2])
+    _, why = words_of(batch.records()[1])
+    assert why.startswith("crc is 00 00, right is ")
 
 
 def test_a_grammar_without_a_state_has_no_line_of_it() -> None:

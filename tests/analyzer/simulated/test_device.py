@@ -147,6 +147,33 @@ def test_bootloader_answers_what_it_does_not_know(sent: str, answer: str) -> Non
 RELAY = str(ROOT / "examples" / "relay_board.py")
 
 
+def test_an_answer_tells_the_state_that_it_reports() -> None:
+    line = Line(RELAY)
+    told = [
+        line.do(name, address=3)["state"] for name in ("Read", "On", "Read", "Off", "Toggle", "Off")
+    ]
+    assert told == [2, 1, 1, 2, 1, 2]
+    assert line.do("On", address=1) == {"state": 1}
+    assert line.do("Read", address=3) == {"state": 2}
+
+
+def test_an_answer_tells_a_word_by_its_name() -> None:
+    text = Path(RELAY).read_text(encoding="utf-8")
+    for old, new in (
+        ("on=Whole(0, 1)", 'on=Word("off", "on")'),
+        ("Sets(on=1)", 'Sets(on="on")'),
+        ("Sets(on=0)", 'Sets(on="off")'),
+        ("Changed(-1, 1)", "Unknown()"),
+        (", factor=-1, plus=2)", ")"),
+        ("    Whole,\n", "    Word,\n"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    line = Line(load(text, "relay.py"))
+    told = [line.do(name, address=3)["state"] for name in ("Read", "On", "Read", "Off")]
+    assert told == [2, 1, 1, 2]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [

@@ -28,6 +28,17 @@ def unplug(machine: FakeMachine, tty: str = "ttyUSB0") -> None:
     machine.file("/sys/class/tty").mkdir()
 
 
+@pytest.mark.parametrize("name", ["/dev/ttyUSB0", BY_ID])
+def test_an_adapter_is_found_under_the_path_that_it_gets(machine: FakeMachine, name: str) -> None:
+    machine.adapter()
+    place = Place(name, machine)
+    assert place.lasts
+    unplug(machine)
+    assert place.found() == ""
+    machine.adapter("ttyUSB3")
+    assert place.found() == BY_ID
+
+
 @pytest.mark.parametrize("other", ["serial", "product"])
 def test_another_adapter_under_the_same_path_is_not_the_port(
     machine: FakeMachine, other: str
