@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.state import Changed, Effect, From, State, Step, ways_on
+from bilprov.spec.state import Changed, Effect, From, State, Step, assigned, ways_on
 
 
 def fitted(protocol: Protocol, spec: InstructionSpec, state: State) -> bytes:
@@ -33,6 +33,8 @@ def _built(protocol: Protocol, name: str, values: tuple[tuple[str, int], ...]) -
 def _fitted_values(spec: InstructionSpec, state: State) -> dict[str, int]:
     """The values of the fields in the frame that `fitted` builds."""
     values = {part.name: part.low for part in spec.fields}
+    if not values:
+        return values
     limits = {part.name: (part.low, part.high) for part in spec.fields}
     for variable, source in spec.effect.assignments:
         if isinstance(source, From):
@@ -41,9 +43,12 @@ def _fitted_values(spec: InstructionSpec, state: State) -> dict[str, int]:
     return values
 
 
-def _after_fitted(spec: InstructionSpec, state: State) -> State:
-    """The state after the frame that `fitted` builds, which takes long, for the same state."""
-    return spec.effect.apply(state, _fitted_values(spec, state))
+def _set_by_fitted(spec: InstructionSpec, state: State) -> dict[str, Any]:
+    """What the frame that `fitted` builds for a state sets in it; the frame itself takes long."""
+    return {
+        name: value.value(getattr(state, name)) if isinstance(value, Changed) else value
+        for name, value in assigned(spec.effect, _fitted_values(spec, state))
+    }
 
 
 def _nearest(wanted: int, factor: int, low: int, high: int) -> int:
@@ -98,45 +103,73 @@ def frames_to(protocol: Protocol, state: State, known: State | None = None) -> t
     start -= {car.by}
     if not protocol.directed(wanted):
         start |= {car.by}
-    paths = dict(ways_on(start, candidates))
-    best = max(paths, key=lambda right: (car.by in right, car.speed in right, len(right)))
-    return tuple(fitted(protocol, spec, wanted) for spec in paths[best])
+    way = _way(start, tuple((sets, spoils) for _, sets, spoils in candidates), car.by, car.speed)
+    return tuple(fitted(protocol, candidates[place][0], wanted) for place in way)
 
 
-def _reached(protocol: Protocol, state: State) -> list[tuple[InstructionSpec, State]]:
-    """The state after the fitted frame of each instruction, for a state."""
-    return [(spec, _after_fitted(spec, state)) for spec in protocol.instructions]
+@lru_cache(maxsize=1 << 12)
+def _way(
+    start: frozenset[str],
+    steps: tuple[tuple[frozenset[str], frozenset[str]], ...],
+    by: str,
+    speed: str,
+) -> tuple[int, ...]:
+    """The places of the fewest steps after which the most is right, the motion and the speed first.
+
+    A step is the variables that are right after it, and those that are wrong.
+    """
+    numbered = [(place, sets, spoils) for place, (sets, spoils) in enumerate(steps)]
+    ways = dict(ways_on(start, numbered))
+    return ways[max(ways, key=lambda right: (by in right, speed in right, len(right)))]
+
+
+def _reached(protocol: Protocol, state: State) -> dict[str, dict[str, Any]]:
+    """What the fitted frame of each instruction sets in a state, by the instruction's name."""
+    return {spec.name: _set_by_fitted(spec, state) for spec in protocol.instructions}
 
 
 def _candidates(
-    protocol: Protocol, wanted: State, reached: Iterable[tuple[InstructionSpec, State]]
+    protocol: Protocol, wanted: State, reached: Mapping[str, Mapping[str, Any]]
 ) -> list[Step[InstructionSpec]]:
     """Instructions with the variables that they set as wanted, and otherwise, the best first."""
     car = protocol.car
-    late = (car.by, car.steering)
-    rotates = car.rotates(car.drive(wanted).motion)
-    order = (car.speed, *protocol.lights, *(reversed(late) if rotates else late))
     found = []
-    for spec, later in reached:
-        touched = {name for name, _ in spec.effect.assignments}
-        spoils = _differing(later, wanted)
+    for spec, touched in _in_order(protocol, car.rotates(car.drive(wanted).motion)):
+        later = reached[spec.name].items()
+        spoils = frozenset([name for name, value in later if value != getattr(wanted, name)])
         sets = touched - spoils
         if sets:
+            found.append((spec, sets, spoils))
+    return found
+
+
+@lru_cache(maxsize=1 << 4)
+def _in_order(
+    protocol: Protocol, rotates: bool
+) -> tuple[tuple[InstructionSpec, frozenset[str]], ...]:
+    """The instructions that set variables, with these, in the order in which they are best sent.
+
+    `rotates` where they lead to a rotation.
+    """
+    car = protocol.car
+    late = (car.by, car.steering)
+    order = (car.speed, *protocol.lights, *(reversed(late) if rotates else late))
+    found = []
+    for spec in protocol.instructions:
+        touched = frozenset(name for name, _ in spec.effect.assignments)
+        if touched:
             rank = min(map(order.index, {car.by} & touched or touched))
-            last = protocol.stops(spec.effect)
-            found.append(((last, rank), (spec, frozenset(sets), spoils)))
-    return [candidate for _, candidate in sorted(found, key=itemgetter(0))]
+            found.append(((protocol.stops(spec.effect), rank), (spec, touched)))
+    return tuple(one for _, one in sorted(found, key=itemgetter(0)))
 
 
-def _settable(
-    protocol: Protocol, state: State, reached: Iterable[tuple[InstructionSpec, State]]
-) -> State:
+def _settable(protocol: Protocol, state: State, reached: Mapping[str, Mapping[str, Any]]) -> State:
     """The state, each variable with the value nearest to its own that some instruction sets."""
     values: dict[str, Any] = {}
-    for spec, later in reached:
-        for name, _ in spec.effect.assignments:
+    for later in reached.values():
+        for name, value in later.items():
             if name != protocol.car.by:
-                values.setdefault(name, []).append(getattr(later, name))
+                values.setdefault(name, []).append(value)
     for name, ends in values.items():
         own = getattr(state, name)
         values[name] = min(ends, key=lambda value: abs(value - own))

@@ -74,7 +74,9 @@ class Wheels(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     def drive(self, values: Any) -> Drive:
         """The values of a state, or of a look, by what they are for."""
-        return Drive(*(getattr(values, name) for name in (self.by, self.speed, self.steering)))
+        return Drive(
+            getattr(values, self.by), getattr(values, self.speed), getattr(values, self.steering)
+        )
 
     def turn(self, motion: str) -> tuple[int, int]:
         """How the wheels (left, right) turn in a kind of motion; 0 where they stand still."""

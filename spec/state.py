@@ -255,8 +255,10 @@ Assigned: TypeAlias = tuple[tuple[str, Any], ...]
 def assigned(effect: Effect, fields: Mapping[str, int]) -> Assigned:
     """The new value of each variable that the effect sets with these values of the fields."""
     return tuple(
-        (name, value.value(fields[value.field]) if isinstance(value, From) else value)
-        for name, value in effect.assignments
+        [  # a generator would take half as long again
+            (name, value.value(fields[value.field]) if type(value) is From else value)
+            for name, value in effect.assignments
+        ]
     )
 
 

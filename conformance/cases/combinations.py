@@ -47,7 +47,8 @@ class CoveringArray:
 
     `feasible` says whether values chosen so far can be completed to a row; it must be exact, so
     that a row is never begun in vain. `dear` are (factor, value) pairs that stand in no more rows
-    than needed; `rows` hold every feasible combination of `strength` factors.
+    than needed; `rows` hold every feasible combination of `strength` factors, of which there are
+    `total`.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class CoveringArray:
         self._first = tuple(sum(self._sizes[:index]) for index in range(len(self._sizes)))
         wanted = list(feasible_combinations(sizes, strength, feasible))
         draw.shuffle(wanted)
+        self.total = len(wanted)
         self.rows = tuple(self._rows(wanted))
 
     def _rows(self, wanted: Sequence[tuple[tuple[int, int], ...]]) -> Iterator[Row]:
@@ -287,19 +289,22 @@ def space_of(protocol: Protocol) -> Space:
 @lru_cache(maxsize=8)
 def total(protocol: Protocol, strength: int) -> int:
     """How many feasible combinations of so many factors complete frames have."""
+    if strength == STRENGTH:
+        return _array(protocol)[1]
     space = space_of(protocol)
     return sum(1 for _ in feasible_combinations(space.sizes, strength, space.feasible))
 
 
 @lru_cache(maxsize=8)
-def _rows(protocol: Protocol) -> tuple[Row, ...]:
-    """The rows of the covering array.
+def _array(protocol: Protocol) -> tuple[tuple[Row, ...], int]:
+    """The rows of the covering array, and how many combinations they hold.
 
     They are the same in each run: a run's seed draws their data, and the values of their states.
     """
     space, draw = space_of(protocol), random.Random("combinations")
     dear = {(space.way, SPLIT)}  # a pause each
-    return CoveringArray(space.sizes, STRENGTH, space.feasible, draw, dear=dear).rows
+    array = CoveringArray(space.sizes, STRENGTH, space.feasible, draw, dear=dear)
+    return array.rows, array.total
 
 
 def random_sequences(protocol: Protocol, seed: int, first: int = 1) -> Iterator[SequenceCase]:
@@ -346,7 +351,7 @@ class Combinations:
     def sequences(self) -> Iterator[SequenceCase]:
         """The sequences of these rows."""
         word, space = self._word, space_of(self._protocol)
-        rows = [row for row in _rows(self._protocol) if row[_WAY] == self._way]
+        rows = [row for row in _array(self._protocol)[0] if row[_WAY] == self._way]
         for number, start in enumerate(range(0, len(rows), _STIMULI), 1):
             what = "each combination of a frame, the state, the outcome before and the delivery"
             bursts, ident = self._bursts(space, rows[start : start + _STIMULI]), f"{ARRAY}/{word}"

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from itertools import chain, combinations, islice
+from itertools import chain, combinations
 
 from bilprov.conformance.cases.case import state_after
 from bilprov.conformance.cases.combinations import (
@@ -49,15 +49,13 @@ def facts(protocol: Protocol, case: AnyCase) -> Iterator[Fact]:
     if isinstance(case, SequenceCase):
         yield from _run(protocol, case)
         return
-    yield from _sent(protocol, case, visible_motion(case.setup), "waited")
+    yield from _sent(case, kind_of(protocol, case))
+    yield from _met(kind_of(protocol, case), visible_motion(case.setup), "waited")
 
 
-def _sent(protocol: Protocol, step: Step, motion: str, way: str) -> Iterator[Fact]:
-    kind = kind_of(protocol, step)
+def _sent(step: Step, kind: str) -> Iterator[Fact]:
+    """The facts of a frame by itself."""
     yield HEADERS, step.frame[0]
-    yield STATES, (kind, motion)
-    if not step.truncated and way != "cut":
-        yield WAYS, (kind, way)
     if step.truncated:
         yield CUTS, (step.frame[0], len(step.frame) - 1)
     elif not step.faulty:
@@ -66,16 +64,30 @@ def _sent(protocol: Protocol, step: Step, motion: str, way: str) -> Iterator[Fac
         yield BAD, step.frame
 
 
+def _met(kind: str, motion: str, way: str) -> Iterator[Fact]:
+    """The facts of a kind of frame in a motion and a delivery."""
+    yield STATES, (kind, motion)
+    if kind != FrameClass.TRUNCATED and way != "cut":
+        yield WAYS, (kind, way)
+
+
 def _run(protocol: Protocol, sequence: SequenceCase) -> Iterator[Fact]:
-    for burst, _, step, state, before in islice(
-        _walk(protocol, sequence), len(sequence.setup), None
-    ):
-        motion = visible_motion(state)
-        yield from _sent(protocol, step, motion, burst.delivery)
+    sent: dict[bytes, tuple[Step, str]] = {}
+    met: set[tuple[str, str, str, str]] = set()
+    last = ""
+    for place, (burst, _, step, state, _) in enumerate(_walk(protocol, sequence)):
+        kind = kind_of(protocol, step)
+        if place >= len(sequence.setup):
+            sent[step.frame] = step, kind
+            met.add((last, kind, visible_motion(state), burst.delivery))
+        last = kind
+    for step, kind in sent.values():
+        yield from _sent(step, kind)
+    for before, kind, motion, way in met:
+        yield from _met(kind, motion, way)
         if before:
-            pair = kind_of(protocol, before), kind_of(protocol, step)
-            yield PAIRS, pair
-            yield TRIPLES, (*pair, motion)
+            yield PAIRS, (before, kind)
+            yield TRIPLES, (before, kind, motion)
 
 
 def _walk(
@@ -140,7 +152,13 @@ def _combined(protocol: Protocol, cases: Iterable[SequenceCase]) -> dict[str, tu
     """
     met: dict[int, set[tuple[int, ...]]] = {strength: set() for strength in COMBINED}
     of = {strength: total(protocol, strength) for strength in COMBINED}
-    for row in dict.fromkeys(_rows(protocol, cases)):
+    seen: set[Row] = set()
+    for row in _rows(protocol, cases):
+        if all(len(met[strength]) == of[strength] for strength in COMBINED):
+            break
+        if row in seen:
+            continue
+        seen.add(row)
         for strength, found in met.items():
             if len(found) < of[strength]:
                 # A number stands for a factor and its value.
