@@ -172,8 +172,8 @@ class PortLink:
 
     def _listen(self, count: int | None, patience: int) -> Received:
         until = max(self.now(), self._sent) + patience
+        self._read()
         while True:
-            self._read()
             now = self.now()
             enough = count is not None and len(self._heard) >= count
             if enough or now >= until or self._wait(until - now):
@@ -205,8 +205,9 @@ class PortLink:
 
         Returns those of the descriptors `also` that are readable. Raises LinkError.
         """
-        _, ready = wait_readable([self._port], max(seconds, 0), also)
-        self._read()
+        ports, ready = wait_readable([self._port], max(seconds, 0), also)
+        if ports:
+            self._read(ready=True)
         return ready
 
     def _wait(self, patience: int, other: int | None = None) -> bool:
@@ -218,8 +219,8 @@ class PortLink:
             return other is None
         return other is not None and other in ready
 
-    def _read(self) -> None:
-        data = self._port.read()
+    def _read(self, *, ready: bool = False) -> None:
+        data = self._port.read(ready=ready)
         if data:
             now = self.now()
             if self._tap:

@@ -20,16 +20,16 @@ from typing import Annotated, Any
 
 import msgspec
 
-from bilprov.analyzer.files import from_json
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.server import parse_address
 from bilprov.captures.schemas import Look, look_class
-from bilprov.captures.text import printable, quantity
+from bilprov.captures.text import escape_controls, printable, quantity
 from bilprov.captures.topics import CarLook
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 _LONGEST = 1 << 16  # bytes of a line of the tcp probe
+_PART = 1 << 12  # bytes read from it at once
 _LONGEST_NAME = 200  # characters of a motion
 _LOOKS = 5  # to measure how long one takes
 
@@ -92,21 +92,26 @@ def _whole(value: float | None) -> int | None:
     return round(value) or (away if value else 0)
 
 
+def _word(text: str | None) -> str | None:
+    """A text in which each character prints, of a length that a capture can hold."""
+    return text and escape_controls(text[:_LONGEST_NAME])[:_LONGEST_NAME]
+
+
 def parse_look(line: bytes, now: int, looks: type[Look] = CarLook) -> tuple[Look, int | None]:
     """A line of JSON as a look of a class, and the line's number if it has one.
 
     Raises ProbeError unless it has known facets.
     """
     try:
-        facets: Any = from_json(line, _facets_class(looks))
-    except ValueError as error:
+        facets = msgspec.json.decode(line.decode(), type=_facets_class(looks))
+    except (ValueError, RecursionError) as error:
         raise ProbeError(
             f"the probe answered {printable(line.decode(errors='replace'))!r}, which is not a line "
             f'of JSON such as {{"moving": true}} ({error})'
         ) from error
     told = {name: getattr(facets, name) for name in looks.__struct_fields__[2:]}
     for name, value in told.items():
-        told[name] = (value and value[:_LONGEST_NAME]) if name in looks.words else _whole(value)
+        told[name] = _word(value) if name in looks.words else _whole(value)
     return looks(t=now, moving=facets.moving, **told), facets.number
 
 
@@ -187,10 +192,12 @@ class TcpProbe(Probe):
         """Read what is there, without waiting."""
         try:
             while len(self._held) <= _LONGEST:
-                data = self._socket.recv(4096)
+                data = self._socket.recv(_PART)
                 if not data:
                     raise self._hung_up()
                 self._held += data
+                if len(data) < _PART:
+                    return
         except BlockingIOError:
             return
         except OSError as error:

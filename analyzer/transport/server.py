@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import ipaddress
-import json
 import os
 import select
 import socket
@@ -17,6 +16,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
+
+import msgspec
 
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Openings, open_pty
@@ -237,8 +238,9 @@ class Server(Closing):
         # The order matters: probe requests are read first, then the host's bytes that had arrived
         # by then (16 KiB at most), then the requests are answered. So a look that follows an answer
         # sees the newest state.
-        asked = [(probe, line) for probe in self.probes for line in self._requests(probe)]
-        now = self._pump()
+        heard = [probe for probe in self.probes if probe in ready]
+        asked = [(probe, line) for probe in heard for line in self._requests(probe)]
+        now = self._pump([host for host in self._hosts() if asked or host in ready])
         for probe, request in asked:
             probe.give(self._answer(request, now))
         for stream in self._streams():
@@ -285,9 +287,9 @@ class Server(Closing):
         patience = None if deadline is None else max(0, deadline - self.clock()) / 1e9
         return select.select(reading, [one for one in streams if one.backlog], [], patience)[0]
 
-    def _pump(self) -> int:
-        """Pass the hosts' bytes to the device and its answers back; return the time (ns)."""
-        heard = [(host, host.take()) for host in self._hosts()]
+    def _pump(self, hosts: Sequence[Stream]) -> int:
+        """Pass the bytes of hosts to the device and its answers back; return the time (ns)."""
+        heard = [(host, host.take()) for host in hosts]
         now = self.clock()
         if self.reset and self.openings and self.openings.taken():
             self.reset(now)
@@ -314,8 +316,8 @@ class Server(Closing):
         word, _, number = request.strip().partition(b" ")
         number = number or b"0"
         if word == b"state" and number.isdigit() and len(number) <= _DIGITS:
-            look = json.loads(self.device.probe(now)) | {"number": int(number)}
-            return json.dumps(look, separators=(",", ":")).encode() + b"\n"
+            look = msgspec.json.decode(self.device.probe(now)) | {"number": int(number)}
+            return msgspec.json.encode(look) + b"\n"
         came = request.strip().decode("ascii", "backslashreplace")[:80]
         return _error(f"the request is {came!r}, allowed is 'state', or 'state 7' with any number")
 
@@ -340,4 +342,4 @@ class Server(Closing):
 
 
 def _error(sentence: str) -> bytes:
-    return json.dumps({"error": sentence}).encode() + b"\n"
+    return msgspec.json.encode({"error": sentence}) + b"\n"
