@@ -211,8 +211,10 @@ def suite_steps(
             listener.note(sentence)
 
     def interrupted() -> bool | str:
-        broken = (listener.broken for listener in everyone if listener.broken)
-        why = target.interrupted() or str(next(broken, ""))
+        why = target.interrupted()
+        for listener in everyone:
+            if listener.broken and not why:
+                why = str(listener.broken)
         if why:
             link.done(None, interruption(why))
         return why

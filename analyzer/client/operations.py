@@ -10,6 +10,8 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeAlias, TypeVar
 
+import msgspec
+
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.captures.schemas import Look
 
@@ -21,15 +23,13 @@ Heard: TypeAlias = tuple[tuple[int, int], ...]
 """Answer bytes, each as (time in ns, byte)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Send:
+class Send(msgspec.Struct, frozen=True, gc=False):
     """Send these bytes; the reply is the time (ns) when the last one was sent."""
 
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Listen:
+class Listen(msgspec.Struct, frozen=True, gc=False):
     """Wait until `count` answer bytes have come or `patience` ns are over.
 
     With `count` None it waits the whole time. The reply is Received: all that came since the last
@@ -40,18 +40,15 @@ class Listen:
     patience: int
 
 
-@dataclass(frozen=True, slots=True)
-class Observe:
+class Observe(msgspec.Struct, frozen=True, gc=False):
     """Look at the robot through the probe; the reply is an Observation."""
 
 
-@dataclass(frozen=True, slots=True)
-class PowerCycle:
+class PowerCycle(msgspec.Struct, frozen=True, gc=False):
     """Switch the robot off and on; the reply is the time (ns) when it is on again."""
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(msgspec.Struct, frozen=True, gc=False):
     """What was heard, and the time (ns) when listening ended."""
 
     answers: Heard

@@ -57,7 +57,8 @@ class Profile:
     late it was seen to stop, `watchdog` the silence after which it stopped by itself, `boot` the
     time to the first answer; `one_by_one` is true where instructions that are sent ahead are lost.
     `slowest` is the longest time to an answer, `delays` the three longest, `delays_by_frame` those
-    of the last answers to each instruction that set a robot up, on a real line.
+    of the last answers to each instruction that set a robot up, on a real line, and `spreads` how
+    far these vary.
     `moves` are the kinds of motion in which it was seen moving, `facets` what of the state the
     probe told each time, `graded` whether its wheels showed several speeds, `preamble_speed` the
     speed at which most faults are tried.
@@ -73,6 +74,7 @@ class Profile:
     slowest: int = 0
     delays: list[int] = field(default_factory=list)
     delays_by_frame: defaultdict[bytes, deque[int]] = field(default_factory=_recent)
+    spreads: dict[bytes, int] = field(default_factory=dict)
     flushes: bool = False
     flushes_for: int | None = None
     whole_frame: bool = False
@@ -105,9 +107,15 @@ class Profile:
         It is how far the answers to one and the same frame vary, without the tenth that came first
         and the tenth that came last: a busy host is late now and then, a line that jitters always.
         """
-        told = [sorted(delays) for delays in self.delays_by_frame.values()]
-        tenths = [(delays, len(delays) // 10) for delays in told if len(delays) >= _FEWEST]
-        return max((delays[-1 - tenth] - delays[tenth] for delays, tenth in tenths), default=0)
+        return max(self.spreads.values(), default=0)
+
+    def set_up(self, frame: bytes, delay: int) -> None:
+        """Note how late (ns) the answer to an instruction that set a robot up came."""
+        delays = self.delays_by_frame[frame]
+        delays.append(delay)
+        if len(delays) >= _FEWEST:
+            told, tenth = sorted(delays), len(delays) // 10
+            self.spreads[frame] = told[-1 - tenth] - told[tenth]
 
     def delayed(self, delay: int) -> None:
         """Note how late (ns) an answer came."""

@@ -96,6 +96,8 @@ class Sight:
     def _note(self, look: Look) -> None:
         self.looks += 1
         shown = facets_of(self._protocol, look)
+        if shown == self.shown and "moving" in shown and not self._gaps:
+            return
         missing = (self.shown | {"moving"}) - shown
         if look.moving is False:
             missing -= {self._protocol.car.by, "wheels"}  # known of a robot that stands still

@@ -315,7 +315,7 @@ class Run:
         """Take note of how soon the answer to a valid frame came, which had gone at `sent` (ns)."""
         self.profile.measured(heard, sent)
         if heard.answers and not self.config.virtual:
-            self.profile.delays_by_frame[frame].append(heard.answers[0][0] - sent)
+            self.profile.set_up(frame, heard.answers[0][0] - sent)
 
     def wire(self, frame: bytes) -> bytes:
         """A valid frame adapted to the device's choices, b"" for an unknown instruction."""

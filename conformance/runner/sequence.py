@@ -118,9 +118,9 @@ class _SequenceRun:
         apart = profile.stop_latency or (burst.pauses and profile.flushes)
         tried = profile.watchdog or self._run.timers.idle
         most = max(1, tried // (2 * profile.pace)) if profile.pace else len(chosen)
-        whole = replace(burst, steps=tuple(chosen))
         if len(chosen) == 1 or not (alone or apart or len(chosen) > most):
-            yield whole if whole.steps != burst.steps else burst
+            same = tuple(chosen) == burst.steps
+            yield burst if same else replace(burst, steps=tuple(chosen))
             return
         steps: list[Step] = []
         for left, step in zip(reversed(range(len(chosen))), chosen, strict=True):
@@ -202,13 +202,13 @@ class _SequenceRun:
 
         Returns the expected state before the last step applied, and the steps applied.
         """
-        run, trial, before = self._run, self._trial, self._trial.expected
-        taken: list[Step] = []
+        run, trial, model = self._run, self._trial, self._run.model
+        before, taken = trial.expected, list[Step]()
         for step in steps:
             taken.append(step)
             before, trial.expected = (
                 trial.expected,
-                run.model.after(trial.expected, step.frame_effect),
+                model.after(trial.expected, step.frame_effect),
             )
             if flushes(run, step):
                 break

@@ -85,7 +85,7 @@ def judge_burst(
             run.waiting.answer_pending = True
     trial.hear(heard)
     heard = Received(before + heard.answers, heard.now)
-    if any(step.faulty for step in taken) and run.profile.flushes:
+    if run.profile.flushes and any(step.faulty for step in taken):
         more = yield from listen(None, run.waiting.idle)
         heard = Received(heard.answers + more.answers, more.now)
         trial.hear(more)
@@ -117,9 +117,9 @@ def _held_up(run: Run, taken: list[Step], heard: Received, sent: int) -> bool:
 def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
     run = trial.run
     codes = () if code is None else (code,)
-    expected = answer_words(run.protocol, step.accepted[0].codes)
     match = matching(step.accepted, codes)
     if match is None:
+        expected = answer_words(run.protocol, step.accepted[0].codes)
         if code is None:
             return _wrong(run, step, expected, codes, "no answer came")
         unused = "" if code in run.protocol.codes else ", a code that no device sends"
@@ -130,6 +130,7 @@ def _judge(trial: Trial, step: Step, code: int | None) -> Mismatch | None:
         contradicts = run.profile.choices.record(step.point, word, trial.case.id)
         if contradicts:
             reading = POINTS[step.point].reading
+            expected = answer_words(run.protocol, step.accepted[0].codes)
             return _wrong(run, step, expected, codes, contradicts, reading)
     if match.verdict > trial.axes["answer"].verdict:
         reason = f"another reading of {match.reading}"

@@ -19,6 +19,7 @@ from operator import itemgetter
 import msgspec
 
 from bilprov.analyzer.client.operations import Ended, Observation, Operation, Received, Reply, Send
+from bilprov.captures.schemas import Look
 from bilprov.conformance.oracle.judge import look_words
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, WireEvent, WireKind
 from bilprov.conformance.runner.listeners.listener import RunListener
@@ -30,8 +31,8 @@ WIDEST = 64
 """Bytes that are kept of one write or read."""
 
 
-Entry = tuple[int, WireKind, bytes | str]
-"""The link's time (ns), the kind, and the bytes or words of an entry."""
+Entry = tuple[int, WireKind, bytes | str | Look]
+"""The link's time (ns), the kind, and the bytes, words or look of an entry."""
 
 
 class _Log:
@@ -72,7 +73,7 @@ class WireLog(RunListener):
                 self._bytes("received", bytes([code for _, code in entries]), t)
         elif isinstance(reply, Observation):
             if self._open:
-                self._open.add((reply.look.t, "look", look_words(reply.look)))
+                self._open.add((reply.look.t, "look", reply.look))
         elif isinstance(operation, Send) and not isinstance(reply, Ended):
             self._bytes("sent", operation.data, reply)
 
@@ -121,9 +122,11 @@ def _joined(log: Iterable[Entry]) -> Iterator[Entry]:
 def _events(log: Sequence[Entry]) -> tuple[WireEvent, ...]:
     """The log for a report: bytes as hex, times counted from the first entry."""
     start = log[0][0] if log else 0
-    return tuple(
-        WireEvent(max(t - start, 0) / 1e9, kind, spaced(what))
-        if isinstance(what, bytes)
-        else WireEvent(max(t - start, 0) / 1e9, kind, look=what)
-        for t, kind, what in log
-    )
+    return tuple(WireEvent(max(t - start, 0) / 1e9, kind, *_told(what)) for t, kind, what in log)
+
+
+def _told(what: bytes | str | Look) -> tuple[str, str]:
+    """What an entry is about: its bytes as hex, and words."""
+    if isinstance(what, bytes):
+        return spaced(what), ""
+    return "", what if isinstance(what, str) else look_words(what)

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import msgspec
+
 from bilprov.analyzer.client.operations import Observation, Procedure, observe
 from bilprov.captures.schemas import Look
 from bilprov.captures.text import quantity
@@ -17,6 +19,7 @@ from bilprov.captures.text import quantity
 _AGAIN = 3  # looks that are made again for one, where they go on differing
 _ODD, _FEW = 0.03, 4  # share of odd looks from which on none is believed, and at least so many
 _UNKNOWN = 20  # looks, as if they had been made before the first
+_WHEELS = ("left", "right")
 
 
 class Looks:
@@ -84,8 +87,6 @@ def _shown(look: Look) -> tuple[object, ...] | None:
     """
     if look.moving is None:
         return None
-    turns = [
-        None if wheel is None else (wheel > 0) - (wheel < 0) for wheel in (look.left, look.right)
-    ]
-    told = {name: getattr(look, name) for name in look.__struct_fields__}
-    return (*({**told, "t": 0, "left": turns[0], "right": turns[1]}).values(),)
+    told = msgspec.structs.asdict(look) | {"t": 0}
+    told |= {side: (told[side] > 0) - (told[side] < 0) for side in _WHEELS if told[side]}
+    return tuple(told.values())
