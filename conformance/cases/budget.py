@@ -138,29 +138,29 @@ class Waits(NamedTuple):
     """What a case waits for.
 
     `answers` come before it goes on, homing included, and `looks` outside silences, which last as
-    long without them; `faults` are followed by a pause where a device discards what comes then.
-    `cut` says whether it sends a frame that is cut short.
+    long without them.
     """
 
     answers: int
     looks: int
-    faults: int = 0
-    cut: bool = False
 
 
 def waits_of(case: AnyCase, *, few: bool = False) -> Waits:
     """What a case waits for; with `few` only a thorough one is looked at."""
     if isinstance(case, SequenceCase):
-        looks = 0 if few else 1 + sum(burst.looks for burst in case.bursts)
-        faults = sum(any(step.faulty for step in burst.steps) for burst in case.bursts)
-        cut = any(step.truncated for step in case.steps)
-        return Waits(len(case.setup) + len(case.bursts) + 2, looks, faults, cut)
+        looks = 0 if few else 1 + sum([burst.looks for burst in case.bursts])
+        return Waits(len(case.setup) + len(case.bursts) + 2, looks)
     if isinstance(case, OrderCase):
         return Waits(case.frames + 2, 0 if few else _LOOKS * case.frames)
     looks = _LOOKS_AT_RECOVERY if case.then else _LOOKS_AT_STOP if case.stop else _LOOKS_ONCE
-    if few:
-        looks = _LOOKS_ONCE * case.thorough
-    return Waits(_ANSWERS, looks, _PAUSES * case.faulty, case.truncated)
+    return Waits(_ANSWERS, _LOOKS_ONCE * case.thorough if few else looks)
+
+
+def faults_of(case: AnyCase) -> int:
+    """How many faults a device gets a pause after that discards what follows them."""
+    if isinstance(case, SequenceCase):
+        return sum(any(step.faulty for step in burst.steps) for burst in case.bursts)
+    return _PAUSES * case.faulty
 
 
 def waits_in_vain(cases: Sequence[AnyCase], longest: float, retried: int) -> float:
@@ -169,7 +169,12 @@ def waits_in_vain(cases: Sequence[AnyCase], longest: float, retried: int) -> flo
     Each case with such a frame fails: it waits for answers that do not come, up to `longest` s for
     one, and the first `retried` of them are tried again and made shorter.
     """
-    cut = sum(waits_of(case).cut for case in cases)
+    cut = sum(
+        any(step.truncated for step in case.steps)
+        if isinstance(case, SequenceCase)
+        else case.truncated
+        for case in cases
+    )
     return longest * (cut + _RETRIED * min(cut, retried))
 
 

@@ -14,10 +14,10 @@ from bilprov.analyzer.client.operations import Ended, Procedure, Reconnected, fo
 from bilprov.conformance.cases.budget import (
     Pace,
     before_the_cases,
+    faults_of,
     group,
     seconds,
     waits_in_vain,
-    waits_of,
     within,
 )
 from bilprov.conformance.cases.levels import AnyCase
@@ -228,7 +228,7 @@ class Runner:
             vain = wasted if most is None else min(wasted, most / 1e9)
             found["never gives up a frame that was cut short"] = vain
         if profile.flushes:
-            pauses = sum(waits_of(case).faults for case in self._left) * run.waiting.idle / 1e9
+            pauses = sum(map(faults_of, self._left)) * run.waiting.idle / 1e9
             found["discards what follows a fault until the line is idle"] = pauses
         longer = {what: more for what, more in found.items() if more >= _MENTIONED}
         if longer:
