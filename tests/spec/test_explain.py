@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.codec import build, judge
+from bilprov.spec.codec import build
 from bilprov.spec.explain import explain
 from bilprov.spec.protocol import load
 from tests import vectors_dynamixel1, vectors_modbus_rtu, vectors_stk500v1
 from tests.frame_vectors import RequestVector
 from tests.support import ROOT
 from tests.support.framed_traffic import FRAMED
-from tests.support.grammars import mutated, undeclared
+from tests.support.grammars import mutated
 
 PROTOCOL = load_protocol()
 
@@ -61,19 +61,6 @@ def test_a_faulty_frame_stops_and_its_nearest_is_valid(data: bytes) -> None:
 )
 def test_the_bits_that_make_it_faulty_are_marked(frame: str, faulty: list[str]) -> None:
     assert [group.name for group in only(frame).groups if group.fault] == faulty
-
-
-def test_a_field_of_two_bytes_is_one_group() -> None:
-    source = (
-        undeclared(PROTOCOL.source)
-        .replace("from construct import ", "from construct import Int16ub, ")
-        .replace('"speed" / Ranged(Byte, 0, 255)', '"speed" / Ranged(Int16ub, 0, 1000)')
-    )
-    (frame,) = explain(load(source), bytes.fromhex("12 03 e9")).frames
-    group = frame.groups[2]
-    assert (group.byte, group.size, group.high, group.value, group.fault) == (1, 2, 15, 1001, True)
-    assert group.bits == "0000001111101001"
-    assert frame.judgement.valid is judge(load(source), bytes.fromhex("12 03 e9")).valid is False
 
 
 FOREIGN = [

@@ -18,7 +18,6 @@ from bilprov.spec.by_effect import (
 )
 from bilprov.spec.motion import Motion, visible_motion
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.state import Changed, Effect, From
 from tests.support.car import car_state, wheels
 from tests.support.grammars import still_grammar
 from tests.vectors import SEQUENCES, WHEELS, Sequence, WheelVector
@@ -77,23 +76,6 @@ def test_at_full_steering_the_inner_wheel_stands_still(
 
 def test_a_robot_that_cannot_steer_drives_straight_on() -> None:
     assert wheels(car_state(Motion.FORWARD, 9), 0) == (9, 9)
-
-
-@pytest.mark.parametrize(
-    ("effect", "after"),
-    [
-        (Effect(), (10, 20)),
-        (Effect((("speed", 7),)), (7, 20)),
-        (Effect((("steering", From("strength", -1)),)), (10, -30)),
-        (Effect((("speed", Changed(2, 5, 0, 255)),)), (25, 20)),
-        (Effect((("speed", Changed(2, 5, 0, 24)),)), (24, 20)),
-        (Effect((("steering", Changed(-2, 0, -30, 30)),)), (10, -30)),
-    ],
-)
-def test_an_effect_changes_only_what_it_names(effect: Effect, after: tuple[int, int]) -> None:
-    before = car_state(Motion.FORWARD, 10, 20, 3)
-
-    assert effect.apply(before, {"strength": 30}) == car_state(Motion.FORWARD, *after, 3)
 
 
 @pytest.mark.parametrize(

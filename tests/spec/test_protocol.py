@@ -122,28 +122,6 @@ def wide_speed(text: str, low: int, high: int) -> Protocol:
     return load(mutated(undeclared(text), changes))
 
 
-def test_a_field_may_have_two_bytes_and_another_may_follow(grammar_text: str) -> None:
-    protocol = wide_speed(grammar_text, 0, 1000)
-    spec = protocol.by_name["Speed"]
-
-    assert spec.length == 3
-    assert [(f.name, f.offset, f.size) for f in spec.fields] == [("speed", 0, 2), ("ramp", 2, 1)]
-    assert build(protocol, "Speed", {"speed": 1000, "ramp": 9}) == b"\x13\x03\xe8\x09"
-    assert judge(protocol, b"\x13\x03\xe8\x09").fields == (("speed", 1000), ("ramp", 9))
-    assert judge(protocol, b"\x13\x03\xe9\x09").reason == (
-        "Speed.speed is 1001, allowed are 0 to 1000 (frame 13 03 e9 09, byte 1)"
-    )
-    assert judge(protocol, b"\x13\x00\x00\x00").reason == (
-        "Speed.ramp is 0, allowed are 1 to 9 (frame 13 00 00 00, byte 3)"
-    )
-    assert judge(protocol, b"\x13\xff\xff\x00").reason == (  # the first fault is told
-        "Speed.speed is 65535, allowed are 0 to 1000 (frame 13 ff ff 00, byte 1)"
-    )
-    assert judge(protocol, b"\x11\xff").outcome is Outcome.TOO_FEW
-    assert protocol.limits["speed"] == (0, 1000)
-    assert nearest(protocol, b"\x13\xff\xff\xff") == b"\x13\x03\xe8\x09"
-
-
 def test_wide_data_are_sampled_to_both_ends_and_are_what_they_promise(grammar_text: str) -> None:
     protocol = wide_speed(grammar_text, 10, 1000)
     spec = protocol.by_name["Speed"]

@@ -11,7 +11,7 @@ from bilprov.spec.codec import judge, raw_frame
 from bilprov.spec.explain import check
 from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.readings import ERRATA, EXAMPLES, POINTS, READINGS, Example, Reading
+from bilprov.spec.readings import ERRATA, EXAMPLES, POINTS, READINGS, Reading
 from tests.support import ROOT
 from tests.support.commands import command
 from tests.vectors import ERRATA_IN_BYTES, ERRATUM_IDS, READING_IDS
@@ -102,26 +102,6 @@ def test_the_errata_come_from_the_grammar_and_not_from_the_list(grammar_text: st
     assert right.meant == b"\x40"
     assert right.reason == "Right; 1 byte more in the line, read as a new header"
     assert led.meant == b"\x81\x02"
-
-
-@pytest.mark.parametrize(
-    ("bits", "reason"),
-    [
-        ("10000001 00001000", "LED.rgb is 8, allowed are 0 to 7 (frame 81 08, byte 1)"),
-        ("01000001", "Right: 1 data byte announced, 0 came"),
-        (
-            "00100000 00100000 00100000",
-            "Forward; 2 bytes more in the line, read as a new header",
-        ),
-    ],
-)
-def test_a_fault_that_nobody_wrote_down_is_found_without_an_erratum(
-    protocol: Protocol, bits: str, reason: str
-) -> None:
-    (finding,) = check(protocol, (Example("6.1", 1, bits, "x"),))
-
-    assert (finding.erratum, finding.reason) == (None, reason)
-    assert finding.sent == bytes(int(byte, 2) for byte in bits.split())
 
 
 # -- open points -----------------------------------------------------------------------------------

@@ -29,26 +29,6 @@ def _fed(protocol: Protocol, data: bytes, boundary: float = 0.75) -> Synchronise
     return synchroniser
 
 
-@pytest.mark.parametrize(
-    ("data", "locked", "likely", "sure"),
-    [
-        ("", False, 0, 0),
-        ("11 7f 20 81 05", True, 0, 0),
-        ("7f 81 05 20 41 ff 00 11 07 30 81 02", True, 1, 1),  # the rest of a frame begun earlier
-        # 00 is a Stop, or the last byte of a frame; both go on in the same way.
-        ("00 11 7f 20 81 05 41 ff", True, 0, 1),
-    ],
-)
-def test_a_few_frames_show_where_the_first_begins(
-    protocol: Protocol, data: str, locked: bool, likely: int, sure: int
-) -> None:
-    synchroniser = _fed(protocol, bytes.fromhex(data))
-
-    assert synchroniser.locked == locked
-    assert synchroniser.first_frame(0.5) == likely
-    assert synchroniser.first_frame(0.99) == sure
-
-
 def test_an_anchor_speaks_for_the_place_where_it_falls(protocol: Protocol) -> None:
     within, between = _fed(protocol, b"\x11"), _fed(protocol, b"\x11")
     for _ in range(4):

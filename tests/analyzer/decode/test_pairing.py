@@ -5,16 +5,15 @@ from __future__ import annotations
 import pytest
 
 from bilprov.analyzer.decode.decoded_share import Checked, declared, fitting_check, near_miss
-from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.schemas import Chunk
 from bilprov.spec.checks import Crc, Sum
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
-from tests.support.decoding import MS, Event, conversation, decoded, devices, hosts, kinds
+from tests.support.decoding import MS, decoded, devices, hosts, kinds
 
 # What the host says (ms), what the device answers, and to which instruction after how long (ms).
 PAIRS: dict[str, tuple[list[tuple[int, str]], list[tuple[int, str]], list[tuple[int, int]]]] = {
@@ -43,42 +42,6 @@ def test_an_answer_is_paired_with_its_instruction(protocol: Protocol, name: str)
 
 
 ERROR, WARNING, INFO = Severity.ERROR, Severity.WARNING, Severity.INFO
-CLOSED = Line(5000 * MS, "close")
-# Events, and the one fault in them: its kind, how severe it is, when it is known, words of it.
-FAULTS: dict[str, tuple[list[Event], str, Severity, int, str]] = {
-    "no answer": ([Chunk(0, "host", b"\x20"), CLOSED], "unanswered", ERROR, 1000, "Forward"),
-    "a second answer": (
-        [*conversation([(b"\x20", b"\0\0")]), CLOSED],
-        *("unsolicited", ERROR, 21, ""),
-    ),
-    "a banner": ([Chunk(0, "device", b"\0"), CLOSED], "unsolicited", INFO, 0, ""),
-    "OK to bad data": (conversation([(b"\x81\x09", b"\0")]), "disagreeing", ERROR, 21, "0 to 7"),
-    "another reading": (
-        conversation([(b"\x91\x00", b"\3")]),
-        *("disagreeing", WARNING, 21, "R-unused-length"),
-    ),
-    "an unused code": (conversation([(b"\x20", b"\x07")]), "unused code", ERROR, 21, ""),
-    "too late": (conversation([(b"\x20", b"\0")], latency=101 * MS), "slow", WARNING, 121, ""),
-    "before the end of its instruction": (
-        [Chunk(0, "host", b"\x81"), Chunk(MS, "device", b"\0"), Chunk(2 * MS, "host", b"\x05")],
-        *("early", WARNING, 1, ""),
-    ),
-}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_what_is_odd_is_one_fault(protocol: Protocol, name: str) -> None:
-    events, kind, severity, ms, words = FAULTS[name]
-
-    records = decoded(Session(protocol, skew=0), events)
-
-    found = [fault for record in records for fault in record.faults]
-    faults = [fault for fault in found if fault.kind != "faulty instruction"]
-    assert [(one.kind, one.severity, one.t) for one in faults] == [(kind, severity, ms * MS)]
-    assert words in faults[0].reason
-    told = [line for record in records if (line := json_line(record))]
-    assert any(faults[0].reason in line.reason for line in told)
-    assert all(line.sequence == 0 for line in told if not line.hex)  # that of the instruction
 
 
 def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:

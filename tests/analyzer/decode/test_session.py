@@ -114,27 +114,6 @@ def test_each_instruction_is_answered_at_most_once_and_in_order(
     assert answered == sorted(set(answered))
 
 
-BEGUN, REST = Chunk(0, "host", b"\x11"), Chunk(2 * MS, "host", b"\x05")
-
-
-@pytest.mark.parametrize(
-    ("events", "chosen", "times"),
-    [
-        ([BEGUN, Chunk(51 * MS, "host", b"\x05")], {"timeout": 60 * MS}, (0, 51)),
-        ([BEGUN, Line(MS, "gap", "device"), REST], {}, (0, 2)),
-        ([Chunk(10 * MS, "host", b"\x11"), REST], {}, (10, 10)),  # what comes from the past
-        ([BEGUN, REST], {"attached": True}, (0, 2)),  # it is unclear until the end
-    ],
-)
-def test_two_bytes_are_one_frame(
-    protocol: Protocol, events: list[Event], chosen: dict[str, Any], times: tuple[int, int]
-) -> None:
-    (record,) = hosts(decoded(Session(protocol, **chosen), events))
-
-    assert (record.value.kind, record.data) == ("instruction", b"\x11\x05")
-    assert (record.value.t // MS, record.value.end // MS) == times
-
-
 @pytest.mark.parametrize(
     ("begun", "answer", "kinds", "pairs"),
     [

@@ -23,7 +23,6 @@ from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.json_lines import json_text
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.row_columns import CsvText, Times, usual_columns
@@ -33,10 +32,10 @@ from bilprov.analyzer.screen.details import details
 from bilprov.analyzer.transport import machine as of_machine
 from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Chunk, Line
+from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
-from tests.support.decoding import MS, Event, decoded, devices, hosts
+from tests.support.decoding import MS, decoded, devices, hosts
 from tests.support.framed_traffic import framed_capture
 from tests.support.machines import FakeMachine
 
@@ -97,23 +96,6 @@ def test_frames_are_uncertain_until_a_check_is_right() -> None:
     assert [one.data for one in found] == [rest, READ, rest]
     assert [one.uncertain for one in found] == [True, False, False]
     assert found[0].reason.endswith(UNCLEAR)
-
-
-ASK, TOLD = bytes.fromhex("3020"), bytes.fromhex("1410")  # Get Sync
-
-
-def test_after_a_loss_frames_are_uncertain_again_and_columns_wait_for_that() -> None:
-    say = [Chunk(t * MS, "host", ASK) for t in range(2000, 2400)]
-    hear = [Chunk(t * MS + MS // 2, "device", TOLD) for t in range(2000, 2400)]
-    events: list[Event] = [*say[:200], Line(2200 * MS, "gap"), *say[200:], *hear]
-    events.sort(key=lambda event: event.t)
-    session = decoded(Session(STK500), events)
-    decoder = StreamDecoder(STK500)
-    batches = [*decoder.feed(events), *decoder.finish()]
-
-    assert [record for batch in batches for record in batch.records()] == session
-    assert [one.sequence for one in hosts(session) if one.uncertain] == [200]
-    assert any(not isinstance(batch, Records) for batch in batches)
 
 
 @pytest.fixture

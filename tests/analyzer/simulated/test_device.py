@@ -157,23 +157,6 @@ def test_an_answer_tells_the_state_that_it_reports() -> None:
     assert line.do("Read", address=3) == {"state": 2}
 
 
-def test_an_answer_tells_a_word_by_its_name() -> None:
-    text = Path(RELAY).read_text(encoding="utf-8")
-    for old, new in (
-        ("on=Whole(0, 1)", 'on=Word("off", "on")'),
-        ("Sets(on=1)", 'Sets(on="on")'),
-        ("Sets(on=0)", 'Sets(on="off")'),
-        ("Changed(-1, 1)", "Unknown()"),
-        (", factor=-1, plus=2)", ")"),
-        ("    Whole,\n", "    Word,\n"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    line = Line(load(text, "relay.py"))
-    told = [line.do(name, address=3)["state"] for name in ("Read", "On", "Read", "Off")]
-    assert told == [2, 1, 1, 2]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
