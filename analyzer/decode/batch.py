@@ -16,7 +16,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.analyzer.decode.json_lines import json_text
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
@@ -292,10 +291,6 @@ class Batch(ABC):
     @abstractmethod
     def records(self, chosen: Selection | None = None) -> Sequence[Record]:
         """The rows in order as records; the chosen ones, None for all."""
-
-    def json(self) -> str:
-        """The rows in order as JSON lines, each with its newline."""
-        return json_text(self.records())
 
     @cached_property
     def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

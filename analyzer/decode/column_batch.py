@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import repeat
 from typing import Any, Self
@@ -27,7 +27,6 @@ from bilprov.analyzer.decode.batch import (
     sliced,
 )
 from bilprov.analyzer.decode.decoder import answer_record
-from bilprov.analyzer.decode.json_lines import around, json_text, value_texts
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.schemas import Line
@@ -40,15 +39,13 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_as, usual_way
 from bilprov.spec.state import State
 
-_REMEMBERED = 1 << 14  # frames
-
 
 @dataclass(frozen=True)
 class Decoding:
     """What decoding into columns rests on: the protocol, its tables, and the session's settings.
 
     `paired` is true if both directions are heard; `skew` and `late` (the answer's deadline) are in
-    ns. `frames_around` has what `around` gives of frames.
+    ns.
     """
 
     protocol: Protocol
@@ -58,7 +55,6 @@ class Decoding:
     paired: bool
     skew: int
     late: int
-    frames_around: dict[bytes, list[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +90,7 @@ class ColumnBatch(Batch):
     line_heard: NDArray[np.int64]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = [getattr(self, one.name) for one in fields(self)]
+        kept = [getattr(self, field.name) for field in fields(self)]
         return type(self), tuple(kept)  # without what is worked out from them
 
     def __len__(self) -> int:
@@ -203,49 +199,6 @@ class ColumnBatch(Batch):
         rows = (hosts, devices, others)
         places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
         return list(map(made.__getitem__, np.argsort(places, kind="stable").tolist()))
-
-    def json(self) -> str:
-        """The rows in order as JSON lines, each with its newline; most without a record."""
-        if not (self.decoding.paired and self.decoding.protocol.plain):
-            return super().json()
-        usual, odd = np.flatnonzero(~self.devices.odd), np.flatnonzero(self.devices.odd)
-        hosts, devices, others = self.places
-        states = np.array(value_texts(self._states.tolist()), object)
-        answered = self._places(self.after[usual], self._answered[usual])
-        columns = (
-            [*self._frames_around(), *self._answers_around(usual)],
-            value_texts((np.append(self.start, self.t[usual]) / 1e9).tolist()),
-            ["null"] * len(hosts) + value_texts((self.devices.latency[usual] / 1e9).tolist()),
-            [*states[self._wide :: self._wide], *states[answered]],
-            [*self.hosts.sequence.tolist(), *self.sequence[usual].tolist()],
-        )
-        lines = [
-            f"{a}{t}{b}{latency}{c}{state}{d}{number}{e}"
-            for (a, b, c, d, e), t, latency, state, number in zip(*columns, strict=True)
-        ]
-        records = self._answers(odd, self._states_after(self.after[odd], self._answered[odd]))
-        lines += [json_text([record]) for record in [*records, *self.others.listed]]
-        order = np.argsort(np.concatenate([hosts, devices[usual], devices[odd], others]))
-        return "".join(map(lines.__getitem__, order.tolist()))
-
-    def _frames_around(self) -> Iterator[list[str]]:
-        """What `around` gives of the new frames, in which their bytes decide."""
-        known = self.decoding.frames_around
-        frames = self.hosts.frames(slice(None))
-        if len(known) > _REMEMBERED:
-            known.clear()
-        new = [row for row, frame in enumerate(frames) if frame not in known]
-        for record in self._host_records(np.array(new, np.int64)):
-            known[record.data] = around(record, "sequence")
-        return map(known.__getitem__, frames)
-
-    def _answers_around(self, rows: NDArray[np.int64]) -> Iterator[list[str]]:
-        """The same of answers in which nothing is odd: then their codes decide."""
-        codes = self.answers.code[rows]
-        _, first = np.unique(codes, return_index=True)
-        samples = self._samples(rows[np.sort(first)])
-        known = {record.byte: around(record, "answers") for record in samples}
-        return map(known.__getitem__, codes.tolist())
 
     @property
     def _alone(self) -> Self:

@@ -86,25 +86,6 @@ class JsonLine(msgspec.Struct, frozen=True, gc=False):
 encode = msgspec.json.Encoder().encode
 encode_lines = msgspec.json.Encoder().encode_lines
 
-_GAP = msgspec.Raw(b"\0")
-
-
-def json_text(records: Iterable[Record]) -> str:
-    """The lines of records, each with its newline; a record without a line gives none."""
-    return encode_lines(json_lines(records)).decode()
-
-
-def around(record: Record, number: str) -> list[str]:
-    """The text of a record's line around its time, latency, state and `number`, in this order."""
-    line = json_lines([record])[0]
-    open_line = replace(line, t=_GAP, latency=_GAP, state=_GAP, **{number: _GAP})
-    return f"{encode(open_line).decode()}\n".split("\0")
-
-
-def value_texts(values: list[Any]) -> list[str]:
-    """The text of each value."""
-    return encode_lines(values).decode().splitlines()
-
 
 def json_line(record: Record) -> JsonLine | None:
     """Convert a record to a line; None for a line event without an anomaly."""

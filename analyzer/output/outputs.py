@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TextIO
 
 import msgspec
 
-from bilprov.analyzer.decode.json_lines import json_text
+from bilprov.analyzer.decode.json_lines import encode_lines, json_lines
 from bilprov.analyzer.decode.records import Record, is_frame
 from bilprov.analyzer.output.text_lines import LineRenderer, hex_width
 from bilprov.captures.closing import Closing
@@ -28,20 +28,33 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.row_columns import RowStyle
 
 
+class JsonText:
+    """Renders records as JSON lines, each with its newline; see `json_lines`."""
+
+    def text(self, records: Iterable[Record]) -> str:
+        """The lines of the records; a record without a line gives none."""
+        return encode_lines(json_lines(records)).decode()
+
+
 Format = Literal["live", "lines", "jsonl", "csv"]
+
+
+class TextForm(Protocol):
+    """A form of text for records."""
+
+    def text(self, records: Iterable[Record], /) -> str:
+        """The lines of the records, each with its end."""
 
 
 class StreamOutput:
     """Writes records as lines of text, those that come together in one piece.
 
-    `write` takes the text and sees to it that it gets out; `text` makes it of records.
+    `write` takes the text and sees to it that it gets out.
     """
 
-    def __init__(
-        self, write: Callable[[str], object], text: Callable[[Sequence[Record]], str]
-    ) -> None:
+    def __init__(self, write: Callable[[str], object], form: TextForm) -> None:
         self._write = write
-        self._text = text
+        self._form = form
 
     def show(self, batch: Batch) -> None:
         """Print the lines of all records of a batch."""
@@ -49,21 +62,12 @@ class StreamOutput:
 
     def records(self, records: Sequence[Record]) -> None:
         """Print the lines of the records."""
-        if text := self._text(records):
+        if text := self._form.text(records):
             self._write(text)
 
     def tick(self, now: int) -> None:
         """Notice, also while nothing is to be shown, that nobody reads any more."""
         self._write("")
-
-
-class JsonOutput(StreamOutput):
-    """Writes JSON lines; a batch knows its own, for which it need not make records."""
-
-    def show(self, batch: Batch) -> None:
-        """Print the lines of a batch."""
-        if text := batch.json():
-            self._write(text)
 
 
 class NoOutput:
@@ -104,9 +108,9 @@ def stream_output(
     times (ns since the start), if it is not in seconds.
     """
     if style == "jsonl":
-        return JsonOutput(write, json_text)
+        return StreamOutput(write, JsonText())
     colour, width = _wants_colour(sys.stdout), hex_width(protocol)
-    return StreamOutput(write, LineRenderer(colour=colour, time=time, width=width).text)
+    return StreamOutput(write, LineRenderer(colour=colour, time=time, width=width))
 
 
 def opened_output(
@@ -127,12 +131,12 @@ def opened_output(
         columns = rows.columns or usual_columns(protocol, time=rows.time is not None)
         form = CsvText(columns, times)
         write(form.header)
-        return StreamOutput(write, form.text)
+        return StreamOutput(write, form)
     if style == "lines" and rows.columns:
         from bilprov.analyzer.output.row_columns import ColumnLines
 
         colour = _wants_colour(sys.stdout)
-        return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour).text)
+        return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
     return stream_output(style, protocol, write, times.padded if rows.time else None)
 
 

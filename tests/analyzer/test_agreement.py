@@ -25,7 +25,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.export.rows import NoPyarrow, write_parquet, write_text
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.output.outputs import Shown, Window, stream_output
+from bilprov.analyzer.output.outputs import JsonText, Shown, StreamOutput, Window, stream_output
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import (
@@ -59,7 +59,7 @@ def sniffed(capture: Capture, protocol: Protocol) -> str:
     """The JSON lines of the events as they come, as `sniff` shows them."""
     text: list[str] = []
     decoder = StreamDecoder(protocol, **capture_settings(capture, protocol))
-    shown = Shown(stream_output("jsonl", protocol, text.append))
+    shown = Shown(StreamOutput(text.append, JsonText()))
     pipeline = Pipeline(decoder, Statistics(), shown, patience=5 * MS)
     for event in capture.events():
         pipeline.events([event])
@@ -182,7 +182,7 @@ def shown(
     """What a pipeline shows as JSON lines, and what was counted in the end."""
     text: list[str] = []
     test = None if expression is None else compile_filter(expression, protocol)
-    output = stream_output("jsonl", protocol, text.append)
+    output = StreamOutput(text.append, JsonText())
     statistics = Statistics()
     pipeline = Pipeline(
         StreamDecoder(protocol),

@@ -15,8 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.json_lines import JsonLine, json_line, json_text
+from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.output.outputs import JsonText
 from bilprov.analyzer.output.row_columns import (
     ColumnError,
     CsvText,
@@ -212,7 +213,7 @@ def test_a_frame_is_named_by_the_grammar_that_decoded_it(
 
     for _ in range(2):
         for one, name in ((protocol, None), (horn, "Horn")):
-            shown = json_text(decoded(Session(one), said)).splitlines()
+            shown = JsonText().text(decoded(Session(one), said)).splitlines()
             assert [json.loads(line)["name"] for line in shown] == [name, "OK"] * 2
 
 

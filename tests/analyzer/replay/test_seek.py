@@ -10,7 +10,7 @@ import pytest
 
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
-from bilprov.analyzer.output.outputs import NoOutput, Shown, Window, stream_output
+from bilprov.analyzer.output.outputs import JsonText, NoOutput, Shown, StreamOutput, Window
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import opened_at, paced
@@ -88,7 +88,7 @@ def lines(path: Path, protocol: Protocol, start: int, *, seek: bool) -> list[str
     pipeline = Pipeline(
         opened.decoder,
         Statistics(),
-        Shown(stream_output("jsonl", protocol, text.append), window=Window(start)),
+        Shown(StreamOutput(text.append, JsonText()), window=Window(start)),
     )
     for event in opened.events():
         pipeline.events([event])
