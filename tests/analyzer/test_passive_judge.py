@@ -158,11 +158,15 @@ def test_a_run_and_its_recording_are_judged_alike(
 
 
 @pytest.mark.slow
-def test_a_whole_suite_covers_all_that_it_drives(tmp_path: Path, protocol: Protocol) -> None:
-    recorded(tmp_path / "run.mcap", protocol, "valid/LED/*", "bad-data/*", "unused-id/*")
+def test_a_whole_suite_covers_all_that_it_drives(
+    tmp_path: Path, protocol: Protocol, pytestconfig: pytest.Config
+) -> None:
+    whole = pytestconfig.getoption("--whole")
+    valid = "valid/*" if whole else "valid/LED/*"
+    recorded(tmp_path / "run.mcap", protocol, valid, "bad-data/*", "unused-id/*")
     findings = of_capture(tmp_path / "run.mcap", protocol)
 
-    for what in ("data out of range", "headers with an unused ID"):
+    for what in ("data out of range", "headers with an unused ID", *["valid frames"] * whole):
         done, of = counts(findings)[what]
         assert done == of
     assert findings.violations == findings.not_judged == findings.readings == {}

@@ -78,7 +78,7 @@ def require_the_same(line: str) -> None:
     assert line_of((level, name)) == line
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(9)
 @rows("smoke")
 def test_a_device_gets_the_verdict_at_smoke_that_it_got(line: str) -> None:
     require_the_same(line)
