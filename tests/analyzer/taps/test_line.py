@@ -7,6 +7,7 @@ import select
 import signal
 import socket
 import termios
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -341,7 +342,7 @@ class Deaf(PtyPair):
 @pytest.mark.parametrize(
     ("robot", "faults", "globs", "ends"),
     [
-        ([], ["--delay", "5ms"], ["valid/*", "bad-data/*"], [0]),
+        ([], ["--delay", "5ms"], ["valid/*", "bad-data/*"], [0, 3]),
         *(
             (
                 ["--fault", fault],
@@ -365,4 +366,6 @@ def test_the_reference_conforms_over_a_slow_line_and_no_faulty_robot_over_a_bad_
         line.end()
     assert result.returncode in ends, result.stderr
     if not robot:
-        assert set(unwell(result).values()) == {"skipped"}  # it has no power switch
+        found = Counter(unwell(result).values())
+        assert found.pop("skipped") == 1  # it has no power switch
+        assert found in ({}, {"inconclusive": 1})  # what a busy host leaves open is no fault
