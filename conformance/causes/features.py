@@ -164,9 +164,9 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
     named = _of_previous(lambda before: before.judgement.name)
     yield Feature("previous instruction", named, "sent after {}, right or wrong", 4)
     for name in (name for name, spec in protocol.variables.items() if spec.words):
-        words = f"sent after a frame before which {name} is {{}}"
+        words = f"with the frame before it sent while {name} is {{}}"
         yield Feature(f"{name} before the previous", _of_previous(_before(name)), words, 3)
-    words = "sent after a frame before which it {}"
+    words = "with the frame before it sent while it {}"
     yield Feature("moving before the previous", _of_previous(_moved), words, 3)
     kinds = [FAULTS, VALID, TRUNCATED, *(s.name for s in protocol.instructions)]
     for kind in (FRAMES, *kinds, STOPPING, *POINTS):

@@ -64,7 +64,7 @@ NAMED = [
     ("mixture:R-stop-steering=kept:by-frame", "state", "steering is 0",
      "Stop, at one in 2 of the Stop frames"),
     ("mixture:R-drain-known=flushed-after-wrong-lengths:by-motion", "answer", "gives no answer",
-     "sent after a frame before which motion is forward or rotate right"),
+     "with the frame before it sent while motion is forward or rotate right"),
     ("no-stop-on-unknown-id-while-forward", "stop", "does not stop",
      "unknown ID, while motion is forward"),
 ]  # fmt: skip
