@@ -29,6 +29,8 @@ ANSWER, MOTION = "answer", "motion"
 FRAMES, FAULTS, VALID, TRUNCATED, STOPPING = "frames", "faults", "valid", "truncated", "stopping"
 IN_A_ROW = "two faults in a row"
 """Classes of frames that are counted, besides each `kind` and each open point."""
+_OFTEN = 3
+"""Late answers from which on one that did not come may still come; fewer are a busy host's."""
 _NEARLY = 0.9
 """The share of a time-out from which it is not certain, as measured, that a frame goes on."""
 
@@ -165,7 +167,7 @@ class Exchanges:
         self._stop_longest = int(model.protocol.timing.stop_longest * MS)
         self._case, self._first = "", 0
         self._expected = model.found()
-        self._late = False
+        self._late = 0
         self._power_on()
         for event in events:
             self._take(event)
@@ -290,7 +292,7 @@ class Exchanges:
             return
         if (burst[0].gap or 0) > 2 * self._longest:
             self._owed = 0
-        if self._late and self._owed:
+        if self._late >= _OFTEN and self._owed:
             self._lost = True  # what comes now may be what an earlier frame waits for
         if any(exchange.pause > _NEARLY * self._timeout for exchange in burst):
             self._lost = True  # it may have been cut
@@ -308,7 +310,7 @@ class Exchanges:
                 if not deviation.right_code:
                     guilty = guilty or exchange
                 self._lost = deviation.how == "silent"
-                self._late = self._late or deviation.how == "late"
+                self._late += deviation.how == "late"
             elif not self._chosen(exchange.step):
                 exchange.right.add(ANSWER)
             self._may_show_in(exchange)
@@ -393,7 +395,7 @@ class Exchanges:
         expected = next(iter(accepted))
         codes = [code for _, code in exchange.codes]
         if not codes:
-            may_come = self._late and self._waited - exchange.end < 2 * self._longest
+            may_come = self._late >= _OFTEN and self._waited - exchange.end < 2 * self._longest
             how = "late" if may_come else "silent"
             return None if None in accepted else Deviation(ANSWER, how, expected)
         if codes[0] not in accepted:

@@ -183,6 +183,27 @@ def test_a_frame_that_may_have_been_cut_is_no_evidence(
     assert exchange.right == ({ANSWER} if certain else set())
 
 
+@pytest.mark.parametrize(("late", "certain"), [(1, True), (3, False)])
+def test_an_answer_may_still_come_where_answers_are_often_late(
+    protocol: Protocol, late: int, *, certain: bool
+) -> None:
+    events: list[Done | Mark] = []
+    now = 0
+
+    def sent(delay: int | None) -> None:
+        nonlocal now
+        answers = () if delay is None else (((now + delay) * MS, 0),)
+        heard = Done(None, Received(answers, (now + 300) * MS))
+        events.extend([Mark("case", over=False), Done(Send(b"\x00"), now * MS), heard])
+        now += 400
+
+    for delay in (*[290] * late, None, 1):
+        sent(delay)
+    found = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS))
+    assert [one.deviations[ANSWER].how for one in found.all[:late]] == ["late"] * late
+    assert (ANSWER in found.all[-1].right) == certain
+
+
 class Recorded:
     """The trace of a run against a faulty device, and the causes found in it."""
 
