@@ -59,7 +59,6 @@ def _of_frames(protocol: Protocol) -> Iterator[Feature]:
     yield Feature("frame", lambda e: e.kind, "{}", 0, subject=True)
     yield Feature("fault", _fault, "{}", 0, subject=True)
     yield Feature("stops", partial(_stops, protocol), "{}", 1, subject=True)
-    yield Feature("sets", partial(_sets_motion, protocol), "{}", 1, subject=True)
     yield Feature("outcome", lambda e: _whole(e, e.judgement.outcome.value), "{}", 0, subject=True)
     yield Feature("instruction", _instruction, "{}", 1, subject=True)
     yield Feature("cut", lambda e: "cut short" if e.step.truncated else "complete", "{}", 1)
@@ -83,12 +82,6 @@ def _stops(protocol: Protocol, exchange: Exchange) -> str:
     effect = exchange.step.frame_effect.effect
     stops = effect is None or protocol.stops(effect)
     return "a frame that stops it" if stops else "a frame that does not stop it"
-
-
-def _sets_motion(protocol: Protocol, exchange: Exchange) -> str:
-    name = protocol.car.by
-    effect = exchange.step.frame_effect.effect or protocol.on_fault
-    return f"a frame that {'sets' if effect.sets(name) else 'does not set'} {name}"
 
 
 def _whole(exchange: Exchange, outcome: str) -> str | None:
