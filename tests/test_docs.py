@@ -42,6 +42,7 @@ NOT_RUN = {
     r"pytest --robot-port": "tests/conformance/pytest_plugin runs it",
     r"\.venv/bin/python -m benchmarks": "takes minutes",
     r"bilprov (conform emulator|simulate --firmware)": "needs firmware; tests/firmware runs it",
+    r"(bilprov --grammar stk500v1|avrdude) ": "needs a bootloader; tests/firmware runs it",
     r"bilprov lab score": "takes minutes; tests/conformance/mutation runs it",
     r"bilprov lab learn": "takes a minute; tests/conformance/learning runs it",
 }
