@@ -43,6 +43,7 @@ NOT_RUN = {
     r"\.venv/bin/python -m benchmarks": "takes minutes",
     r"bilprov (conform emulator|simulate --firmware)": "needs firmware; tests/firmware runs it",
     r"(bilprov --grammar stk500v1|avrdude) ": "needs a bootloader; tests/firmware runs it",
+    r"bilprov conform .*--watch": "goes on for ever; tests/conformance/test_watch.py runs it",
     r"bilprov lab score": "takes minutes; tests/conformance/mutation runs it",
     r"bilprov lab learn": "takes a minute; tests/conformance/learning runs it",
 }
