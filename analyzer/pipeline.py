@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.statistics import Statistics
     from bilprov.analyzer.replay.recorder import Recorder
 
+BATCH = 100_000_000  # ns; the screen is not drawn more often than that
 MOST_BYTES = 1 << 14  # that wait to be decoded: so many take a millisecond, and a pty holds 4 KiB
 
 
@@ -25,8 +26,9 @@ class Pipeline:
     """Connects a decoder to its recorder, statistics, output (in `shown`) and passive judge.
 
     The raw bytes are written to the capture at once. Decoding may wait for `patience` (ns), up to
-    16 KiB: much is decoded faster at once than in pieces. The judge gets the records in the window
-    of `shown`, whether they pass its filter or not.
+    16 KiB: much is decoded faster at once than in pieces. On a line that is `busy` it waits for
+    0.1 s at least. The judge gets the records in the window of `shown`, whether they pass its
+    filter or not.
     """
 
     decoder: StreamDecoder
@@ -35,6 +37,7 @@ class Pipeline:
     recorder: Recorder | None = None
     judge: PassiveJudge | None = None
     patience: int = 0
+    busy: bool = False
     _pending: list[Chunk | Line] = field(default_factory=list)
     _bytes: int = 0
 
@@ -42,8 +45,13 @@ class Pipeline:
     def deadline(self) -> int | None:
         """When (ns) `advance` is next needed without an event, None if it is not."""
         if self._pending:
-            return self._pending[0].t + self.patience
+            return self._pending[0].t + self._wait
         return self.decoder.deadline
+
+    @property
+    def _wait(self) -> int:
+        """How long (ns) the first event may wait to be decoded with those behind it."""
+        return max(self.patience, BATCH) if self.busy else self.patience
 
     def events(self, events: Sequence[Chunk | Line]) -> list[Batch]:
         """Process events, in order, and return what they complete."""
@@ -54,7 +62,7 @@ class Pipeline:
         if self.judge is None:
             self._pending += events
             self._bytes += sum([len(event.data) for event in events if type(event) is Chunk])
-            if self._bytes < MOST_BYTES and events[-1].t - self._pending[0].t < self.patience:
+            if self._bytes < MOST_BYTES and events[-1].t - self._pending[0].t < self._wait:
                 return []
             batches = self._decode_pending()
         else:
@@ -69,7 +77,7 @@ class Pipeline:
     def advance(self, now: int) -> list[Batch]:
         """Let time pass to `now` (ns) and return what falls due; no earlier event may follow."""
         batches: list[Batch] = []
-        if self._pending and now - self._pending[0].t >= self.patience:
+        if self._pending and now - self._pending[0].t >= self._wait:
             batches = self._decode_pending()
             self._save(now)
         if not self._pending:

@@ -15,12 +15,11 @@ import numpy
 import bilprov
 from benchmarks.ceiling import MOTIONS, Judged
 from benchmarks.commands import bilprov_words
-from bilprov.analyzer.cli.sniff import PATIENCE
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import NoOutput, Shown
 from bilprov.analyzer.output.statistics import Statistics
-from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.captures.schemas import Chunk, Line
@@ -103,7 +102,7 @@ def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], objec
     statistics = Statistics()
     with Recorder(path, time.time_ns(), metadata(protocol)) as recorder:
         shown = Shown(NoOutput())
-        pipeline = Pipeline(decoder, statistics, shown, recorder, patience=PATIENCE)
+        pipeline = Pipeline(decoder, statistics, shown, recorder, patience=BATCH)
         pipeline.events([Line(0, "open")])
 
         def take(chunk: Chunk) -> None:

@@ -37,12 +37,11 @@ def interrupts_kept() -> Iterator[None]:
             before(lost)
             return
         # Not at once: it would be raised in here, and be lost again.
-        started = False
-        while not started:
+        while True:
             # On a busy machine it may come before its timer's thread is known to have started.
             with contextlib.suppress(KeyboardInterrupt):
                 threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
-                started = True
+                break
 
     sys.unraisablehook = ignored
     try:

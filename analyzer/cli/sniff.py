@@ -37,7 +37,7 @@ from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
 from bilprov.analyzer.output.outputs import NoOutput, Shown, TextQueue, opened_output
 from bilprov.analyzer.output.statistics import Statistics
-from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.recorder import (
     Recorder,
     Rotation,
@@ -59,7 +59,6 @@ from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
-PATIENCE = 100_000_000  # ns; the screen is not drawn more often than that
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
@@ -225,7 +224,7 @@ def sniff(options: SniffOptions) -> int:
 
         queue, broken = None, None
         if quiet:
-            lost = listened(Shown(NoOutput(), test, options.shown.count), PATIENCE, say)
+            lost = listened(Shown(NoOutput(), test, options.shown.count), BATCH, say)
         elif style == "live":
             from bilprov.analyzer.screen.browser import Told
             from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
@@ -235,7 +234,7 @@ def sniff(options: SniffOptions) -> int:
             def watched(feed: Feed[Lost]) -> Lost:
                 output = ScreenOutput(feed, statistics, recorder)
                 tell = partial(setattr, feed, "notice")
-                lost = listened(AllShown(output, test, options.shown.count), PATIENCE, tell)
+                lost = listened(AllShown(output, test, options.shown.count), BATCH, tell)
                 feed.stays, feed.said = lost.unplugged, lost.sentence
                 return lost
 
@@ -323,7 +322,7 @@ def _listen(
     end = None if duration is None else round(duration * 1e9)
     overrun, told = "", False
     unplugged: dict[str, str] = {}
-    recorder, patience = pipeline.recorder, pipeline.patience
+    recorder = pipeline.recorder
     with collecting_when_idle() as collect:
         while not stopper.stopped and not pipeline.shown.full:
             now, due = source.now(), pipeline.deadline
@@ -345,7 +344,7 @@ def _listen(
             collect(not events)
             if not events:
                 continue
-            pipeline.patience = PATIENCE if source.busy else patience
+            pipeline.busy = source.busy
             pipeline.events(events)
             for event in events:
                 if isinstance(event, Line) and event.event == "unplugged":

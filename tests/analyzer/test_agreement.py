@@ -27,7 +27,7 @@ from bilprov.analyzer.export.rows import NoPyarrow, write_parquet, write_text
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import JsonText, Shown, StreamOutput, Window, stream_output
 from bilprov.analyzer.output.statistics import Rates, Statistics
-from bilprov.analyzer.pipeline import Pipeline
+from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.capture_decoding import (
     Opened,
     capture_decoder,
@@ -199,6 +199,26 @@ def shown(
         at, turn = at + len(batch), turn + 1
     pipeline.finish()
     return "".join(text), _counts(statistics, now)
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_busy_line_is_decoded_ten_times_a_second(protocol: Protocol, busy: bool) -> None:
+    text: list[str] = []
+    shown = Shown(StreamOutput(text.append, JsonText()))
+    pipeline = Pipeline(StreamDecoder(protocol), Statistics(), shown)
+    pipeline.busy = busy
+    first, answer = conversation([(b"\0", b"\0")], latency=50 * MS)
+    pipeline.events([first])
+    assert bool(text) is not busy
+    pipeline.events([answer])
+    assert bool(text) is not busy
+    if busy:
+        assert pipeline.deadline == first.t + BATCH
+        pipeline.advance(first.t + BATCH - 1)
+        assert not any(text)
+        pipeline.advance(first.t + BATCH)
+    lines = "".join(text).splitlines()
+    assert [json.loads(line)["direction"] for line in lines] == ["host", "device"]
 
 
 @pytest.mark.slow
