@@ -86,9 +86,8 @@ def browse_picture(protocol: Protocol) -> str:
     recording = Recording(protocol)
     for part in drive_parts(protocol):
         recording.add(part)
-    byte_time = line_settings(protocol).byte_time
     feed: Feed[None] = Feed(recording, lambda feed: None, stays=True)
-    screen = Browser(feed, Told("drive.mcap", 0, byte_time))
+    screen = Browser(feed, Told("drive.mcap", 0, line_settings(protocol)))
 
     async def taken() -> str:
         async with screen.run_test(size=_SCREEN) as pilot:

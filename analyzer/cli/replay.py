@@ -223,7 +223,7 @@ class _Replay:
         told = Told(
             capture.path.name,
             capture.start,
-            capture_line(capture, self.protocol).byte_time,
+            capture_line(capture, self.protocol),
             self.rows,
             options.shown.expression or "",
             self.test,

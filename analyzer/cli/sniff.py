@@ -241,9 +241,9 @@ def sniff(options: SniffOptions) -> int:
             feed = Feed(Recording(protocol), watched, stopper.stop, live=True)
             feed.keeps = isinstance(recorder, Spool)
             told = Told(
-                f"{title} {settings}",
+                title,
                 source.start_wall,
-                settings.byte_time,
+                settings,
                 rows,
                 options.shown.expression or "",
                 test,

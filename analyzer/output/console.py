@@ -43,8 +43,8 @@ NARROW = "bilprov-narrow"
 """The error handler of what is written in any encoding: signs that it lacks are ASCII ones."""
 _ASCII = dict(
     zip(
-        "→←◆…▸▾█░┼●○▲▼▪■↻↺▁▂▃▄▅▆▇▏▎▍▌▋▊▉─━│┌┐└┘╭╮╰╯",
-        "><*~+-#.+*o^v.x)(..:-=+*#######-=|++++++++",
+        "→←◆…·▸▾█░┼●○▲▼▪■↻↺▁▂▃▄▅▆▇▏▎▍▌▋▊▉─━│┌┐└┘╭╮╰╯",
+        "><*~-+-#.+*o^v.x)(..:-=+*#######-=|++++++++",
         strict=True,
     )
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import time
 from collections.abc import Callable
@@ -39,6 +40,7 @@ from bilprov.analyzer.screen.keys import ALIASES, BINDINGS, Help
 from bilprov.analyzer.screen.panes import figures, head_line, picture, status_line
 from bilprov.analyzer.screen.prompt import REFUSAL, Prompt, Question, row_of
 from bilprov.analyzer.screen.recording import Recording, View, export, new_file, rows_file
+from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.text import quantity
 from bilprov.spec.codec import spaced
 
@@ -59,13 +61,13 @@ class Told:
     """What the screen shows beside the rows.
 
     `title` names the file or the ports, `start_wall` is the wall clock (ns since 1970) at t = 0,
-    `byte_time` ns a byte on the line. `expression` and `test` are the filter to begin with. A
+    `line` has the settings of the line. `expression` and `test` are the filter to begin with. A
     capture is played `rate` times as fast as it was recorded, at 0 without pauses.
     """
 
     title: str
     start_wall: int
-    byte_time: int
+    line: LineSettings
     rows: RowStyle = field(default_factory=RowStyle)
     expression: str = ""
     test: Filter | None = None
@@ -140,6 +142,7 @@ class Browser(App[str | None]):
     def on_mount(self) -> None:
         """Begin."""
         self.frames.focus()
+        self.car.display = bool(self._recording.protocol.variables)
         if self._recording.rows:  # the first page is not to wait for the rest
             self.call_after_refresh(self.feed.start)
         else:  # a line, which waits for nobody
@@ -148,6 +151,11 @@ class Browser(App[str | None]):
         if self.told.test is not None:
             self._filter(self.told.expression, self.told.test)
         self.tick()
+        self.call_after_refresh(self._begun)
+
+    def _begun(self) -> None:
+        """Draw the next rows as soon as they come, however long the first layout took."""
+        self._drawn_at = -math.inf
 
     @property
     def failure(self) -> Exception | None:
@@ -269,7 +277,7 @@ class Browser(App[str | None]):
 
     def _show_figures(self) -> None:
         totals, live = self._recording.totals, self.feed.rates
-        lines = figures(totals, live, self.told.byte_time, self.figures.size.width)
+        lines = figures(totals, live, self.told.line.byte_time, self.figures.size.width)
         self._write(self.figures, Text("\n", no_wrap=True).join(lines))
 
     def _show_bars(self) -> None:
@@ -278,8 +286,8 @@ class Browser(App[str | None]):
         doing = "following" if self.follows else ""
         if self._playing:
             doing = f"playing {self._playing() / 1e9:.1f} s"
-        line = head_line(self.told.title, feed, self.frames, doing, self.filter_text, width)
-        self._write(self.head, line)
+        told = self.told.title, str(self.told.line)
+        self._write(self.head, head_line(*told, feed, self.frames, doing, self.filter_text, width))
         work = self._working("filter", "export")
         doing = f"{work.name} {work.progress or 0:.0f}%" if work else ""
         self._write(self.status, status_line(doing, feed, self.said, width))

@@ -21,6 +21,7 @@ from bilprov.analyzer.output.text_lines import hex_width
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.signs import CUT, MARK, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
 from bilprov.captures.text import printable
+from bilprov.spec.fields import Outcome
 
 NO = Column("no", "no", 6, "the number of the row", lambda r: "", right=True)
 DELTA = Column("delta", "+ms", 8, "ms since the row above", lambda r: "", right=True)
@@ -84,8 +85,8 @@ class FrameList(ScrollView, can_focus=True):
         self.time_style: TimeStyle = TimeStyle.RELATIVE if relative else asked
         self._start_wall = start_wall
         self._recording = recording
-        protocol = recording.protocol
-        self._bytes_widths = hex_width(protocol), 3 * protocol.longest_frame - 1
+        self._bytes_width = hex_width(recording.protocol)
+        self._longest = 0  # bytes of the longest row that was drawn
         self._first = 0  # the first row of the view when it was last drawn
         self._lines: dict[int, Text] = {}
 
@@ -227,7 +228,7 @@ class FrameList(ScrollView, can_focus=True):
             self._padded(names.get(column, column.heading), room, column.right)
             for column, room in self._widths(width)
         ]
-        return Text(" " * _FRONT + " ".join(cells), "dim")
+        return Text.assemble((" " * _FRONT + " ".join(cells), "dim"))
 
     def _rows(self, first: int, stop: int, width: int) -> Iterator[Text]:
         """The lines of the rows at the positions from `first` to before `stop`."""
@@ -235,6 +236,8 @@ class FrameList(ScrollView, can_focus=True):
         rows = self.view.rows(first - before, stop)
         records = self._recording.records(rows)
         previous = records[0].t if records else 0
+        framed = (one for one in records if isinstance(one, HostRecord | DeviceRecord))
+        self._longest = max(self._longest, *(len(one.data) for one in framed), 0)
         for number, (row, record) in enumerate(zip(rows, records, strict=False)):
             if number or not before:
                 yield self._line(row, record, previous, width)
@@ -249,9 +252,8 @@ class FrameList(ScrollView, can_focus=True):
         for column in self.columns or usual:
             room = self._room(column)
             if column is BYTES and not self.columns:
-                most, longest = self._bytes_widths
-                room = max(room, min(most, room + spare))
-                room = max(room, min(longest, room + spare - _WORDY))
+                room = max(room, min(self._bytes_width, room + spare))
+                room = max(room, min(3 * self._longest - 1, room + spare - _WORDY))
             if column is BYTES and width < _LEAST[NO.name]:
                 room -= 3
             if fitting and left < min(room, 8):
@@ -333,6 +335,8 @@ def words_of(record: Record) -> tuple[str, str]:
         expected = f"{record.words}, expected {record.answered.response.name}"
         if record.reply is None or not record.reply.reason:
             return expected, ""
+    if isinstance(record, HostRecord) and _tells_how_short(record):
+        return printable(record.words), printable(record.note)
     if isinstance(record, HostRecord | DeviceRecord):
         return printable(record.words), printable(record.reason)
     if isinstance(record, LineRecord):
@@ -340,3 +344,11 @@ def words_of(record: Record) -> tuple[str, str]:
         where = f"{printable(line.tap)} line" if line.tap else "line"
         return f"{where} {printable(line.event)}", printable(line.detail)
     return printable(record.fault.kind), printable(record.fault.reason)
+
+
+def _tells_how_short(record: HostRecord) -> bool:
+    """Whether the words of a row have all of the reason: how many of its bytes came."""
+    judgement = record.judgement
+    if judgement is None or judgement.id < 0:
+        return False
+    return judgement.truncated and judgement.outcome is Outcome.TOO_FEW

@@ -149,19 +149,27 @@ _LEAST = "  ? help  q quit"  # the keys beside what is told
 
 
 def head_line(
-    title: str, feed: Feed[Any], frames: FrameList, doing: str, expression: str, width: int
+    title: str,
+    line: str,
+    feed: Feed[Any],
+    frames: FrameList,
+    doing: str,
+    expression: str,
+    width: int,
 ) -> Text:
-    """What is shown and recorded, and how many rows of how many, which is never cut.
+    """What is shown, by which grammar, and recorded, and how many rows of how many, never cut.
 
     `doing` is how the chosen row moves by itself, `expression` the filter; both "" for none.
     """
     left = Text(f"/ {printable(expression)}  " if expression else "", "bold cyan", end="")
-    left = Text.assemble(left, (printable(title), "bold"))
+    protocol = feed.recording.protocol
+    grammar = f" · {printable(protocol.name)} {printable(protocol.version)} · {line}"
+    left = Text.assemble(left, (printable(title), "bold"), (grammar, "dim"))
     if feed.captured:
         left.append(f"  {RECORDS} {printable(feed.captured)}")
     shown, rows = frames.count - frames.view.first, feed.recording.rows - feed.recording.first
     share = feed.progress  # its thread may be done at any moment
-    right = Text(f"  reading {share:.0%}" if share is not None else f"  {doing}")
+    right = Text(f"  reading {share:.0%}" if share is not None else doing and f"  {doing}")
     if frames.held is not None:
         waiting = frames.view.count - frames.count
         right = Text.assemble("  ", (f"paused, {waiting:,} waiting", "bold reverse"))
@@ -205,5 +213,5 @@ def _told(doing: str, feed: Feed[Any], said: str) -> Text:
 
 def _spread(left: Text, right: Text, width: int) -> Text:
     """Two texts at the ends of a line, of which the right one is never cut."""
-    left.truncate(max(0, width - right.cell_len), overflow="crop", pad=True)
+    left.truncate(max(0, width - right.cell_len), overflow="ellipsis", pad=True)
     return left + right

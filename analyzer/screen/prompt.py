@@ -155,7 +155,7 @@ class Prompt(Vertical):
 
 _NUMBER = re.compile(r"(?P<number>\d+(?:\.\d*)?) ?(?P<unit>us|ms|s)?")
 _UNITS = {"us": 1e3, "ms": 1e6, "s": 1e9}
-REFUSAL = "give the number of a row like 120, or a time like 12.5s, 300ms or 14:03:20"
+REFUSAL = "give a row like 120, or a time like 12.5s, 300ms or 14:03:20"
 
 
 def row_of(text: str, start_wall: int, zone: tzinfo | None, row_at: Callable[[int], int]) -> int:

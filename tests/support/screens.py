@@ -20,6 +20,7 @@ from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.screen.browser import Browser, Told
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.recording import Recording
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 
@@ -42,7 +43,7 @@ def browser(
             feed.recording.add(batch)
 
     feed = Feed(Recording(protocol), add, live=live, stays=True)
-    return Browser(feed, Told("a test", 0, 86_805, **told))
+    return Browser(feed, Told("a test", 0, line_settings(protocol), **told))
 
 
 def operated(screen: Browser, steps: Steps, size: tuple[int, int] = (120, 40)) -> str | None:

@@ -146,7 +146,7 @@ def test_keys_move_through_the_rows(
         ("'", "no row is marked"),
         ("2j y", "copied: bilprov send PORT '11 00'"),
         ("y", "no frame to copy"),
-        (":soon enter", "give the number of a row like 120"),
+        (":soon enter", "give a row like 120"),
         ("/speeed<9 enter", "is not a name here: did you mean speed?"),
         ("/agr", "agrees: whether the answer is the expected one"),
         ("x", "NAME.csv or NAME.jsonl"),
@@ -194,6 +194,51 @@ def test_neither_high_row_numbers_nor_long_pauses_are_cut(screen: Browser) -> No
         screen.feed.recording.rows = 12_345_678
         line = screen.frames._line(12_345_677, record, record.t - 2_000_000 * MS, 80).plain
         assert line.split()[:3] == ["12345678", "0.0000", "2000000"]
+
+    operated(screen, steps)
+
+
+def test_the_head_has_the_grammar_and_the_line_and_the_heading_is_dim(screen: Browser) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        assert text_of(screen)[0].startswith("a test · robot-car 1.1 · 115200 8N1   ")
+        styles = [segment.style for segment in screen.frames.render_line(0) if segment.text.strip()]
+        assert all(style and style.dim for style in styles)
+        await pilot.resize_terminal(40, 10)
+        await pilot.press(":")
+        await pilot.pause()
+        assert "…  121 rows" in text_of(screen)[0]
+        assert text_of(screen)[-1].endswith("…")
+
+    operated(screen, steps)
+
+
+def test_bytes_are_as_wide_as_the_longest_row_and_how_short_a_frame_is_stands_once(
+    screen: Browser,
+) -> None:
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        await pilot.press("n")
+        await pilot.pause()
+        heading, *_ = (line for line in text_of(screen) if "bytes" in line)
+        assert heading.index("what") - heading.index("bytes") < 20
+        rows = [line for line in text_of(screen)[:30] if line.startswith("!")]
+        assert rows
+        assert not any("announced" in row for row in rows)
+
+    operated(screen, steps, (200, 60))
+
+
+def test_the_first_row_of_a_quiet_line_is_drawn_when_it_comes(
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bilprov.analyzer.screen.browser._DRAWING_SHARE", 1e-9)
+    screen = browser(protocol, [], live=True)
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        (batch,) = decoded(protocol, [Line(0, "open", "", "a port")])
+        screen.feed.recording.add(batch)
+        screen.tick()  # what the first layout took is no reason to wait
+        await pilot.pause()
+        assert any("time  0.000000000 s" in line for line in text_of(screen))
 
     operated(screen, steps)
 

@@ -151,3 +151,10 @@ def test_a_grammar_without_a_state_has_no_line_of_it() -> None:
     asked = build(protocol, "ReadCoils", {"address": 1, "start": 0, "quantity": 8})
     (batch,) = told(StreamDecoder(protocol), [Chunk(0, "host", asked)], [1])
     assert "state" not in {one.label for one in details(protocol, batch.records()[0], state=True)}
+    screen = browser(protocol, [batch])
+
+    async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
+        assert not screen.car.display
+        assert screen.figures.region.y == screen.frames.region.y
+
+    operated(screen, steps)
