@@ -19,6 +19,7 @@ from prompt_toolkit.completion import CompleteEvent, Completer, Completion
 from prompt_toolkit.document import Document
 from prompt_toolkit.formatted_text import StyleAndTextTuples
 from prompt_toolkit.history import FileHistory, History, InMemoryHistory
+from prompt_toolkit.key_binding import KeyBindings
 from prompt_toolkit.patch_stdout import patch_stdout
 
 from bilprov.analyzer.cli.options import note
@@ -120,6 +121,7 @@ class Prompt:
             complete_while_typing=False,
             enable_suspend=True,
             history=_history(),
+            key_bindings=_keys(),
             reserve_space_for_menu=_MENU,
         )
 
@@ -221,6 +223,13 @@ class _FileHistory(FileHistory):
         with suppress(OSError):
             Path(os.fsdecode(self.filename)).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             super().store_string(string)
+
+
+def _keys() -> KeyBindings:
+    r"""Ctrl-\, which is no signal while a line is typed, ends the shell as the signal does."""
+    keys = KeyBindings()
+    keys.add("c-\\")(lambda event: signal.raise_signal(signal.SIGQUIT))
+    return keys
 
 
 def _history() -> History:
