@@ -173,13 +173,17 @@ class PortName(click.ParamType):  # type: ignore[type-arg]  # takes arguments si
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem[str]]:
-        """The ports of this machine, or files where none begins so."""
+        """The devices of the settings and the ports of this machine, or files: what begins so."""
         from click.shell_completion import CompletionItem
 
         from bilprov.analyzer.transport.ports import list_ports
 
-        found = [port for port in list_ports() if port.path.startswith(incomplete)]
-        items = [CompletionItem(port.path, help=port.description) for port in found]
+        known = {port.path: port.description for port in list_ports()}
+        for table, device in ctx.meta.get(META, {}).items():
+            if table.startswith(_DEVICE):
+                known[table.removeprefix(_DEVICE)] = str(device[PORT])
+        found = ((name, help) for name, help in known.items() if name.startswith(incomplete))
+        items = [CompletionItem(name, help=help) for name, help in found]
         return items or [CompletionItem(incomplete, type="file")]
 
 

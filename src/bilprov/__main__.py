@@ -185,7 +185,7 @@ class Tree(Group):
             command.short_help = row.help
         if not any(param.name == "grammar" for param in command.params):
             command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
-        if not ctx.resilient_parsing and not any(word in rest for word in HELP_NAMES):
+        if not any(word in rest for word in HELP_NAMES):
             from bilprov.analyzer.cli.settings import read_settings, use_settings
 
             use_settings(ctx, command, self.path + name, read_settings(COMMANDS))

@@ -155,6 +155,17 @@ def test_values_are_offered(line: str, some: list[str]) -> None:
     assert set(some) <= set(offered(line))
 
 
+def test_the_devices_of_the_settings_are_offered_for_a_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    (tmp_path / "bilprov").mkdir()
+    file = tmp_path / "bilprov" / "config.toml"
+    file.write_text("[device.car]\nport = 'COM7'\n[device.van]\nport = 'COM8'\n")
+    assert offered("bilprov send c") == ["plain,car"]
+    assert {"plain,car", "plain,van"} <= set(offered("bilprov sniff --bridge "))
+
+
 def test_an_error_on_the_line_prints_nothing(tmp_path: Path) -> None:
     assert offered(f"bilprov --grammar {tmp_path}/absent.py simulate --fault ec") == []
 
