@@ -9,12 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 from bilprov.analyzer.client.operations import Procedure, followed, listen, power_cycle
 from bilprov.captures.text import quantity
-from bilprov.conformance.causes.exchanges import ANSWER, MOTION, Exchanges, Timing
+from bilprov.conformance.causes.exchanges import (
+    ANSWER,
+    MOTION,
+    TRUNCATED,
+    Deviation,
+    Exchanges,
+    Timing,
+)
 from bilprov.conformance.causes.features import Literal, Rule, features, matches
 from bilprov.conformance.causes.relations import Effect
 from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, shown_in
 from bilprov.conformance.causes.trace import Trace
-from bilprov.conformance.oracle.judge import code_words
+from bilprov.conformance.oracle.judge import code_words, deviation
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import Cause, Verdict, WireEvent
 from bilprov.conformance.runner.homing import home_after
@@ -37,11 +44,15 @@ _WHILE = 10_000_000_000
 
 @dataclass(slots=True)
 class _Explanation:
-    """A cause, lines to try, and whether the first shows it (None where it was not tried)."""
+    """A cause, lines to try, and whether the first shows it (None where it was not tried).
+
+    `deviation` is the one that it then showed.
+    """
 
     found: Found
     lines: list[Line]
     shown: bool | None = None
+    deviation: Deviation | None = None
     log: tuple[WireEvent, ...] = ()
 
 
@@ -121,7 +132,8 @@ class Explainer:
         yield from self._home()
         shown = shown_in(found, line, Exchanges(run.model, trace.events, self.timing))
         if shown is not None:
-            explanation.lines, explanation.log = [shown], log.of("")
+            explanation.lines, explanation.deviation = [shown.line], shown.deviation
+            explanation.log = log.of("")
         return shown is not None
 
     def _home(self) -> Procedure[None]:
@@ -177,7 +189,22 @@ class Explainer:
             send=explanation.lines[0].words,
             tried=shown is not None,
             log=explanation.log,
+            shown=_shown(self._run.protocol, explanation.deviation),
         )
+
+
+def _shown(protocol: Protocol, seen: Deviation | None) -> str:
+    """Return what deviated in words: `steering is 1, expected -255`."""
+    if seen is None:
+        return ""
+    if seen.facet != ANSWER:
+        return deviation(seen.facet, seen.expected, seen.seen)
+    due = f"expected {_code(protocol, seen.expected)}"
+    if seen.how == "late":
+        return f"the answer came after {seen.seen} ms"
+    if seen.how == "extra":
+        return f"{seen.seen} answers, {due} once"
+    return f"answered {_code(protocol, seen.seen)}, {due}"
 
 
 def _tried(shown: bool | None) -> str:
@@ -216,26 +243,31 @@ def _ranges(literals: Sequence[Literal]) -> Iterator[str]:
         if operator == "to" and low:
             continue
         if operator == "from" and high:
-            yield literal.feature.words.format(f"{literal.value} to {high.value}")
+            feature = literal.feature
+            yield feature.words.format(f"{literal.value} to {high.value}{feature.unit}")
         else:
             yield _literal(literal)
 
 
-_BESIDE = {
-    "from": "{} or more",
-    "to": "{} or less",
-    "bit": "(bit {} set)",
-    "no bit": "(bit {} clear)",
-}
-"""How a value is named under an operator."""
+_BESIDE = {"from": " or more", "to": " or less"}
+"""What follows a value under an operator."""
+_BITS = {"bit": "set", "no bit": "clear"}
+_PLURALS = ("frames", "bytes", "faults")
 
 
 def _literal(literal: Literal) -> str:
     value: Any = literal.value
-    if literal.operator == "every":
+    words, operator = literal.feature.words, literal.operator
+    if operator == "every":
         return f"at one in {value[0]} of the {literal.feature.name} since power-on"
-    value = " or ".join(value) if literal.operator == "in" else value
-    return literal.feature.words.format(_BESIDE.get(literal.operator, "{}").format(value))
+    if operator in _BITS:
+        return words.replace(" ", f" bit {value} of ", 1).format(_BITS[operator])
+    if operator == "is" and value == 1:
+        plural = next((plural for plural in _PLURALS if plural in words), "")
+        words = words.replace(plural, plural[:-1], 1)
+    kinds = value if operator == "in" else (value,)
+    value = " or ".join("a truncated frame" if kind == TRUNCATED else str(kind) for kind in kinds)
+    return words.format(f"{value}{literal.feature.unit}{_BESIDE.get(operator, '')}")
 
 
 def deviations(protocol: Protocol, effects: Sequence[Effect]) -> str:
@@ -249,7 +281,6 @@ def deviations(protocol: Protocol, effects: Sequence[Effect]) -> str:
 
 def _effect(protocol: Protocol, effect: Effect) -> str:
     relation = effect.relation
-    deviation = effect.bags[0].deviation
     late = {"changed": " after a while", "late": " late"}.get(relation.how, "")
     if relation.facet == ANSWER:
         return _answer(protocol, effect)
@@ -265,8 +296,8 @@ def _effect(protocol: Protocol, effect: Effect) -> str:
         motion = f"is {seen.pop()}" if len(seen) == 1 else motion
         return motion.replace("_", " ") + late
     if relation.how == "late":
-        return f"{deviation.facet} changes late"
-    return f"{deviation.facet} {relation.words}{late}"
+        return f"{relation.facet} changes late"
+    return f"{relation.facet} {relation.words}{late}"
 
 
 def _answer(protocol: Protocol, effect: Effect) -> str:

@@ -32,7 +32,7 @@ class Feature:
     `of` gives its value: a word, a number, or None where the exchange has none. `cost` ranks
     features that explain equally well: the lower is named. `bits` is how many bits of a number may
     matter each for itself, `counts` whether every n-th may matter. `words` has `{}` where the value
-    stands; a `subject` names the frame itself.
+    and its `unit` stand; a `subject` names the frame itself.
     """
 
     name: str
@@ -42,6 +42,7 @@ class Feature:
     bits: int = 0
     counts: bool = False
     subject: bool = False
+    unit: str = ""
 
 
 def features(protocol: Protocol) -> tuple[Feature, ...]:
@@ -61,12 +62,12 @@ def _of_frames(protocol: Protocol) -> Iterator[Feature]:
     yield Feature("stops", partial(_stops, protocol), "{}", 1, subject=True)
     yield Feature("outcome", lambda e: _whole(e, e.judgement.outcome.value), "{}", 0, subject=True)
     yield Feature("instruction", _instruction, "{}", 1, subject=True)
-    yield Feature("cut", lambda e: "cut short" if e.step.truncated else "complete", "{}", 1)
+    yield Feature("cut", lambda e: "cut short" if e.step.truncated else "not cut short", "{}", 1)
     yield Feature("id", lambda e: e.judgement.id, "with ID {}", 2, protocol.ids[-1].bit_length())
     bits = protocol.data_lengths[-1].bit_length()
     yield Feature("length", lambda e: e.judgement.length, "with announced length {}", 2, bits)
     yield Feature("arrived", lambda e: len(e.step.frame) - 1, "with {} data bytes", 3)
-    yield Feature("surplus", _surplus, "with {} more data bytes than it takes", 3)
+    yield Feature("surplus", _surplus, "with {} data bytes too many", 3)
 
 
 def _fault(exchange: Exchange) -> str:
@@ -75,7 +76,7 @@ def _fault(exchange: Exchange) -> str:
 
 def _instruction(exchange: Exchange) -> str:
     judgement = exchange.judgement
-    return f"an instruction {judgement.name}" if judgement.instruction else "an unused ID"
+    return f"any {judgement.name} frame" if judgement.instruction else "an unused ID"
 
 
 def _stops(protocol: Protocol, exchange: Exchange) -> str:
@@ -134,18 +135,23 @@ def _moved(exchange: Exchange) -> str | None:
 
 
 def _of_delivery() -> Iterator[Feature]:
-    yield Feature("sent ahead", lambda e: "sent ahead" if e.ahead else "waited for", "{}", 2)
+    yield Feature("sent ahead", lambda e: "sent ahead" if e.ahead else "not sent ahead", "{}", 2)
     yield Feature("ahead", lambda e: e.ahead, "with {} frames before it not answered yet", 3)
-    yield Feature("split", lambda e: "split" if e.pauses else "in one go", "{}", 2)
-    yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} ms inside", 5)
+    yield Feature("split", lambda e: "sent in pieces" if e.pauses else "sent in one piece", "{}", 2)
+    yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} inside", 5, unit=" ms")
     yield Feature(
         "looked",
         lambda e: None if e.looked is None else e.looked // MS,
-        "when it is looked at {} ms after it",
+        "when it is observed {} after it",
         3,
+        unit=" ms",
     )
     yield Feature(
-        "gap", lambda e: None if e.gap is None else e.gap // MS, "{} ms after the frame before", 5
+        "gap",
+        lambda e: None if e.gap is None else e.gap // MS,
+        "{} after the frame before",
+        5,
+        unit=" ms",
     )
 
 
@@ -169,7 +175,9 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
     kinds.append(IN_A_ROW)
     yield Feature("row", lambda e: e.history.row, "with {} faults in a row before it", 3)
     for kind in kinds:
-        yield Feature(f"since {kind}", _since(kind), f"with {kind} {{}} frames before it", 6)
+        yield Feature(
+            f"since {kind}", _since(kind), f"{{}} frames after the last {_LAST.get(kind, kind)}", 6
+        )
     for one in kinds:
         for other in kinds:
             if one < other:

@@ -17,7 +17,7 @@ from bilprov.analyzer.client.operations import (
 )
 from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS
-from bilprov.conformance.causes.exchanges import Exchange, Exchanges, Timing, repeats
+from bilprov.conformance.causes.exchanges import Deviation, Exchange, Exchanges, Timing, repeats
 from bilprov.conformance.causes.features import Feature, matches
 from bilprov.conformance.causes.relations import Effect
 from bilprov.conformance.causes.trace import Trace
@@ -42,7 +42,7 @@ _SETTLED = 20 * MS
 """How long (ns) a device has for a change after its last answer, before it is looked at again."""
 _DELIVERY = {"ahead", "sent ahead", "split", "pause", "gap"}
 """Features that only frames sent by their times, and not by their answers, show..."""
-_USUAL = {"in one go", "waited for"}
+_USUAL = {"sent in one piece", "not sent ahead"}
 """...but for these values of theirs."""
 
 
@@ -218,8 +218,15 @@ class Finder:
         return line
 
 
-def shown_in(cause: Cause, line: Line, exchanges: Exchanges) -> Line | None:
-    """Return a line up to the frame at which it has shown the cause, None where it has not.
+class Shown(NamedTuple):
+    """A line up to the frame at which it has shown a cause, and the deviation there."""
+
+    line: Line
+    deviation: Deviation
+
+
+def shown_in(cause: Cause, line: Line, exchanges: Exchanges) -> Shown | None:
+    """Return how a line has shown the cause, None where it has not.
 
     That is its last frame, or one before at which the cause would show.
     """
@@ -232,9 +239,9 @@ def shown_in(cause: Cause, line: Line, exchanges: Exchanges) -> Line | None:
         for effect, exchange in product(explaining, reversed(bag.exchanges)):
             behind = last.history.frames - exchange.history.frames
             if not behind:
-                return line
+                return Shown(line, bag.deviation)
             if behind < line.frames and _shown(cause, [effect], exchange):
-                return line.without_last(behind)
+                return Shown(line.without_last(behind), bag.deviation)
     return None
 
 

@@ -181,7 +181,7 @@ class Cause(msgspec.Struct, frozen=True):
     worst axis of the case that it fails (answer, stop or state), `clause` the one that it violates,
     `cases` the ids of the cases that it explains, `others` how many cases met the condition and
     were right. `send` are arguments of `bilprov send PORT` that show it; `tried` whether they were
-    tried on the device, and `log` what then passed over the wire.
+    tried on the device, `log` what then passed over the wire, and `shown` what deviated there.
     """
 
     sentence: str
@@ -193,6 +193,7 @@ class Cause(msgspec.Struct, frozen=True):
     send: tuple[str, ...]
     tried: bool = False
     log: tuple[WireEvent, ...] = ()
+    shown: str = ""
 
 
 def exit_code(verdicts: Iterable[Verdict], *, strict: bool = False) -> int:

@@ -57,6 +57,8 @@ def _causes(report: Report) -> Iterator[str]:
     for cause in report.causes:
         yield f"{cause.sentence}  {cause.clause}"
         yield f"again     {report.send_line(cause)}"
+        if cause.shown:
+            yield f"shows     {cause.shown}"
 
 
 def _suite(root: Element, report: Report, name: str) -> Element:

@@ -102,10 +102,12 @@ def _causes(report: Report) -> Iterator[str]:
     for number, cause in enumerate(report.causes[:_FIRST], 1):
         yield f"{number}. {prose(cause.sentence)}, {prose(cause.clause)}"
         yield _block(report.send_line(cause))
+        if cause.shown:
+            yield f"It shows: {prose(cause.shown)}."
     if len(report.causes) > _FIRST:
         yield f"and {len(report.causes) - _FIRST} more causes."
     if report.causes and report.unexplained:
-        yield f"{quantity(report.unexplained, 'failed case')} of no cause found."
+        yield f"No cause found for {quantity(report.unexplained, 'failed case')}."
 
 
 def _table(report: Report) -> Iterator[str]:

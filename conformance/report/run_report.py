@@ -239,13 +239,19 @@ def run_facts(report: Report) -> dict[str, str]:
     return {name: words for name, words in told.items() if words}
 
 
+_SENT = 1_000
+"""Characters of what was sent that are shown."""
+
+
 def evidence(result: CaseResult) -> list[tuple[str, str]]:
     """Labels and words: what was sent, and what was expected and seen on the axes not passed.
 
     Of a case that failed these are the axes that failed.
     """
-    frames = f"{result.frames} frames, made again with --only {result.id}"
-    rows = [("sent", " | ".join(result.sent) or (frames if result.counted else "nothing"))]
+    sent = " | ".join(result.sent) or "nothing"
+    if result.counted or (result.frames and len(sent) > _SENT):
+        sent = f"{result.frames} frames, made again with --only {result.id}"
+    rows = [("sent", sent)]
     for name, axis in result.axes.items():
         if axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
             continue

@@ -87,8 +87,10 @@ def _causes(report: Report, console: Console) -> None:
         console.print(
             Text.assemble(("      again     ", "dim"), report.send_line(cause)), soft_wrap=True
         )
+        if cause.shown:
+            console.print(Text.assemble(("      shows     ", "dim"), cause.shown))
     if report.causes and report.unexplained:
-        console.print(Text(f"{quantity(report.unexplained, 'failed case')} of no cause found"))
+        console.print(Text(f"no cause found for {quantity(report.unexplained, 'failed case')}"))
 
 
 def _not_passed(report: Report, console: Console, *, everything: bool) -> None:

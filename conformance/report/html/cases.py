@@ -155,6 +155,7 @@ class WireWords:
             elif event.kind == "sent":
                 yield self._sent(framer, event)
             else:
+                framer.advance(event.ns + self._timeout // 2)  # an answer ends a frame with a pause
                 codes = bytes.fromhex(event.hex)
                 yield _told(code_words(self._protocol, code) for code in codes)
 

@@ -109,7 +109,7 @@ def causes(reports: Sequence[Report], told: Sequence[str], protocol: Protocol) -
     for report, name in zip(reports, told, strict=True):
         if report.causes:
             words, left = WireWords(protocol, report), report.unexplained
-            unexplained = f"{quantity(left, 'failed case')} of no cause found"
+            unexplained = f"No cause found for {quantity(left, 'failed case')}."
             yield filled(
                 _PAGE / "causes.html",
                 title="Causes" if len(reports) == 1 else f"Causes: {name}",
@@ -129,6 +129,7 @@ def _cause(report: Report, cause: Cause, words: WireWords) -> Safe:
         clause=cause.clause,
         line=report.send_line(cause),
         wire=_wire(cause.log, words) if cause.log else "",
+        shown=tag("p", cause.shown, class_="shown") if cause.shown else "",
         count=quantity(len(cause.cases), "case"),
         links=joined(links),
     )

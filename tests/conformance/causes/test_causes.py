@@ -54,6 +54,7 @@ NAMED = [
     ),
     ("rotateleft-does-nothing", "state", "is stopped", "RotateLeft"),
     ("speed-bit-0-lost", "state", "speed lacks bit 0", "Speed"),
+    ("led-7-ignored", "state", "led stays as it was", "LED, with rgb 7"),
     ("random:96", "state", "led has bit 0 inverted", "LED"),
     ("speed-is-signed", "state", "speed is 256 minus the value", "Speed, with speed 131 or more"),
     ("every-16th-fault-missed", "stop", "does not stop", "at one in 16 of the faults"),
@@ -204,6 +205,21 @@ def test_an_answer_may_still_come_where_answers_are_often_late(
     assert (ANSWER in found.all[-1].right) == certain
 
 
+@pytest.mark.parametrize(("delay", "code", "cut"), [(30, 4, True), (30, 0, False), (20, 4, False)])
+def test_the_answer_to_a_frame_cut_short_may_come_before_its_time_out_was_noted(
+    protocol: Protocol, delay: int, code: int, *, cut: bool
+) -> None:
+    events = [
+        Done(Send(b"\x11"), 0),
+        Done(None, Received(((delay * MS, code),), 35 * MS)),
+        Done(Send(b"\x20"), 36 * MS),
+        Done(None, Received(((37 * MS, 0),), 40 * MS)),
+    ]
+    found = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS))
+    assert [one.kind for one in found.all] == (["truncated", "Forward"] if cut else ["Speed"])
+    assert all(one.right == {ANSWER} for one in found.all if cut)
+
+
 class Recorded:
     """The trace of a run against a faulty device, and the causes found in it."""
 
@@ -283,7 +299,11 @@ def test_its_line_shows_what_depends_on_more_than_a_rule_says(
 
 @pytest.mark.parametrize(
     ("name", "value", "together"),
-    [("split", "in one go", False), ("sent ahead", "waited for", False), ("gap", 16, True)],
+    [
+        ("split", "sent in one piece", False),
+        ("sent ahead", "not sent ahead", False),
+        ("gap", 16, True),
+    ],
 )
 def test_only_frames_that_depend_on_their_times_are_sent_together(
     protocol: Protocol, name: str, value: str | int, *, together: bool

@@ -203,6 +203,8 @@ def test_the_page_begins_with_what_to_mend_and_ends_with_the_facts(protocol: Pro
     places = [page.index(part) for part in parts]
     assert places == sorted(places)
     assert "LED rgb=8 (faulty, 02 BAD_DATA is due)" in page
+    assert f">{cause.shown}<" in page
+    assert cause.shown == "motion is backward, expected stopped"
     assert all(f"#case={ident}" in page for ident in cause.cases)
 
 
@@ -233,6 +235,14 @@ def test_after_the_time_out_a_byte_is_a_header_again(protocol: Protocol) -> None
         assert words(protocol, *log, **measured)[1] == "(goes on), Speed speed=32"
     assert words(protocol, *log, truncation_timeout_ms=25.0)[1] == "Forward"
     assert words(protocol, sent("11"), sent("20", 60))[1] == "Forward"
+
+
+def test_the_answer_to_a_frame_cut_short_may_come_before_its_time_out_was_noted(
+    protocol: Protocol,
+) -> None:
+    answer = WireEvent(0.045, "received", "04")
+
+    assert words(protocol, sent("11"), answer, sent("20", 46))[2] == "Forward"
 
 
 def test_answers_looks_and_gaps_are_told(protocol: Protocol) -> None:
