@@ -38,6 +38,7 @@ from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.cases.sweeps import (
+    again_and_again,
     bad_data_sweep,
     data_sweep,
     dense,
@@ -178,6 +179,7 @@ GENERATORS = (
         (30, 300, 1100),
         lambda of, count: [faults_alone(of.protocol, of.seed, count)],
     ),
+    Generator("sequence/again", (0, 1, 1), lambda of, _: again_and_again(of.protocol, of.seed)),
     *(Generator(f"{ARRAY}/{word}", (0, 1, 1), _combined(word)) for word in DELIVERED),
     Generator(AFTER, (0, 1, 5), _in_context(after_each_kind)),
     Generator(CUT, (0, 1, 10), _in_context(truncations)),

@@ -14,6 +14,7 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
 _LENGTH = 64  # bursts of a sequence
+_AGAIN = 20  # times that an instruction comes in a row
 _ROW, _ROWS = 150, 4  # instructions sent at once: more than a ring of 128 bytes holds
 
 
@@ -82,6 +83,16 @@ def faults_alone(protocol: Protocol, seed: int, count: int) -> SequenceCase:
     bursts += [Burst((inputs.next(kind),)) for kind in inputs.movers]
     what = f"{count} faults with nothing valid between them are answered, and change nothing else"
     return _sequence(protocol, "sequence/faults-alone", what, protocol.car.still, bursts)
+
+
+def again_and_again(protocol: Protocol, seed: int) -> Iterator[SequenceCase]:
+    """Each instruction many times in a row, with other data, while the robot moves at first."""
+    inputs = Inputs(protocol, seed)
+    motion = next(iter(moving_motions(protocol)), protocol.car.still)
+    for name in inputs.valid_kinds:
+        bursts = [Burst((inputs.next(name),)) for _ in range(_AGAIN)]
+        what = f"{name} is carried out each time, {_AGAIN} times in a row"
+        yield _sequence(protocol, f"sequence/again/{name}", what, motion, bursts)
 
 
 def soak(protocol: Protocol, seed: int, count: int) -> Iterator[SequenceCase]:

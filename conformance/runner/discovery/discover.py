@@ -187,14 +187,12 @@ def _judged(run: Run, best: Finding, case: Case) -> Axis:
                 worst = Axis(Verdict.INCONCLUSIVE, best.expected, best.actual, reason)
             continue
         reading = POINTS[point].reading
-        if POINTS[point].choice(word) is None:
-            reason = f"{reading}: {word}"
-            return Axis(Verdict.FAIL, best.expected, best.actual, reason, reading)
-        contradicts = run.profile.choices.record(point, word, case.id)
-        if contradicts:
-            return Axis(Verdict.FAIL, best.expected, best.actual, contradicts, reading)
-        verdict = verdict_of(point, word)
+        verdict, reason = Verdict.FAIL, f"{reading}: {word}"
+        if POINTS[point].choice(word) is not None:
+            contradicts = run.profile.choices.record(point, word, case.id)
+            if not contradicts:
+                verdict = verdict_of(point, word)
+            reason = contradicts or f"{word}: another reading of {reading}"
         if verdict > worst.verdict:
-            reason = f"{word}: another reading of {reading}"
             worst = Axis(verdict, best.expected, best.actual, reason, reading)
     return worst

@@ -132,18 +132,23 @@ def _send(run: Run, frame: bytes) -> Procedure[int]:
     return len(heard.answers)
 
 
-def _compared(protocol: Protocol, name: str, look: Look, full: State) -> str:
-    """What a look shows of a variable: kept as in `full`, reset, "" if it is not seen."""
-    value = getattr(look, name)
-    known = {None: "", getattr(full, name): Behaviour.KEPT, 0: Behaviour.RESET}
+def _compared(protocol: Protocol, name: str, before: Look, look: Look, full: State) -> str:
+    """What a look shows of a variable: kept as in `full`, reset, "" if it is not seen.
+
+    One that was not as in `full` when it was looked at `before` shows nothing.
+    """
+    wanted, was, value = getattr(full, name), getattr(before, name), getattr(look, name)
+    if was not in (None, wanted):
+        return f"{protocol.noun(name)} was {was} before, expected {wanted}"
+    known = {None: "", wanted: Behaviour.KEPT, 0: Behaviour.RESET}
     return known.get(value, f"{protocol.noun(name)} is {value}")
 
 
-def _steering(protocol: Protocol, look: Look, full: State) -> str:
+def _steering(protocol: Protocol, before: Look, look: Look, full: State) -> str:
     """What a moving robot's steering shows: kept, reset, "" if it cannot be told."""
     name = protocol.car.steering
     if getattr(look, name) is not None:
-        return _compared(protocol, name, look, full)
+        return _compared(protocol, name, before, look, full)
     if look.left is None or look.right is None or not look.moving:
         return ""
     return Behaviour.RESET if look.left == look.right else Behaviour.KEPT
@@ -155,6 +160,7 @@ def _move_on(
     """Find out what another motion instruction, `last`, leaves of the steering."""
     full, car = full_state(run.protocol, first), run.protocol.car
     lost = (yield from set_up(run, full)).missing
+    before = (yield from observe()).look
     yield from _send(run, fitted(run.protocol, last, full))
     look = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
     actual, blind = look_words(look), False
@@ -165,7 +171,7 @@ def _move_on(
         look = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
         actual += f"; driving again: {look_words(look)}"
         blind = _straightens(run, first)
-    word = "" if blind else point.word_of(_steering(run.protocol, look, full))
+    word = "" if blind else point.word_of(_steering(run.protocol, before, look, full))
     return Finding(((point.id, word),), "steering kept", actual, lost)
 
 
@@ -183,7 +189,7 @@ def _after(
     full = full_state(protocol, first)
     again_frame = fitted(protocol, first, full)
     lost = (yield from set_up(run, full)).missing
-    yield from watch(run, moving=True, patience=run.timers.deadline)
+    before = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
     yield from _send(run, frame)
     seen = yield from watch(run, moving=False, patience=run.timers.deadline)
     look, actual = seen.look, look_words(seen.look)
@@ -203,10 +209,10 @@ def _after(
         yield from _send(run, speed_frame)
         yield from _send(run, again_frame)
         again = (yield from watch(run, moving=True, patience=run.timers.deadline)).look
-    seen_now = {name: _compared(protocol, name, look, full) for name in protocol.settings}
+    seen_now = {name: _compared(protocol, name, before, look, full) for name in protocol.settings}
     if steering_seen is None:
         blind = _straightens(run, first)
-        seen_now[car.steering] = "" if blind else _steering(protocol, again, full)
+        seen_now[car.steering] = "" if blind else _steering(protocol, before, again, full)
     if speed_seen is None:
         moving = speed_again.moving
         seen_now[car.speed] = {None: "", True: Behaviour.KEPT, False: Behaviour.RESET}[moving]
@@ -281,8 +287,21 @@ def _watchdog(run: Run, *, first: InstructionSpec) -> Procedure[Finding]:
         elif stopped and seen.look.moving:
             return Finding(((point, ""),), expected, look_words(seen.look), "moved again by itself")
     fault = "sends although nothing was asked" if came else ""
+    if not stopped and not fault:
+        fault = yield from _ignored_fault(run)
     word = "stops" if stopped else "drives-on"
     return Finding(((point, word),), expected, look_words(seen.look), fault, came)
+
+
+def _ignored_fault(run: Run) -> Procedure[str]:
+    """Send a fault to a robot that has driven for long; say so if it does not stop it."""
+    if not run.protocol.unused_ids:
+        return ""
+    yield from _send(run, bytes([run.protocol.header_bytes[run.protocol.unused_ids[0], 0]]))
+    seen = yield from watch(run, moving=False, patience=run.timers.deadline)
+    seconds = run.timers.idle / 1e9
+    deaf = f"after it has driven for {seconds:g} s without a frame, a fault does not stop it"
+    return deaf if seen.look.moving else ""
 
 
 # -- the choices of the first frames, before homing resets the state ------------------------------

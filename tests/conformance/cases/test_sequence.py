@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
@@ -10,7 +11,7 @@ from itertools import pairwise, product
 import pytest
 from msgspec.structs import replace
 
-from bilprov.conformance.api import Options, select_cases
+from bilprov.conformance.api import Options, conform, select_cases
 from bilprov.conformance.cases.coverage import CUTS, TRIPLES, covered
 from bilprov.conformance.cases.levels import (
     INDEPENDENT_GROUPS,
@@ -21,6 +22,7 @@ from bilprov.conformance.cases.levels import (
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import FrameClass, Step
 from bilprov.conformance.cases.sweeps import soak
+from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.codec import judge
 from bilprov.spec.motion import Motion
@@ -322,8 +324,26 @@ def test_another_seed_makes_other_walks_with_the_same_ids(protocol: Protocol, le
 
     assert [sequence.id for sequence in one] == [sequence.id for sequence in two]
     same = {a.id for a, b in zip(one, two, strict=True) if sent(a)[1:] == sent(b)[1:]}
-    swept = ("sequence/data/", "sequence/bad-data/", "sequence/headers/", "pipelined/dense")
+    again = (f"sequence/again/{s.name}" for s in protocol.instructions if not s.length)
+    swept = (
+        *("sequence/data/", "sequence/bad-data/", "sequence/headers/", "pipelined/dense"),
+        *again,
+    )
     assert same == {sequence.id for sequence in one if sequence.id.startswith(swept)}
+
+
+def test_the_third_of_a_kind_in_a_row_is_tried(protocol: Protocol) -> None:
+    def darkened(device: Simulator, event: Event, reaction: Reaction) -> Reaction:
+        stops = event.judgement.name == "Stop"
+        row = device.memory["row"] = device.memory.get("row", 0) + 1 if stops else 0
+        dark = dataclasses.replace(reaction, state=reaction.state.but(led=0))
+        return dark if row == 3 else reaction
+
+    fault = Fault("x", "test", "", react=darkened)
+    report = conform(Simulator(protocol, fault), options=Options(only=("sequence/again/*",)))
+
+    failed = [result.id for result in report.results if result.verdict is Verdict.FAIL]
+    assert failed == ["sequence/again/Stop"]
 
 
 # -- another grammar ------------------------------------------------------------------------------
