@@ -272,11 +272,16 @@ def _literal(literal: Literal) -> str:
 
 def deviations(protocol: Protocol, effects: Sequence[Effect]) -> str:
     """Return what goes wrong in words: `does not stop and steering is off by -256`."""
-    words = dict.fromkeys(_effect(protocol, effect) for effect in effects)
+    worst_first = sorted(effects, key=lambda effect: not effect.keeps_moving)
+    words = dict.fromkeys(_effect(protocol, effect) for effect in worst_first)
     if {_NO_STOP, _LATE_STOP} <= words.keys():  # how late decides what an observation shows
         words = {"stops late or not at all": None} | words
         del words[_NO_STOP], words[_LATE_STOP]
-    return " and ".join(words)
+    of_one: dict[str, list[str]] = {}
+    for word in words:
+        subject, verb, value = word.partition(" is ")
+        of_one.setdefault(f"{subject}{verb}", []).append(value)
+    return " and ".join(head + " or ".join(values) for head, values in of_one.items())
 
 
 def _effect(protocol: Protocol, effect: Effect) -> str:

@@ -163,18 +163,33 @@ def changed_causes(first: Sequence[Cause], last: Sequence[Cause]) -> list[CauseC
     """What became of each cause: two are the same if their sentences are.
 
     One that is said in another way now, and explains a case that it explained before, is changed.
+    Of several it is the likest: one under the same condition, else the one with most cases alike.
     """
     said = {cause.sentence for cause in first} & {cause.sentence for cause in last}
-    left = [cause for cause in last if cause.sentence not in said]
+    new = {cause.sentence: cause for cause in last if cause.sentence not in said}
+    others = [cause for cause in first if cause.sentence not in said]
+    likeness = {
+        (before.sentence, after.sentence): (before.when == after.when, _alike(before, after))
+        for before in others
+        for after in new.values()
+        if set(before.cases) & set(after.cases)
+    }
+    became: dict[str, Cause] = {}
+    for before, after in sorted(likeness, key=likeness.__getitem__, reverse=True):
+        if before not in became and after in new:
+            became[before] = new.pop(after)
     changes = []
     for cause in first:
         if cause.sentence in said:
             changes.append(CauseChange("still there", cause))
-            continue
-        other = next((one for one in left if set(one.cases) & set(cause.cases)), None)
-        if other is None:
-            changes.append(CauseChange("gone", cause))
+        elif cause.sentence in became:
+            changes.append(CauseChange("changed", became[cause.sentence], cause.sentence))
         else:
-            left.remove(other)
-            changes.append(CauseChange("changed", other, cause.sentence))
-    return changes + [CauseChange("new", cause) for cause in left]
+            changes.append(CauseChange("gone", cause))
+    return changes + [CauseChange("new", cause) for cause in new.values()]
+
+
+def _alike(one: Cause, other: Cause) -> float:
+    """The share of the cases of two causes that both explain."""
+    cases, others = set(one.cases), set(other.cases)
+    return len(cases & others) / len(cases | others)

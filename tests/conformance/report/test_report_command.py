@@ -256,6 +256,18 @@ def a_cause(sentence: str, *cases: str) -> Cause:
     return Cause(sentence, "always", "stop", "section 2", cases, 0, ("81", "09"))
 
 
+def test_a_changed_cause_is_the_likest_one_before() -> None:
+    first = [a_cause("one", "a/1", "a/2", "a/3", "a/4"), a_cause("two", "a/1", "a/2")]
+    last = [a_cause("three", "a/1", "a/2", "a/5")]
+
+    changes = changed_causes(first, last)
+
+    assert [(c.change, c.cause.sentence, c.before) for c in changes] == [
+        ("gone", "one", ""),
+        ("changed", "three", "two"),
+    ]
+
+
 def test_causes_are_compared_by_their_sentences_then_by_their_cases() -> None:
     first = [a_cause("same", "a/1"), a_cause("all of 9", "a/2", "a/3"), a_cause("old", "a/4")]
     last = [a_cause("new", "a/5"), a_cause("same", "a/9"), a_cause("all of 8", "a/3")]
