@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -216,10 +214,6 @@ class _Replay:
 
         capture, options = self.capture, self.options
         feed = capture_feed(self.opened, self.protocol, self.test, options.shown.count, self.window)
-        # The screen has one line for it, so the file's name stands without its folder.
-        named = replace(capture, path=Path(capture.path.name))
-        sentences = (*said_about(named, self.protocol), self.opened.note)
-        feed.notice = "" if feed.live else "; ".join(filter(None, sentences))
         told = Told(
             capture.path.name,
             capture.start,

@@ -200,16 +200,20 @@ def require_begun(capture: Capture, start: int | None) -> None:
         )
 
 
-def said_about(capture: Capture, protocol: Protocol) -> Iterator[str]:
-    """Yield notes for the user about the file, each one line: unfinished, empty, damaged, other."""
+def said_about(capture: Capture, protocol: Protocol, *, is_written: bool = False) -> Iterator[str]:
+    """Yield notes for the user about the file, each one line: unfinished, empty, damaged, other.
+
+    A capture that is still being written (`is_written`) may well be unfinished and empty.
+    """
     name = printable(capture.path)
     gone = capture.number(CUT_START)
     if gone is not None and capture.in_parts:
         first = printable(capture.volumes[0].path.name)
         yield f"{name} begins at {gone / 1e9:.3f} s with {first}: older parts are not there"
-    if capture.unfinished:
+    if capture.unfinished and not is_written:
         yield f"{name} was never finished: everything intact is shown"
-    if not any(capture.contents.counts.get(topic) for topic in (HOST_RAW, DEVICE_RAW)):
+    traffic = any(capture.contents.counts.get(topic) for topic in (HOST_RAW, DEVICE_RAW))
+    if not traffic and not is_written:
         yield f"{name} holds no traffic: not a byte of host or device is in it"
     if capture.damage:
         first = capture.damage[0]

@@ -8,15 +8,22 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
+from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
-from bilprov.analyzer.replay.capture_decoding import WHOLE, Opened, event_batches, unheard
+from bilprov.analyzer.replay.capture_decoding import (
+    WHOLE,
+    Opened,
+    event_batches,
+    said_about,
+    unheard,
+)
 from bilprov.analyzer.replay.recorder import Recorder, Spool
 from bilprov.analyzer.screen.recording import Recording
 from bilprov.captures.reader import Capture, appended
@@ -124,7 +131,11 @@ def capture_feed(
 
     whole = count is None and window.after is None
     live = whole and _is_written(opened.capture)
-    feed = Feed(Recording(protocol), read, stays=True, live=live)
+    # There is one line for it, so the file's name stands without its folder.
+    named = replace(opened.capture, path=Path(opened.capture.path.name))
+    notes = (*said_about(named, protocol, is_written=live), opened.note)
+    notice = "; ".join(filter(None, notes))
+    feed = Feed(Recording(protocol), read, stays=True, live=live, notice=notice)
     rows = (AllShown if count is None else Shown)(ScreenOutput(feed), test, count, window)
     length = max(1, opened.capture.contents.last - opened.capture.start)
     parts = event_batches(opened.batches(), unheard, window)

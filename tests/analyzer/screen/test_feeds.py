@@ -135,7 +135,8 @@ def test_a_capture_that_is_still_written_is_followed_to_its_end(
     protocol: Protocol, tmp_path: Path
 ) -> None:
     path = tmp_path / "growing.mcap"
-    with CaptureWriter(path, start_wall=time.time_ns(), metadata={}, version="1") as writer:
+    van = {"grammar_name": "van", "grammar_sha256": "0" * 64}
+    with CaptureWriter(path, start_wall=time.time_ns(), metadata=van, version="1") as writer:
 
         def written(first: int, stop: int) -> None:
             for at in range(first, stop):
@@ -147,6 +148,7 @@ def test_a_capture_that_is_still_written_is_followed_to_its_end(
         capture = open_capture(path)
         feed = capture_feed(Opened(capture, capture_decoder(capture, protocol)), protocol)
         assert feed.live
+        assert feed.notice.startswith("growing.mcap was recorded with another grammar (van)")
         feed.start()
         for count in (10, 50, 3000):
             written(feed.recording.rows // 2, count)
