@@ -33,7 +33,8 @@ from queue import SimpleQueue
 from benchmarks.commands import ROOT, tell
 
 ROOMS = {  # the code, and the tests that are its own
-    "spec": ("spec", ["tests/spec"]),
+    # Arrays are compared with the session of the same traffic where that is tested.
+    "spec": ("spec", ["tests/spec", "tests/analyzer/decode/test_framed.py"]),
     "oracle": ("conformance/oracle", ["tests/conformance/oracle", "tests/conformance/cases"]),
     "decode": (
         "analyzer/decode",
