@@ -242,10 +242,16 @@ class Literal(NamedTuple):
     value: str | int | tuple[str, ...] | tuple[int, int]
 
     @property
+    def words(self) -> tuple[str, ...]:
+        """The words that its feature may have, none where it is about a number."""
+        if self.operator == "in":
+            return cast("tuple[str, ...]", self.value)
+        return (self.value,) if isinstance(self.value, str) else ()
+
+    @property
     def cost(self) -> int:
         """How much it takes to say it."""
-        words = len(self.value) if self.operator == "in" else 0  # type: ignore[arg-type]
-        return self.feature.cost + words
+        return self.feature.cost + (len(self.words) if self.operator == "in" else 0)
 
     def holds(self, exchange: Exchange) -> bool:
         """Return whether the condition holds for an exchange."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -72,9 +72,8 @@ class _Column:
 
     def mask(self, literal: Literal, part: _Part) -> Mask:
         """Return for which exchanges of a part the literal holds."""
-        if literal.operator == "in" or isinstance(literal.value, str):
-            words: Any = literal.value if literal.operator == "in" else (literal.value,)
-            return np.isin(part.codes, [self._code_of[word] for word in words])
+        if literal.words:
+            return np.isin(part.codes, [self._code_of[word] for word in literal.words])
         return np.asarray(part.known & literal.fits(part.numbers), bool)
 
     def _words(self, codes: npt.NDArray[np.int16]) -> tuple[str, ...]:
@@ -103,6 +102,34 @@ class _Column:
             if period > 1:
                 found.append(Literal(feature, "every", (period, int(alone[0]) % period)))
         return found
+
+
+def _add(rules: list[Rule], rule: Rule) -> None:
+    """Add a rule to others, as one with another of which only the words of one feature differ.
+
+    Neither takes in a right exchange, so the rule for the words of both takes in none.
+    """
+    for place, other in enumerate(rules):
+        both = _with_the_words_of_both(other, rule)
+        if both:
+            rules[place] = both
+            return
+    rules.append(rule)
+
+
+def _with_the_words_of_both(one: Rule, other: Rule) -> Rule | None:
+    """The rule for what either of two rules takes in, None where it is not as simple as each."""
+    if len(one) != len(other):
+        return None
+    apart = [(a, b) for a, b in zip(one, other, strict=True) if a != b]
+    if len(apart) != 1:
+        return None
+    [(here, there)] = apart
+    words = {*here.words, *there.words}
+    if here.feature is not there.feature or not (here.words and there.words):
+        return None
+    merged = Literal(here.feature, "in", tuple(sorted(words)))
+    return tuple(merged if literal is here else literal for literal in one)
 
 
 class Table:
@@ -284,6 +311,6 @@ class Learner:
             chosen = self._some_rule(open_bags)
             if chosen is None:
                 break
-            found.append(self._rule(chosen))
+            _add(found, self._rule(chosen))
             open_bags &= ~self._bags_hit(self._held[chosen].all(axis=0))
         return found

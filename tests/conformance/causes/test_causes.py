@@ -62,6 +62,8 @@ NAMED = [
     ("no-stop-on-unknown-id", "stop", "does not stop", "unknown ID"),
     ("mixture:R-fault-state=speed-zeroed:by-motion", "state", "speed stays as it was",
      "a faulty frame, while motion is backward or rotate left or stopped"),
+    ("mixture:R-fault-state=steering-kept:by-motion", "state", "steering is 0",
+     "a faulty frame, while motion is backward or rotate left or stopped"),
     ("mixture:R-stop-steering=kept:by-frame", "state", "steering is 0",
      "Stop, at one in 2 of the Stop frames"),
     ("mixture:R-drain-known=flushed-after-wrong-lengths:by-motion", "answer", "gives no answer",
