@@ -318,8 +318,10 @@ class Exchanges:
             if self._lost:
                 pass
             elif deviation:
-                exchange.deviations[ANSWER] = deviation
-                self.bags.append(Bag(deviation, (exchange,)))
+                candidates = self._unanswered(burst, exchange) if not codes else (exchange,)
+                for candidate in candidates:
+                    candidate.deviations[ANSWER] = deviation
+                self.bags.append(Bag(deviation, candidates))
                 if not deviation.right_code:
                     guilty = guilty or exchange
                 self._lost = deviation.how == "silent"
@@ -366,6 +368,19 @@ class Exchanges:
                 pairs[due].append(answer)
                 due += 1
         return pairs
+
+    def _unanswered(self, burst: Sequence[Exchange], last: Exchange) -> tuple[Exchange, ...]:
+        """The frames of which one has got no answer: each but the last may have the one before's.
+
+        So it is as long as that answer is right for the frame behind, too.
+        """
+        first = at = burst.index(last)
+        while first and burst[first - 1].codes:
+            [*_, (_, code)] = burst[first - 1].codes
+            if code not in self._accepted(burst[first]):
+                break
+            first -= 1
+        return tuple(burst[first : at + 1])
 
     def _due(self, burst: Sequence[Exchange], due: int) -> set[int | None]:
         """The codes that are right for a frame of a burst, none behind its last one."""
