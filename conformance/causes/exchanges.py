@@ -377,7 +377,7 @@ class Exchanges:
         first = at = burst.index(last)
         while first and burst[first - 1].codes:
             [*_, (_, code)] = burst[first - 1].codes
-            if code not in self._accepted(burst[first]):
+            if code not in self._accepted(burst[first].step):
                 break
             first -= 1
         return tuple(burst[first : at + 1])
