@@ -207,7 +207,7 @@ def build_reply(
     """Build the answer to a request; b"" if none is due.
 
     `values` are the fields of its data (what is not given is 0, or empty), and `response` the one
-    that is given instead of the right one.
+    that is given instead of the right one. An error lacks its data where a length tells that.
     """
     response = response or asked.response
     if response is NO_ANSWER:
@@ -216,7 +216,8 @@ def build_reply(
     values = values or {}
     parts = asked_values(protocol, asked)
     data = b""
-    if way.layout.has_data and way.data is not None and Outcome.VALID in response.outcomes:
+    lacking = Outcome.VALID not in response.outcomes and way.layout.part("length") is not None
+    if way.layout.has_data and way.data is not None and not lacking:
         data = _filled(way.data, parts, values)
     told = {
         part.name: part.repeating(parts.get(part.same, 0)) for part in way.layout.parts if part.same

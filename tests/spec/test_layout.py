@@ -184,6 +184,20 @@ def test_an_answer_is_read_back_and_construct_agrees(seed: int) -> None:
         assert {key: alone[key] for key in values} == values
 
 
+@pytest.mark.sample(60)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_error_is_read_back(seed: int) -> None:
+    """Without a length nothing tells that an error has no data, so that it has those of the answer."""
+    protocol, draw = drawn(seed).protocol, Random(seed)
+    asked = judge(protocol, one_frame(draw, protocol)[0])
+    if asked.response.name != "OK":
+        return
+    error = build_reply(protocol, asked, response=protocol.codes[21])
+    assert reply_size(protocol, error + b"\0\0", asked) == len(error), drawn(seed).text
+    read = read_reply(protocol, error, asked)
+    assert (read.names, read.reason) == (("NO",), ""), drawn(seed).text
+
+
 def test_a_right_frame_within_a_damaged_one_is_found() -> None:
     one = next(d for d in map(drawn, SEEDS) if d.protocol.layout.check and d.protocol.layout.sync)
     draw = Random(1)
