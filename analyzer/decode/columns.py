@@ -317,6 +317,11 @@ class ColumnDecoder:
             after = np.repeat(frames.take(1 + device.event), many)
             after = np.maximum(after, sequence[pairs] + (1 - rest.sequence))
         else:
+            before_it = np.flatnonzero(whole < asked_come[pairs])
+            ended = device.t.take(device.of(answers.end[before_it] - 1))
+            unasked = before_it[ended < asked_end[before_it] - self._decoding.skew]
+            if len(unasked):  # no answers to these requests: see `Decoder`
+                cut = min(cut, int(asked_come[unasked[0]]))
             falls_due |= _paused(told, heard, t, self._held)
             paused = np.diff(asked_end, prepend=asked_end[:1]) >= self._decoding.late // GIVES_UP
             pauses = np.append(0, np.cumsum(paused))

@@ -403,6 +403,9 @@ class Decoder:
         self._out_of_step = None
         step = self._steps[data]
         judgement = step.judgement
+        if self._paired and judgement.answer_due and not self._pairing.waiting:
+            while unasked := self._replies.take_before(end - self._skew):
+                self._reply(unasked, out)
         sequence = self._sequence
         self._sequence = sequence + 1
         state = self._set(judgement.address, step.sets)

@@ -221,6 +221,15 @@ class ReplyFramer:
             found = found if begun is None else self._before(begun, waiting, is_open or found)
         return found and self._taken(found)
 
+    def take_before(self, t: int) -> Heard | None:
+        """Take a right answer that came before `t` (ns), when no request waited; None if none did.
+
+        So it answers none that is sent later.
+        """
+        found, _ = self._unasked() if self._held else (None, False)
+        early = found and not found.reply.reason and found.end < t
+        return self._taken(found) if found and early else None
+
     def _first(self, waiting: Iterable[Waiting], gives_up: int) -> tuple[Heard | None, bool]:
         """The first answer to the requests that wait, and whether one may be incomplete.
 

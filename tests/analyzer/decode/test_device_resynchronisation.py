@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from bilprov.analyzer.decode.records import DeviceRecord
-from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.session import SKEW, Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.codec import build
@@ -167,3 +167,29 @@ def test_endless_noise_of_a_device_is_decoded_in_little_time() -> None:
         one.data for one in events[1:] if isinstance(one, Chunk)
     )
     assert "unanswered" in kinds(records)
+
+
+@pytest.mark.parametrize(("ahead", "skew"), [(30, SKEW), (3, 0), (SKEW // MS, SKEW), (0, 0)])
+def test_what_comes_before_a_request_answers_it_only_within_the_skew(ahead: int, skew: int) -> None:
+    """A sensor that sends by itself: its message is no answer to what is asked after it."""
+    protocol, random = load_protocol("modbus-rtu"), Random(1)
+    asked = build(protocol, "ReadCoils", {"address": 1, "start": 0, "quantity": 8})
+    message, answer = (bytes.fromhex(one) for one in ("01 01 01 01 90 48", "01 01 01 00 51 88"))
+    events: list[Event] = []
+    for turn in range(30):
+        t = turn * 1000 * MS
+        unasked = random.random() < 0.5
+        events += [Chunk(t, "device", message)] * unasked
+        events.append(Chunk(t + ahead * MS, "host", asked))
+        events += [Chunk(t + (ahead + 2) * MS, "device", answer)] * (
+            not unasked or ahead * MS > skew
+        )
+
+    same(protocol, events, [1000, 1, 7], skew=skew)
+    given = devices(decoded(Session(protocol, skew=skew), events))
+
+    if ahead * MS > skew:
+        assert {one.data for one in given if one.instruction is None} == {message}
+    else:
+        assert all(one.instruction is not None for one in given)
+    assert sum(one.instruction is not None for one in given) == 30
