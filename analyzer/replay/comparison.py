@@ -192,7 +192,7 @@ class AnswerCheck:
     `sent` counts instructions, `due` those that are to be answered, `answered` those that were.
     `wrong` counts the answers that are not allowed, of which `first_wrong` tells the first;
     `unasked` counts the bytes that answer no instruction, except where that is uncertain (a banner
-    before the first instruction).
+    before the first instruction). `echoed` says that an instruction came back.
     """
 
     sent: int = 0
@@ -201,11 +201,18 @@ class AnswerCheck:
     wrong: int = 0
     first_wrong: str = ""
     unasked: int = 0
+    echoed: bool = False
     _unpaired: int = 0
+    _asked: bytes = b""
+    _heard: bytes = b""
 
     def record(self, record: Record) -> None:
         """Add a record of the run."""
+        if isinstance(record, DeviceRecord) and len(self._heard) < len(self._asked):
+            self._heard += record.data
+            self.echoed |= self._heard.startswith(self._asked)
         if isinstance(record, HostRecord):
+            self._asked, self._heard = record.data, b""
             self.sent += record.sequence is not None
             self.due += record.judgement is not None and record.judgement.answer_due
         elif isinstance(record, DeviceRecord) and record.instruction is not None:
@@ -229,7 +236,9 @@ class AnswerCheck:
     def unasked_words(self) -> str:
         """Tells of the unasked bytes in a sentence; "" if none came."""
         count = self.unasked
-        return f"{quantity(count, 'byte')} came without an instruction" if count else ""
+        echo = "; what was sent came back: where the line has an echo, use --echo"
+        said = f"{quantity(count, 'byte')} came without an instruction"
+        return said + echo * self.echoed if count else ""
 
     @property
     def wrong_words(self) -> str:

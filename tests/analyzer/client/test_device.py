@@ -318,6 +318,13 @@ def test_several_flags_are_named_together() -> None:
     assert raised.value.answer == "OVERHEATING OVERLOAD"
 
 
+def test_an_echo_that_reads_as_an_error_is_no_error() -> None:
+    servo, device, _ = driver("dynamixel1", 1)
+    device.saying = [bytes.fromhex("ff ff 01 02 01 fb")]  # Ping, and the code 01 by chance
+    with pytest.raises(RobotError, match="came back: where the line has an echo, use echo=True"):
+        servo.ping()
+
+
 @pytest.mark.parametrize(
     ("answer", "kind", "words"),
     [

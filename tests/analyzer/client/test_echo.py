@@ -169,7 +169,7 @@ def test_commands_that_send_take_the_echo_away(tmp_path: Path) -> None:
     assert again.returncode == 0, again.stderr
     assert b" sent, 0 differences\n" in again.stderr
     assert without.returncode == 1
-    assert b"8 bytes came without an instruction" in without.stderr
+    assert b"8 bytes came without an instruction; what was sent came back" in without.stderr
 
 
 class EchoedCar(Simulator):
