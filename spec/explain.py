@@ -356,7 +356,7 @@ def _part_groups(
 ) -> Iterator[BitGroup]:
     """The group of a part; of constant bytes each is one."""
     size = part.size
-    if part.role == "constant":
+    if part.constant:
         yield from _fixed_bytes(frame, at, part.constant, part)
         return
     raw = frame[at : at + size]
@@ -386,6 +386,9 @@ def _part_meaning(
 ) -> tuple[str, bool]:
     """What a part of a frame, or of an answer to `asked`, means, and whether it is wrong."""
     request = isinstance(one, Judgement)
+    if part.role == "constant":
+        wrong = part.read(one.frame) != part.low
+        return f"must be {part.low}" if wrong else part.prose or "fixed", wrong
     if part.role == "id":
         spec = protocol.by_id.get((part.read(one.frame) - part.plus) & part.most)
         marked = f", marked by {part.plus:02x}: an error" if part.plus else ""

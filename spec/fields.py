@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 from construct import (
     Adapter,
+    BitsInteger,
     Construct,
     ExprAdapter,
     Struct,
@@ -452,7 +453,8 @@ class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
 
     def _repeated(self, context: Any) -> int:
         value = context._params.asked[self.part] + self.plus
-        return int(value % (1 << 8 * self.subcon.sizeof()))
+        width = 1 if isinstance(self.subcon, BitsInteger) else 8  # of what the type counts
+        return int(value % (1 << width * self.subcon.sizeof()))
 
 
 class Data(Construct):  # type: ignore[misc]  # construct ships no types

@@ -6,7 +6,7 @@ cannot be read into a layout raises WrongValue.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import Any, Literal
 
@@ -46,7 +46,8 @@ class Part(msgspec.Struct, frozen=True):
     `offset` is from the frame's first byte, or from behind its last where it is negative: then the
     part is behind the data. A part of a byte of bits has its `width` in bits and is `shift` bits
     above the lowest one; otherwise `width` is 0. `same` names the part of the request that it
-    repeats, with `plus` added. `low`, `high` and `broadcast` are those of an address.
+    repeats, with `plus` added. `low`, `high` and `broadcast` are those of an address. A constant of
+    whole bytes has them in `constant`, one of some bits is `low`.
     """
 
     name: str
@@ -199,8 +200,13 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def constants(self) -> tuple[tuple[int, bytes], ...]:
-        """The offset and the bytes of each constant."""
+        """The offset and the bytes of each constant of whole bytes."""
         return tuple((part.offset, part.constant) for part in self.parts if part.constant)
+
+    @cached_property
+    def fixed_bits(self) -> tuple[Part, ...]:
+        """The constants of some bits."""
+        return tuple(part for part in self.parts if part.role == "constant" and part.width)
 
     def value(self, role: Role, frame: bytes) -> int | None:
         """The value of the part of that role in a frame; None where it has no such part."""
@@ -213,10 +219,15 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
 
     def begins(self, held: bytes) -> bool:
         """Whether bytes may begin a frame: the constants in front that are there are right."""
-        return all(
+        right = all(
             held[offset : offset + len(raw)] == raw[: max(0, len(held) - offset)]
             for offset, raw in self.constants
             if 0 <= offset < len(held)
+        )
+        return right and not any(
+            part.read(held) != part.low
+            for part in self.fixed_bits
+            if 0 <= part.offset <= len(held) - part.size
         )
 
     def wrong_constant(self, frame: bytes) -> str:
@@ -225,6 +236,9 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
             found = frame[offset : offset + len(raw) or None]
             if found != raw:
                 return f"{found.hex(' ')} stands where {raw.hex(' ')} must be"
+        for part in self.fixed_bits:
+            if part.read(frame) != part.low:
+                return f"{part.name or 'a constant'} is {part.read(frame)}, right is {part.low}"
         return ""
 
     def unrepeated(self, held: bytes, asked: Values) -> tuple[Part, int] | None:
@@ -289,12 +303,11 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
             if part.role == "check":
                 continue
             at = part.offset if part.offset >= 0 else size + part.offset
-            if part.role == "constant":
-                raw = part.constant
-            else:
-                given = len(data) if part.role == "length" else values.get(part.name, 0)
-                raw = self._written(part, given, bytes(frame[at : at + part.size]))
-            frame[at : at + part.size] = raw
+            given = {"length": len(data), "constant": part.low}.get(part.role)
+            if given is None:
+                given = values.get(part.name, 0)
+            before = bytes(frame[at : at + part.size])
+            frame[at : at + part.size] = part.constant or self._written(part, given, before)
         if self.check:
             at = size + self.check.part.offset
             right = self.check.right(bytes(frame), covered)
@@ -407,60 +420,60 @@ class _Reader:
                 f"{word}(this.{name}, ...)"
             )
 
-    def _number(self, member: Construct, body: Construct) -> None:
+    def _number(
+        self, member: Construct, body: Construct, bits: Mapping[str, Any] | None = None
+    ) -> None:
+        """Read a part that is a number; `bits` is where it is in a byte of bits."""
         name = f"{self._what}.{member.name}"
         if member.name is None:
             raise WrongValue(f'a part of {self._what} has no name; write it "name" / type')
         require_word(f"the name of a part of {self._what}", member.name)
+        place = bits or {"number": number_of(_type_of(body), name)}
+        most = (1 << bits["width"]) - 1 if bits else place["number"].high
+        role: Role = _ROLES.get(member.name, "other")
+        more: dict[str, Any] = {}
         if isinstance(body, Address):
-            number, ends = number_of(unwrapped(body.subcon), name), (body.high, body.broadcast or 0)
-            if max(ends) > number.high:
-                raise WrongValue(
-                    f"{name} has addresses up to {max(ends)} in a type of up to {number.high}"
-                )
-            self._add(
-                member, "address", number,
-                low=body.low, high=body.high, broadcast=body.broadcast,
-            )  # fmt: skip
+            ends = (body.high, body.broadcast or 0)
+            _require_room(name, "addresses", ends, most)
+            role = "address"
+            more = {"low": body.low, "high": body.high, "broadcast": body.broadcast}
         elif isinstance(body, Length):
-            self._add(member, "length", number_of(unwrapped(body.subcon), name), also=body.also)
+            role, more = "length", {"also": body.also}
         elif isinstance(body, Same):
-            role = _ROLES.get(body.part, "other")
-            number = number_of(unwrapped(body.subcon), name)
-            self._add(member, role, number, same=body.part, plus=body.plus)
+            role, more = _ROLES.get(body.part, "other"), {"same": body.part, "plus": body.plus}
         elif isinstance(body, Answers):
-            self._add(member, "code", number_of(unwrapped(body.subcon), name))
+            _require_room(name, "codes", body.answers, most)
+            role = "code"
         else:
-            number = number_of(body, name)
-            self._add(member, _ROLES.get(member.name, "other"), number, high=number.high)
+            more = {"high": most}
+        self._add(member, role, **place, **more)
 
     def _bits(self, body: Construct) -> None:
         """Read a byte (or some) of bits: whole parts of it with their widths."""
         members = unwrapped(body.subcon).subcons
-        total = 0
         for part in members:
-            bits = unwrapped(part)
+            bits = _type_of(part)
             name = f"{self._what}.{part.name}"
             if type(bits) is not BitsInteger or bits.signed or bits.swapped:
                 raise WrongValue(f"{name} must be written BitsInteger(width)")
-            require_word(f"the name of a part of {self._what}", part.name)
-            self._names.add(part.name)
+            self._names.add(part.name or "")
             require_text(f"the prose of {name}", prose_of(part))
             require_whole(f"the width of {name}", bits.length, 1, 64)
-            total += bits.length
-        if total % 8 or not total:
+        above = sum(_type_of(part).length for part in members)
+        if above % 8 or not above:
             raise WrongValue(
-                f"the bits of {self._what} are {total} together; they must fill whole bytes"
+                f"the bits of {self._what} are {above} together; they must fill whole bytes"
             )
-        number, above = Number(total // 8, "big", signed=False), total
+        number = Number(above // 8, "big", signed=False)
         for part in members:
-            width = unwrapped(part).length
+            width = _type_of(part).length
             above -= width
-            most = (1 << width) - 1
-            self._add(
-                part, _ROLES.get(part.name, "other"), number,
-                width=width, shift=above, high=most, moves=above == 0,
-            )  # fmt: skip
+            place = {"number": number, "width": width, "shift": above, "moves": above == 0}
+            inner = unwrapped(part)
+            if isinstance(inner, Const):
+                self._add(part, "constant", low=inner.value, **place)
+            else:
+                self._number(part, inner, place)
 
     def _checksum(self, member: Construct, body: Checksum) -> None:
         name = f"{self._what}.{member.name}"
@@ -537,6 +550,19 @@ class _Reader:
             f"the check of {self._what} must cover one part: write this.covered.data{besides} "
             'behind "covered" / RawCopy(Struct(...))'
         )
+
+
+def _type_of(declared: Construct) -> Construct:
+    """The number within what a part is declared as."""
+    body = unwrapped(declared)
+    marks = Address | Answers | Const | Length | Same
+    return _type_of(body.subcon) if isinstance(body, marks) else body
+
+
+def _require_room(name: str, what: str, values: Iterable[int], most: int) -> None:
+    """Raise WrongValue for a value that does not fit into the type of a part."""
+    if max(values, default=0) > most:
+        raise WrongValue(f"{name} has {what} up to {max(values)} in a type of up to {most}")
 
 
 def _is_bits(body: Construct) -> bool:

@@ -271,6 +271,7 @@ class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
             layout.head == 1
             and not layout.tail
             and {p.role for p in layout.parts} == {"id", "length"}
+            and not any(p.also for p in layout.parts)
         )
         fields = [part for spec in self.instructions for part in spec.fields]
         return (

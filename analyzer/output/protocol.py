@@ -12,6 +12,7 @@ from rich.text import Text
 
 from bilprov.analyzer.output.console import facts, heading, table
 from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.captures.text import quantity
 from bilprov.spec.checks import CheckFunction, Fletcher, Sum, Xor
 from bilprov.spec.codec import judge, spaced
 from bilprov.spec.data import DataSpec, FieldSpec
@@ -56,7 +57,7 @@ def _in_order(layout: Layout) -> list[Part | None]:
 
 
 def _row(layout: Layout, part: Part) -> tuple[str, str, str]:
-    size = f"{part.width} bits" if part.width else str(part.size)
+    size = quantity(part.width, "bit") if part.width else str(part.size)
     if part.size > 1 and part.role != "constant" and part.number.order == "little":
         size += ", low first"
     return part.name, size, "; ".join(filter(None, (part.prose, _meaning(layout, part))))
@@ -65,7 +66,7 @@ def _row(layout: Layout, part: Part) -> tuple[str, str, str]:
 def _meaning(layout: Layout, part: Part) -> str:
     """What a part holds, in words."""
     if part.role == "constant":
-        return part.constant.hex(" ")
+        return part.constant.hex(" ") or f"always {part.low}"
     if part.same:
         return f"as in the request{f', plus {part.plus}' if part.plus else ''}"
     if part.role == "address":

@@ -147,6 +147,8 @@ def constants_hold(layout: Layout, data: Bytes, start: Places, end: Places) -> M
     found = np.ones(len(start), np.bool_)
     for offset, raw in layout.constants:
         found &= same_bytes(raw, data, (start if offset >= 0 else end) + offset)
+    for part in layout.fixed_bits:
+        found &= part_values(part, data, start, end) == part.low
     return found
 
 

@@ -103,6 +103,8 @@ def _part(name: str, part: Part) -> Iterator[Line]:
     if part.width:
         yield f"{name}_SHIFT", str(part.shift), ""
         yield f"{name}_MASK", _hex((1 << part.width) - 1 << part.shift), ""
+    if part.role == "constant":
+        yield f"{name}_VALUE", str(part.low), ""
     if part.role == "address" and not part.same:
         yield f"{name}_MIN", str(part.low), ""
         yield f"{name}_MAX", str(part.high), ""

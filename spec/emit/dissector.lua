@@ -219,8 +219,14 @@ end
 local function wrong_constant(layout, bytes)
     for _, part in ipairs(layout.parts) do
         local found = raw_of(part, bytes)
-        if part.role == "constant" and found ~= part.raw then
+        if #part.raw > 0 and found ~= part.raw then
             return format("%s stands where %s must be", hex(found), hex(part.raw))
+        end
+    end
+    for _, part in ipairs(layout.parts) do
+        if part.role == "constant" and part.width > 0 and read(part, bytes) ~= part.low then
+            return format("%s is %.0f, right is %.0f", part.name ~= "" and part.name or "a constant",
+                read(part, bytes), part.low)
         end
     end
 end
@@ -433,7 +439,7 @@ local function unlike(item, layout, rows, asked)
     if #bytes < layout.head + layout.tail then return "the bytes are not an answer" end
     for _, part in ipairs(layout.parts) do
         local most = part.width > 0 and 2 ^ part.width or 256 ^ part.size
-        local own = asked and asked.parts[part.same]
+        local own = asked and part.same ~= "" and asked.parts[part.same]
         if own and read(part, bytes) ~= (own + part.plus) % most then
             return format("%s is %.0f, right is %.0f", part.name, read(part, bytes),
                 (own + part.plus) % most)

@@ -6,6 +6,7 @@ from functools import cache
 from random import Random
 from typing import Any
 
+import numpy as np
 import pytest
 from construct import Construct, ConstructError, Container
 from hypothesis import given
@@ -13,13 +14,17 @@ from hypothesis import strategies as st
 
 from benchmarks.construct_alone import question
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
 from bilprov.spec.codec import build, judge
+from bilprov.spec.explain import explain
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.replies import build_reply, read_reply, reply_size
+from bilprov.spec.safe_grammar import require_declarations
 from tests.support.drawn_layouts import DrawnLayout, drawn_fields, drawn_layout, drawn_values
+from tests.support.grammars import CAMERA
 from tests.vectors_modbus_rtu import REQUESTS
 
 SEEDS = range(200)
@@ -187,7 +192,7 @@ def test_an_answer_is_read_back_and_construct_agrees(seed: int) -> None:
 @pytest.mark.sample(60)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_error_is_read_back(seed: int) -> None:
-    """Without a length nothing tells that an error has no data, so that it has those of the answer."""
+    """Without a length nothing tells that an error lacks the data of the answer, so it has them."""
     protocol, draw = drawn(seed).protocol, Random(seed)
     asked = judge(protocol, one_frame(draw, protocol)[0])
     if asked.response.name != "OK":
@@ -222,6 +227,63 @@ def test_a_wrong_check_is_said_with_the_right_one() -> None:
     judgement = judge(one.protocol, wrong)
     assert judgement.outcome is Outcome.BAD_CHECKSUM
     assert part.raw(raw).hex(" ") in judgement.reason
+
+
+# -- parts of less than a byte ---------------------------------------------------------------------
+
+
+def test_an_address_and_constants_may_be_some_bits() -> None:
+    """The bytes are those of the document, typed by hand."""
+    protocol, space = load(CAMERA), dict[str, Any]()
+    exec(CAMERA, space)
+    require_declarations(CAMERA)
+    asked = build(protocol, "Zoom", {"address": 2, "sender": 0})
+    assert asked.hex(" ") == "82 09 04 47 ff"
+    answer = bytes.fromhex("a0 50 00 0a 0b 04 ff")
+    read = read_reply(protocol, answer, judge(protocol, asked))
+    assert read.describe() == "@2 answer position=00 0a 0b 04"
+    assert build_reply(protocol, judge(protocol, asked), dict(read.fields)) == answer
+    alone = parsed(space["REPLY"], answer, asked=question(space["FRAME"], asked))
+    assert alone["position"] == bytes.fromhex("00 0a 0b 04")
+
+
+@pytest.mark.parametrize(
+    ("first", "reason"),
+    [("02", "mark is 0, right is 1"), ("8a", "a constant is 1, right is 0")],
+)
+def test_wrong_fixed_bits_are_said_and_begin_no_frame(first: str, reason: str) -> None:
+    protocol = load(CAMERA)
+    frame = bytes.fromhex(first + "09 04 47 ff")
+    judgement = judge(protocol, frame)
+    assert (judgement.outcome, judgement.reason) == (Outcome.BAD_SYNC, reason)
+    assert [record.kind for record in Framer(protocol, 1_000).feed(frame, 0)] == []
+    right = request_tables(protocol).cut(np.frombuffer(frame, np.uint8), 0)
+    assert (len(right.whole.size), right.regular) == (0, False)
+
+
+def test_fixed_bits_behind_the_data_end_a_frame() -> None:
+    end = '"tail" / BitStruct("end" / Const(255, BitsInteger(8)))'
+    protocol = load(CAMERA.replace('"end" / Const(b"\\xff")', end))
+    assert build(protocol, "Power", {"address": 1, "sender": 0}).hex(" ") == "81 09 04 00 ff"
+    (wrong,) = explain(protocol, bytes.fromhex("81 09 04 00 fe")).frames
+    assert wrong.judgement.reason == "end is 254, right is 255"
+    assert [(one.name, one.meaning) for one in wrong.groups if one.fault] == [
+        ("end", "must be 255")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("part", "wrong", "refused"),
+    [
+        ("Address(BitsInteger(3), 1, 7)", "Address(BitsInteger(3), 1, 8)", "addresses up to 8 in"),
+        ('"sender" / BitsInteger(3)', '"sender" / BitsInteger(2)', "they must fill whole bytes"),
+        ('"sender" / BitsInteger(3)', '"sender" / Byte', "must be written BitsInteger(width)"),
+        ('"sender" / BitsInteger(3)', "BitsInteger(3)", "has no name"),
+    ],
+)
+def test_bits_that_cannot_be_read_are_refused(part: str, wrong: str, refused: str) -> None:
+    with pytest.raises(GrammarError, match=refused.replace("(", r"\(").replace(")", r"\)")):
+        load(CAMERA.replace(part, wrong))
 
 
 # -- checks of every prefix ------------------------------------------------------------------------

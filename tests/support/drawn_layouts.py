@@ -35,6 +35,7 @@ _NUMBERS = (
     ),
     *("Array(2, Int16ub)", "Bytes(3)"),
 )
+_NIBBLE = '"flag" / BitsInteger(6), "address" / Address(BitsInteger(4), 1, 14, broadcast=0)'
 _ID, _ECHO = '"id" / Byte', '"id" / Same("id", Byte)'
 _COUNTED = ("Prefixed(Byte, GreedyRange(Int16ub))", "Prefixed(Byte, GreedyBytes)")
 _CHECKS = (
@@ -139,6 +140,9 @@ def _head(draw: Random, *, has_length: bool, has_address: bool, bits: bool) -> l
     """The parts before the data, in a drawn order."""
     if bits and has_length:
         parts = ['"h" / BitStruct("id" / BitsInteger(3), "length" / BitsInteger(5))']
+    elif bits and has_address:
+        parts = [f'"h" / BitStruct(Const(5, BitsInteger(3)), "id" / BitsInteger(3), {_NIBBLE})']
+        has_address = False
     elif bits:
         parts = ['"h" / BitStruct("id" / BitsInteger(3), "flag" / BitsInteger(5))']
     else:
@@ -156,8 +160,11 @@ def _head(draw: Random, *, has_length: bool, has_address: bool, bits: bool) -> l
 
 def _echoed(part: str) -> str:
     """The part of an answer that stands for a part of the request."""
-    address = part.replace("Address(Byte, 1, 99, broadcast=0)", 'Same("address", Byte, plus=200)')
-    return address.replace(_ID, _ECHO)
+    part = part.replace("Address(Byte, 1, 99, broadcast=0)", 'Same("address", Byte, plus=200)')
+    part = part.replace(
+        "Address(BitsInteger(4), 1, 14, broadcast=0)", 'Same("address", BitsInteger(4), plus=9)'
+    )
+    return part.replace(_ID, _ECHO)
 
 
 def _around(sync: bytes, parts: list[str], check: tuple[str, str | None] | None, end: bytes) -> str:

@@ -233,3 +233,55 @@ LINE = LineDefaults(baud=9600, parity="N", stopbits=1)
 CLAUSES = Clauses(header="1", instructions="2", responses="3", safety="4")
 '''
 """A grammar of its own, which shares no frame and no answer with the car's."""
+
+
+CAMERA = '''\
+"""Sony's VISCA: two inquiries of a camera. Who is meant, and who answers, is three bits."""
+
+from construct import BitsInteger, BitStruct, Byte, Bytes, Const, Int24ub, Struct, Switch, this
+
+from bilprov.spec.fields import (
+    Address, Clauses, Data, Instruction, LineDefaults, Outcome, Same, Timing,
+)
+
+NAME = "visca"
+VERSION = "1"
+DOCUMENT = "VISCA command list"
+INSTRUCTIONS = {
+    0x090400: "Power" / Instruction(document="CAM_PowerInq", answer=Struct("power" / Byte)),
+    0x090447: "Zoom"
+    / Instruction(document="CAM_ZoomPosInq", answer=Struct("position" / Bytes(4))),
+}
+ONE = Const(1, BitsInteger(1))
+ZERO = Const(0, BitsInteger(1))
+FRAME = Struct(
+    "head" / BitStruct(
+        "mark" / ONE,
+        "sender" / BitsInteger(3),
+        ZERO,
+        "address" / Address(BitsInteger(3), 1, 7),
+    ),
+    "id" / Int24ub,
+    "data" / Switch(this.id, INSTRUCTIONS),
+    "end" / Const(b"\\xff"),
+)
+REPLY = Struct(
+    "head" / BitStruct(
+        ONE, "address" / Same("address", BitsInteger(3)), ZERO, "receiver" / BitsInteger(3)
+    ),
+    Const(b"\\x50"),
+    "data" / Data(),
+    "end" / Const(b"\\xff"),
+)
+SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_SYNC)
+TIMING = Timing(
+    truncation_timeout=50,
+    truncation_shortest=5,
+    truncation_longest=1000,
+    answer_deadline=100,
+    answer_longest=1000,
+    stop_longest=100,
+)
+LINE = LineDefaults(baud=9600, parity="N", stopbits=1)
+CLAUSES = Clauses(header="1", instructions="2", responses="3", safety="4")
+'''
