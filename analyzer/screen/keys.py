@@ -38,6 +38,7 @@ BINDINGS = [
     _key("question_mark,f1", "keys", "?", "this help", "help"),
     _key("q", "leave", "q", "leave", "quit"),
     Binding("ctrl+c,ctrl+q", "end", show=False, priority=True),
+    Binding("ctrl+z", "suspend_process", show=False, priority=True),
     Binding("escape", "go_back", show=False),
 ]
 """Keys that no pane takes for itself; the actions are those of the `Browser`."""
@@ -48,6 +49,7 @@ MOVES = {
     "g G, Home End": "the first, the last row; 120G: row 120",
     "Enter, Tab": "go to the fields of a frame; the next pane",
     "h l": "in the fields: fold, unfold",
+    "^Z": "suspend; fg goes on",
     "Esc": "go back; stop a filter or an export that takes long",
 }
 """Keys of the panes, for the help."""

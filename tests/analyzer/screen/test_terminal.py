@@ -19,6 +19,7 @@ from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
 from tests.support.commands import process
 from tests.support.screens import Tmux, terminal
+from tests.support.terminals import CONTINUE, CTRL_Z, as_job
 
 pytestmark = pytest.mark.waits
 
@@ -155,6 +156,17 @@ def test_every_way_out_leaves_a_sane_terminal_and_a_finished_capture(
             os.kill(pid_of(str(path)), how)
         left(tmux)
     assert not open_capture(path).unfinished
+
+
+def test_ctrl_z_suspends_the_screen_which_goes_on_where_it_was() -> None:
+    with as_job("-m", "bilprov", "replay", str(SAMPLE)) as job:
+        job.wait_for(" quit")
+        job.type("/faulty" + CTRL_Z)  # also while a line is typed
+        job.wait_for("Stopped")
+        job.type(CONTINUE)
+        job.wait_for("Enter filters")
+        job.type("\rq")
+        job.wait_for("ended with 0")
 
 
 def test_an_unplugged_tap_is_told_on_the_screen_and_in_the_last_line(tmp_path: Path) -> None:
