@@ -79,7 +79,7 @@ def replayed(capture: Capture, protocol: Protocol) -> list[tuple[str, str, str]]
 
 def browsed(capture: Capture, protocol: Protocol) -> list[Record]:
     """The rows of the screen."""
-    opened = Opened(capture, capture_decoder(capture, protocol), capture.events)
+    opened = Opened(capture, capture_decoder(capture, protocol))
     feed = capture_feed(opened, protocol)
     feed.start()
     feed.join()
