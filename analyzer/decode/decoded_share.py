@@ -142,7 +142,10 @@ def _has_wrong_check(protocol: Protocol, record: HostRecord | DeviceRecord) -> b
 def _near(protocol: Protocol, record: HostRecord | DeviceRecord, data: bytes) -> NearMiss | None:
     """What a record that does not decode nearly is; `data` goes on after its bytes."""
     if isinstance(record, HostRecord):
-        return near_miss(protocol, data)
+        judged = record.judgement
+        # What has a right check, and an unused ID, ended where the check did: by silence.
+        known = protocol.layout.check and judged and judged.outcome is Outcome.UNKNOWN_ID
+        return near_miss(protocol, record.data if known else data)
     asked = record.answered.instruction if record.answered else None
     reason = record.reply.reason if record.reply else record.reason
     wrong = _has_wrong_check(protocol, record)

@@ -46,6 +46,17 @@ def test_the_first_bytes_that_do_not_decode_are_told(tmp_path: Path) -> None:
     }
 
 
+def test_an_unused_id_is_told_though_frames_follow(tmp_path: Path) -> None:
+    """Its frame is one with a data byte, whose end only the silence behind it tells."""
+    (tmp_path / "line.jsonl").write_text(
+        '{"t": 0, "dir": "host", "hex": "5556000000010900b5"}\n'
+        '{"t": 1, "dir": "host", "hex": "55560000000102ae"}\n',
+        encoding="utf-8",
+    )
+    result = checked(ROOT / "examples" / "relay_board.py", tmp_path / "line.jsonl")
+    assert b"no instruction (id): no instruction has ID 9, used are 0, 1, 2, 3, 4" in result.stdout
+
+
 def test_a_capture_and_hex_are_read_too(tmp_path: Path) -> None:
     file, text = tmp_path / "line.mcap", tmp_path / "line.txt"
     sent = list(events("sr_wizmodbus"))
