@@ -150,11 +150,22 @@ def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
         cause.effects.append(effect)
         return True
     both = [*cause.effects, effect]
+    if _apart(cause, effect):
+        return False
     rule = _one_rule(table, both)
     if rule is None or _cost(rule) > _cost(cause.rule) + 1:
         return False
     cause.rule, cause.effects = rule, both
     return True
+
+
+def _apart(cause: Cause, effect: Effect) -> bool:
+    """Whether only one of them keeps a device moving, and no exchange may have caused both."""
+    moves = any(one.keeps_moving for one in cause.effects)
+    if moves == effect.keeps_moving:
+        return False
+    own = {id(e) for group in effect.groups for e in group}
+    return not any(id(e) in own for one in cause.effects for group in one.groups for e in group)
 
 
 def _cost(rule: Rule) -> int:

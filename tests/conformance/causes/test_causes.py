@@ -262,6 +262,16 @@ def test_a_cause_takes_in_nothing_that_contradicts_it(protocol: Protocol, name: 
         assert not [e for e in against if matches(cause.rule, e)]
 
 
+def test_what_keeps_it_moving_joins_only_what_the_same_frames_cause(protocol: Protocol) -> None:
+    bank = fault_bank(protocol)
+    one = both(bank["left-is-signed"], bank["no-stop-on-bad-data"])
+    other = both(bank["ok-to-unknown-id"], bank["led-7-ignored"])
+    causes = report_of(protocol, both(one, other)).causes
+
+    found = ["bad data", "unknown ID", "LED, with rgb 7", "Left"]
+    assert [cause.when for cause in causes] == found
+
+
 def test_what_a_cause_does_not_foresee_is_another_cause(protocol: Protocol) -> None:
     causes = report_of(protocol, find_fault(protocol, "stop-takes-its-time")).causes
 
