@@ -176,10 +176,12 @@ class Counters:
     def hold(self, case: Case, timers: Timers) -> int:
         """How long (ns) the stop of this case is watched: 0 but for one thorough case of a class.
 
-        That of one fault is watched for as long as a moving robot is sent nothing.
+        So is one valid stop. That of one fault is watched for as long as a moving robot is sent
+        nothing.
         """
         key = (case.kind, case.accepted[0].codes)
-        if not case.thorough or self._held.setdefault(key, case.id) != case.id:
+        watched = case.thorough or case.kind is FrameClass.VALID
+        if not watched or self._held.setdefault(key, case.id) != case.id:
             return 0
         faults = (ident for (kind, _), ident in self._held.items() if kind is not FrameClass.VALID)
         return max(timers.hold, timers.idle) if case.id == next(faults, "") else timers.hold

@@ -192,7 +192,7 @@ def test_a_single_odd_look_fails_nothing_and_passes_nothing(protocol: Protocol):
 
         return lie
 
-    for number in (1, 700):
+    for number in (1, 711):
         report = seen_through(protocol, None, once(number))
         odd = [(r.id, r.reason) for r in report.results if r.verdict >= Verdict.INCONCLUSIVE]
         assert report.exit == 3
