@@ -121,7 +121,7 @@ def _brought_about(bag: Bag, causes: Sequence[Cause], back: int) -> Cause | None
         in_burst = in_burst and exchange.ahead > 0
         back -= 1
         exchange = exchange.previous
-        if exchange is not None and exchange.seen_right and not in_burst:
+        if exchange is not None and not in_burst and exchange.settles(bag.deviation.facet):
             break  # nothing of what came before it is left
     return None
 

@@ -108,10 +108,10 @@ class Exchange:
         """The longest pause inside the frame (ns), 0 where its bytes came in one go."""
         return max((length for _, length in self.pauses), default=0)
 
-    @property
-    def seen_right(self) -> bool:
-        """Whether it was looked at, and nothing deviated."""
-        return self.looked is not None and not self.deviations
+    def settles(self, facet: str) -> bool:
+        """Whether it was looked at, nothing deviated, and this facet was seen right after it."""
+        seen = facet == ANSWER or facet in self.right
+        return seen and self.looked is not None and not self.deviations
 
     @property
     def answered(self) -> int:
