@@ -98,10 +98,20 @@ class _Column:
             found += [Literal(feature, "bit", bit), Literal(feature, "no bit", bit)]
         if feature.counts and (single & part.known).sum() > 2:
             alone = np.unique(part.numbers[single & part.known])
-            period = int(np.gcd.reduce(np.diff(alone))) if len(alone) > 2 else 0
-            if period > 1:
-                found.append(Literal(feature, "every", (period, int(alone[0]) % period)))
+            found += [Literal(feature, "every", period) for period in _periods(alone)]
         return found
+
+
+def _periods(counts: npt.NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Periods in at least three different counts, each with the remainder that most of them have.
+
+    That is what all of them have in common, and the commonest step, which a few others may break.
+    """
+    if len(counts) < 3:
+        return []
+    steps, times = np.unique(np.diff(counts), return_counts=True)
+    periods = {int(np.gcd.reduce(steps)), int(steps[times.argmax()])} - {1}
+    return [(period, int(np.bincount(counts % period).argmax())) for period in sorted(periods)]
 
 
 def _add(rules: list[Rule], rule: Rule) -> None:

@@ -272,10 +272,13 @@ def test_what_keeps_it_moving_joins_only_what_the_same_frames_cause(protocol: Pr
     assert [cause.when for cause in causes] == found
 
 
-def test_what_a_cause_does_not_foresee_is_another_cause(protocol: Protocol) -> None:
-    causes = report_of(protocol, find_fault(protocol, "stop-takes-its-time")).causes
-
-    assert [cause.when.split(",")[0] for cause in causes] == ["Stop", "Stop"]
+def test_a_failure_behind_a_frame_that_was_not_observed_is_no_other_cause(
+    protocol: Protocol,
+) -> None:
+    report = report_of(protocol, find_fault(protocol, "stop-takes-its-time"))
+    [cause] = report.causes
+    assert cause.when == "Stop"
+    assert report.unexplained <= 1
 
 
 @pytest.mark.sample(1)
