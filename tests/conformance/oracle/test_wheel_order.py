@@ -104,6 +104,15 @@ def test_laws_of_speed(
     assert result.axes["state"].reading == "R-resolution"
 
 
+def test_one_wheel_that_is_no_faster_above_half_fails(protocol: Protocol) -> None:
+    clipped = seen(lambda look: {"left": min(look.left or 0, 127)})
+
+    result = judged(protocol, clipped)[SPEED]
+
+    assert result.verdict is FAIL
+    assert "half speed is as fast as full" in result.reason
+
+
 # What is halved below a fifth of the greatest steering changes the wheels by less than counts.
 @pytest.mark.sample(3)
 @pytest.mark.parametrize("least", range(48, 256, 8))
