@@ -153,7 +153,8 @@ class DeviceDriver(InstructionMethods):
         reply = read_reply(self.protocol, heard[:size] if size > 0 else heard, asked)
         surplus = heard[size:] if size > 0 else b""
         # The echo of a request may be laid out as an answer, whose code then is one by chance.
-        alike = heard == asked.frame != heard[:1] and Outcome.VALID not in reply.outcomes
+        came_back = heard == asked.frame and len(heard) > 1
+        alike = came_back and Outcome.VALID not in reply.outcomes
         if not (reply.reason or surplus or alike):
             return reply
         if asked.frame.startswith(heard[: len(asked.frame)]):

@@ -164,7 +164,21 @@ def with_texts(grammar_text: str, piece: str, places: dict[str, str]) -> str:
     )
 
 
-RELAY = '''\
+_LINE = """\
+TIMING = Timing(
+    truncation_timeout=50,
+    truncation_shortest=5,
+    truncation_longest=1000,
+    answer_deadline=100,
+    answer_longest=1000,
+    stop_longest=100,
+)
+LINE = LineDefaults(baud=9600, parity="N", stopbits=1)
+CLAUSES = Clauses(header="1", instructions="2", responses="3", safety="4")
+"""
+
+RELAY = (
+    '''\
 """A board with four relays: nothing that moves, and a frame of the car means something else."""
 
 from construct import BitsInteger, BitStruct, Byte, Struct, Switch, this
@@ -221,21 +235,14 @@ RESPONSE = Answers(
 FAULTY = Sets(motion=Motion.STOPPED)
 POWER_ON = Sets(motion=Motion.STOPPED, speed=0, steering=0, led=0)
 
-TIMING = Timing(
-    truncation_timeout=50,
-    truncation_shortest=5,
-    truncation_longest=1000,
-    answer_deadline=100,
-    answer_longest=1000,
-    stop_longest=100,
-)
-LINE = LineDefaults(baud=9600, parity="N", stopbits=1)
-CLAUSES = Clauses(header="1", instructions="2", responses="3", safety="4")
 '''
+    + _LINE
+)
 """A grammar of its own, which shares no frame and no answer with the car's."""
 
 
-CAMERA = '''\
+CAMERA = (
+    '''\
 """Sony's VISCA: two inquiries of a camera. Who is meant, and who answers, is three bits."""
 
 from construct import BitsInteger, BitStruct, Byte, Bytes, Const, Int24ub, Struct, Switch, this
@@ -274,14 +281,6 @@ REPLY = Struct(
     "end" / Const(b"\\xff"),
 )
 SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_SYNC)
-TIMING = Timing(
-    truncation_timeout=50,
-    truncation_shortest=5,
-    truncation_longest=1000,
-    answer_deadline=100,
-    answer_longest=1000,
-    stop_longest=100,
-)
-LINE = LineDefaults(baud=9600, parity="N", stopbits=1)
-CLAUSES = Clauses(header="1", instructions="2", responses="3", safety="4")
 '''
+    + _LINE
+)
