@@ -13,8 +13,9 @@ from itertools import accumulate
 from typing import Any, ClassVar, TypeAlias
 
 import msgspec
+from msgspec.structs import force_setattr
 
-from bilprov.spec.errors import WrongValue, require_whole, shown
+from bilprov.spec.errors import WrongValue, require_kind, require_whole, shown
 
 _WIDTHS = (8, 16, 24, 32)
 
@@ -102,7 +103,8 @@ class Crc(msgspec.Struct, frozen=True, dict=True):
 
     `poly` is the polynomial without its highest term, most significant bit first, `init` the value
     before the first byte (as the register holds it where bits are not reflected), `xorout` what
-    the result is combined with. With `reflected` bytes and result have their lowest bit first.
+    the result is combined with. With `reflected` each byte is taken lowest bit first, with `refout`
+    the result has its lowest bit first; where it is not given, that is as `reflected` is.
     """
 
     width: int
@@ -110,10 +112,14 @@ class Crc(msgspec.Struct, frozen=True, dict=True):
     init: int = 0
     reflected: bool = False
     xorout: int = 0
+    refout: bool | None = None
 
     def __post_init__(self) -> None:
-        _require_bool("Crc.reflected", self.reflected)
-        require_whole("the width of a Crc", self.width, 3 if self.reflected else 8, 32)
+        if self.refout is None:
+            force_setattr(self, "refout", self.reflected)
+        for name in ("reflected", "refout"):
+            require_kind(f"Crc.{name}", getattr(self, name), bool)
+        require_whole("the width of a Crc", self.width, 1, 32)
         for name in ("poly", "init", "xorout"):
             require_whole(f"Crc.{name}", getattr(self, name), 0, (1 << self.width) - 1)
 
@@ -123,6 +129,14 @@ class Crc(msgspec.Struct, frozen=True, dict=True):
         return self.width
 
     @cached_property
+    def spare(self) -> int:
+        """The bits of the register below those of the check: it holds a byte at least.
+
+        With `reflected` the check has the lowest bits, so that there are none below.
+        """
+        return 0 if self.reflected else max(0, 8 - self.width)
+
+    @cached_property
     def table(self) -> tuple[int, ...]:
         """What each value of the byte that leaves the register adds to the rest of it."""
         return tuple(self._step(byte) for byte in range(256))
@@ -130,28 +144,39 @@ class Crc(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def first(self) -> int:
         """The register before the first byte."""
-        return _mirrored(self.init, self.width) if self.reflected else self.init
+        return _mirrored(self.init, self.width) if self.reflected else self.init << self.spare
+
+    def of(self, register: Any) -> Any:
+        """The check for what the register holds, a number or an array of numbers."""
+        register = register >> self.spare
+        if self.refout is not self.reflected:
+            register = _mirrored(register, self.width)
+        return register ^ self.xorout
 
     def running(self, data: bytes) -> Iterator[int]:
         """The check of the first 0, 1, 2, ... bytes, up to all."""
-        table, most, top = self.table, (1 << self.width) - 1, self.width - 8
+        as_held = not self.spare and self.refout is self.reflected  # then it is sooner done
+        return map(self.xorout.__xor__ if as_held else self.of, self._registers(data))
+
+    def __call__(self, data: bytes) -> int:
+        """The check of the bytes."""
+        return int(self.of(deque(self._registers(data), 1).pop()))
+
+    def _registers(self, data: bytes) -> Iterator[int]:
+        """The register after the first 0, 1, 2, ... bytes, up to all."""
+        table, bits = self.table, self.width + self.spare
         if self.reflected:
-            values = accumulate(
+            return accumulate(
                 data,
                 lambda value, byte: value >> 8 ^ table[(value ^ byte) & 0xFF],
                 initial=self.first,
             )
-        else:
-            values = accumulate(
-                data,
-                lambda value, byte: value << 8 & most ^ table[value >> top ^ byte],
-                initial=self.first,
-            )
-        return (value ^ self.xorout for value in values)
-
-    def __call__(self, data: bytes) -> int:
-        """The check of the bytes."""
-        return deque(self.running(data), 1).pop()
+        most, top = (1 << bits) - 1, bits - 8
+        return accumulate(
+            data,
+            lambda value, byte: value << 8 & most ^ table[value >> top ^ byte],
+            initial=self.first,
+        )
 
     def _step(self, byte: int) -> int:
         if self.reflected:
@@ -159,19 +184,16 @@ class Crc(msgspec.Struct, frozen=True, dict=True):
             for _ in range(8):
                 value = value >> 1 ^ (poly if value & 1 else 0)
             return value
-        top, value = 1 << self.width - 1, byte << self.width - 8
+        bits, poly = self.width + self.spare, self.poly << self.spare
+        value = byte << bits - 8
         for _ in range(8):
-            value = value << 1 ^ (self.poly if value & top else 0)
-        return value & (1 << self.width) - 1
+            value = value << 1 ^ (poly if value >> bits - 1 & 1 else 0)
+        return value & (1 << bits) - 1
 
 
 CheckFunction: TypeAlias = Sum | Fletcher | Xor | Crc
 
 
-def _mirrored(value: int, width: int) -> int:
-    return int(f"{value:0{width}b}"[::-1], 2)
-
-
-def _require_bool(what: str, value: object) -> None:
-    if not isinstance(value, bool):
-        raise WrongValue(f"{what} is {shown(value)}, allowed are True and False")
+def _mirrored(value: Any, width: int) -> Any:
+    """A number with its lowest bits in turned order, or an array of them."""
+    return sum((value >> place & 1) << width - 1 - place for place in range(width))

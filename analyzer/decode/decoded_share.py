@@ -315,4 +315,5 @@ def declared(function: CheckFunction) -> str:
     digits = -(-function.width // 4)
     said = f"Crc({function.width}, 0x{function.poly:0{digits}X}, 0x{function.init:0{digits}X}"
     said += ", reflected=True" if function.reflected else ""
+    said += f", refout={function.refout}" if function.refout is not function.reflected else ""
     return said + (f", xorout=0x{function.xorout:0{digits}X})" if function.xorout else ")")

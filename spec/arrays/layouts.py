@@ -281,13 +281,10 @@ class Checking:
     @property
     def values(self) -> NDArray[np.int64]:
         """The checks of what was counted."""
-        function = self._function
-        if isinstance(function, Crc):
-            return self._register ^ function.xorout
-        values = self._register
+        function, values = self._function, self._register
         if isinstance(function, Fletcher):
             values = function.of(values, self._second)
-        elif isinstance(function, Sum):
+        elif isinstance(function, Sum | Crc):
             values = function.of(values)
         return values
 
@@ -352,8 +349,9 @@ def _stepped(crc: Crc, register: NDArray[np.int64], byte: NDArray[np.integer]) -
     table = _table(crc)
     if crc.reflected:
         return register >> 8 ^ table.take((register ^ byte) & 0xFF)
-    kept = register << 8 & (1 << crc.width) - 1
-    return kept ^ table.take(register >> crc.width - 8 ^ byte)
+    bits = crc.width + crc.spare
+    kept = register << 8 & (1 << bits) - 1
+    return kept ^ table.take(register >> bits - 8 ^ byte)
 
 
 def _pairs(crc: Crc, data: NDArray[np.uint8]) -> NDArray[np.uint16]:

@@ -119,11 +119,17 @@ local function mirrored(value, width)
     return turned
 end
 
+local function set_up(check) -- the register of a Crc: it holds a byte at least
+    check.bits = check.reflected and check.width or math.max(check.width, 8)
+    check.spare = 2 ^ (check.bits - check.width)
+    check.start = check.reflected and mirrored(check.init, check.width) or check.init * check.spare
+end
+
 local function crc_table(check) -- what each value of the byte that leaves the register adds to it
-    local made, top = {}, 2 ^ (check.width - 1)
-    local poly = check.reflected and mirrored(check.poly, check.width) or check.poly
+    local made, top = {}, 2 ^ (check.bits - 1)
+    local poly = check.reflected and mirrored(check.poly, check.width) or check.poly * check.spare
     for byte = 0, 255 do
-        local value = check.reflected and byte or byte * 2 ^ (check.width - 8)
+        local value = check.reflected and byte or byte * 2 ^ (check.bits - 8)
         for _ = 1, 8 do
             local out = check.reflected and value % 2 == 1 or not check.reflected and value >= top
             value = check.reflected and math.floor(value / 2) or value * 2 % (top * 2)
@@ -156,9 +162,11 @@ local FUNCTIONS = {
         return value
     end,
     Crc = function(check, bytes)
-        check.table = check.table or crc_table(check)
-        local value = check.reflected and mirrored(check.init, check.width) or check.init
-        local over = 2 ^ (check.width - 8)
+        if not check.table then
+            set_up(check)
+            check.table = crc_table(check)
+        end
+        local value, over = check.start, 2 ^ (check.bits - 8)
         for i = 1, #bytes do
             if check.reflected then
                 value = bxor(math.floor(value / 256), check.table[bxor(value % 256, bytes:byte(i))])
@@ -167,6 +175,8 @@ local FUNCTIONS = {
                 value = bxor(value % over * 256, check.table[leaves])
             end
         end
+        value = math.floor(value / check.spare)
+        if check.refout ~= check.reflected then value = mirrored(value, check.width) end
         return bxor(value, check.xorout)
     end,
 }

@@ -15,7 +15,9 @@ from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.firmware import needs
+from tests.support.grammars import checked_digits
 from tests.vectors import HEADERS, LINE, LONGEST_FRAME, RESPONSES, TIMING
+from tests.vectors_checks import CHECKS
 
 
 def constants(text: str) -> dict[str, int]:
@@ -180,6 +182,51 @@ def test_a_program_builds_a_request_from_the_header_alone(
     told = subprocess.run(compiled(tmp_path, program), capture_output=True, check=True).stdout
 
     assert told.decode() == build(protocol, request_, values).hex()
+
+
+ANY_CRC = r"""
+#include <stdio.h>
+
+static unsigned long turned(unsigned long value, int width) {
+    unsigned long found = 0;
+    int bit;
+    for (bit = 0; bit < width; bit++) found |= (value >> bit & 1) << (width - 1 - bit);
+    return found;
+}
+
+static void crc(int width, unsigned long poly, unsigned long value, int reflected,
+                unsigned long xorout, int refout) {
+    const char *digit;
+    int bit;
+    for (digit = "123456789"; *digit; digit++)
+        for (bit = 0; bit < 8; bit++) {
+            int next = *digit >> (reflected ? bit : 7 - bit) & 1;
+            int top = value >> (width - 1) & 1;
+            value = value << 1 & ((2ul << (width - 1)) - 1);
+            if (top != next) value ^= poly;
+        }
+    printf("%lu\n", (refout ? turned(value, width) : value) ^ xorout);
+}
+"""
+
+
+@GCC
+def test_a_program_computes_each_published_crc_from_the_header_alone(tmp_path: Path) -> None:
+    crcs = [one for one in CHECKS if one.declared.startswith("Crc")]
+    words = ("WIDTH", "POLY", "INIT", "REFLECTED", "XOROUT", "REFOUT")
+    calls = []
+    for at, one in enumerate(crcs):
+        header = c_header(checked_digits(one, "big")[0])
+        (tmp_path / f"{at}.h").write_text(header, encoding="utf-8")
+        prefix = header.partition("#ifndef ")[2].partition("_PROTOCOL_H")[0]
+        given = ", ".join(f"{prefix}_FRAME_CHECK_CRC_{word}" for word in words)
+        calls.append(f"    crc({given});")
+    includes = [f'#include "{at}.h"' for at in range(len(crcs))]
+    text = "\n".join([*includes, ANY_CRC, "int main(void) {", *calls, "    return 0;", "}", ""])
+
+    told = subprocess.run(compiled(tmp_path, text), capture_output=True, check=True).stdout
+
+    assert [int(line) for line in told.splitlines()] == [one.value for one in crcs]
 
 
 @needs("avr-gcc", package="gcc-avr")

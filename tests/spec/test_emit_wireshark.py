@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
 from decimal import Decimal
 from itertools import chain, repeat
@@ -13,18 +14,21 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
-from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.grammar_file import dissector_program, load_protocol
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Direction
 from bilprov.spec.codec import all_data, bad_data, build, judge, raw_frame
+from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import snake_case
 from bilprov.spec.replies import build_reply
 from tests.support.decoding import Event, capture_session, decoded
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.framed_traffic import FRAMED, Traffic, exchanges
+from tests.support.grammars import checked_digits
 from tests.support.traffic import ACTS, Act, played
 from tests.support.wireshark import Tshark, capture_of, exported, reads
+from tests.vectors_checks import CHECKS, DIGITS
 
 pytestmark = [pytest.mark.slow, pytest.mark.waits]
 
@@ -421,3 +425,22 @@ def test_the_values_of_any_layout_are_fields_of_display_filters(tmp_path: Path) 
     shown = tshark(data, "-Y", f"{answered} == 555")
     assert shown.endswith("@17 answer values=555 0 100 to ReadHoldingRegisters\n")
     assert shown.count("\n") == 1
+
+
+def test_the_checks_of_the_script_are_the_published_ones(tmp_path: Path) -> None:
+    program = dissector_program()
+    lines = [program[program.index("-- Checks") : program.index("local function covered")]]
+    for one in CHECKS:
+        protocol, _ = checked_digits(one, "big")
+        check = "GRAMMAR.frame.check"
+        told = f'print("value", FUNCTIONS[{check}.kind]({check}, "{DIGITS.decode()}"))'
+        lines.append(f"do {lua_dissector(protocol, 20, told)} end")
+    script, nothing = tmp_path / "checks.lua", tmp_path / "nothing.pcapng"
+    script.write_text("\n".join(lines), encoding="utf-8")
+    nothing.write_bytes(reads([]))
+
+    words = ["tshark", "-r", nothing, "-X", f"lua_script:{script}"]
+    told = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+
+    values = [float(line.split()[1]) for line in told.splitlines() if line.startswith("value")]
+    assert values == [one.value for one in CHECKS]

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from benchmarks.construct_alone import question
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.arrays.requests import request_tables
-from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
 from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain
 from bilprov.spec.fields import Outcome
@@ -29,53 +28,6 @@ from tests.vectors_modbus_rtu import REQUESTS
 
 SEEDS = range(200)
 drawn = cache(drawn_layout)
-
-
-@pytest.mark.parametrize(
-    ("check", "value"),
-    [
-        (Crc(16, 0x8005, 0xFFFF, reflected=True), 0x4B37),  # MODBUS
-        (Crc(16, 0x1021), 0x31C3),  # XMODEM
-        (Crc(16, 0x1021, 0xFFFF), 0x29B1),  # IBM-3740
-        (Crc(16, 0x8005, 0, reflected=True), 0xBB3D),  # ARC
-        (Crc(16, 0x1021, 0xFFFF, reflected=True, xorout=0xFFFF), 0x906E),  # IBM-SDLC
-        (Crc(8, 0x07), 0xF4),  # SMBUS
-        (Crc(8, 0xD5), 0xBC),  # DVB-S2
-        (Crc(8, 0x31, 0, reflected=True), 0xA1),  # MAXIM
-        (Crc(24, 0x864CFB, 0xB704CE), 0x21CF02),  # OPENPGP
-        (Crc(32, 0x04C11DB7, 0xFFFFFFFF, reflected=True, xorout=0xFFFFFFFF), 0xCBF43926),
-        (Crc(32, 0x04C11DB7, 0xFFFFFFFF), 0x0376E6E7),  # MPEG-2
-        (Crc(7, 0x4F, 0x7F, reflected=True), 0x53),  # ROHC
-        (Crc(5, 0x05, 0x1F, reflected=True, xorout=0x1F), 0x19),  # USB
-        (Fletcher(255), 0x1EDE),
-        (Sum(8), 0xDD),
-        (Sum(8, complement=True), 0x22),
-        (Sum(8, complement=1), 0x22),
-        (Sum(8, complement=2), 0x23),
-        (Sum(16, complement=2), 0xFE23),
-        (Sum(16), 0x01DD),
-        (Xor(), 0x31),
-        (Xor(0xFF), 0xCE),
-    ],
-)
-def test_the_check_of_nine_digits_is_the_published_one(check: Any, value: int) -> None:
-    assert check(b"123456789") == value
-
-
-@pytest.mark.parametrize(
-    ("check", "covered", "value"),
-    [
-        (Crc(7, 0x09, reflected=True), "83 01", "17"),  # Pololu's guide
-        (Fletcher(), "06 08 06 00 c8 00 01 00 01 00", "de 6a"),  # UBX-CFG-RATE, 5 Hz
-        (Fletcher(), "0a 04 00 00", "0e 34"),  # UBX-MON-VER
-        (Sum(8, complement=2), "01 86 00 00 00 00 00", "79"),  # MH-Z19B, read
-    ],
-)
-def test_the_check_of_a_frame_is_that_of_its_datasheet(
-    check: Any, covered: str, value: str
-) -> None:
-    raw = bytes.fromhex(value)
-    assert check(bytes.fromhex(covered)) == int.from_bytes(raw, "little")
 
 
 def flat(parsed: Any) -> dict[str, Any]:
@@ -286,29 +238,7 @@ def test_bits_that_cannot_be_read_are_refused(part: str, wrong: str, refused: st
         load(CAMERA.replace(part, wrong))
 
 
-# -- checks of every prefix ------------------------------------------------------------------------
-
-
-FUNCTIONS = [
-    Sum(8),
-    Sum(16, complement=True),
-    Sum(8, complement=2),
-    Sum(16, complement=2),
-    Fletcher(255),
-    Fletcher(),
-    Xor(0x5A),
-    Crc(7, 0x09, reflected=True),
-    Crc(8, 0xD5),
-    Crc(16, 0x1021, 0xFFFF),
-    Crc(16, 0x8005, 0xFFFF, reflected=True),
-    Crc(32, 0x04C11DB7, 0xFFFFFFFF, reflected=True, xorout=0xFFFFFFFF),
-]
-
-
-@pytest.mark.parametrize("function", FUNCTIONS, ids=repr)
-@given(data=st.binary(max_size=20))
-def test_the_running_check_is_that_of_each_prefix(function: CheckFunction, data: bytes) -> None:
-    assert list(function.running(data)) == [function(data[:n]) for n in range(len(data) + 1)]
+# -- sizes at which a check is right ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("vector", [one for one in REQUESTS if one.outcome == "valid"], ids=str)

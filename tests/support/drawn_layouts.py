@@ -43,6 +43,7 @@ _CHECKS = (
     *(("Byte", "Xor()"), ("Byte", "Xor(0x5A)"), ("Int16ub", "Sum(16)"), ("Byte", "Crc(8, 0xD5)")),
     *(("Int16ul", "Crc(16, 0x8005, 0xFFFF, reflected=True)"), ("Int16ub", "Crc(16, 0x1021)")),
     *(("Int16ul", "Fletcher()"), ("Byte", "Crc(7, 0x09, reflected=True)")),
+    *(("Byte", "Crc(3, 0x3, xorout=0x7)"), ("Int16ul", "Crc(12, 0x80F, refout=True)")),
     ("Int32sl", None),
 )
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from typing import Literal
 
 from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.spec import checks
 from bilprov.spec.codec import judge, nearest
 from bilprov.spec.errors import UserError
 from bilprov.spec.explain import explain
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.safe_grammar import NotDeclared, require_declarations
+from tests.vectors_checks import DIGITS, CheckVector
 
 # Each edit: a piece of the grammar's text that stands there once, and what takes its place.
 _WIDE = {
@@ -284,3 +287,23 @@ SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_SYNC)
 '''
     + _LINE
 )
+
+
+def checked_digits(vector: CheckVector, order: Literal["big", "little"]) -> tuple[Protocol, bytes]:
+    """A grammar of one request with nine bytes and their check, and that of the published value."""
+    size = -(-eval(vector.declared, vars(checks)).bits // 8)
+    kind = "Byte" if size == 1 else f"Int{8 * size}u{order[0]}"
+    text = f"""\
+from construct import *
+from bilprov.spec.fields import *
+
+NAME, VERSION, DOCUMENT = "{vector.name}", "1", "none"
+INSTRUCTIONS = {{1: "Put" / Instruction("digits" / Bytes(9), document="", answer=None)}}
+FRAME = Struct(
+    "id" / Byte,
+    "covered" / RawCopy(Struct("data" / Switch(this._.id, INSTRUCTIONS))),
+    "check" / Checksum({kind}, {vector.declared}, this.covered.data),
+)
+SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)
+"""
+    return load(text + _LINE), b"\1" + DIGITS + vector.value.to_bytes(size, order)

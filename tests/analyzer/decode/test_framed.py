@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from random import Random
+from typing import Literal
 
 import pytest
 from msgspec.structs import replace
@@ -13,6 +14,8 @@ from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.records import FaultRecord
 from bilprov.analyzer.decode.session import SKEW, Session
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.captures.schemas import Chunk
+from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 from tests.analyzer.decode.test_foreign_traffic import TRAFFIC, events
 from tests.analyzer.decode.test_foreign_traffic import events as recorded
@@ -21,6 +24,8 @@ from tests.support import ROOT
 from tests.support.decoding import MS, Event, decoded, devices, hosts
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.framed_traffic import Traffic, exchanges
+from tests.support.grammars import checked_digits
+from tests.vectors_checks import CHECKS, CheckVector
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
 EXAMPLES = ("relay_board", "roboclaw")  # their states follow from the requests
@@ -94,6 +99,23 @@ def test_recorded_traffic_is_columns_alone(name: str, single: bool) -> None:
     parts = same(protocol, list(recorded(name, single=single)), [50])
 
     assert not any(isinstance(batch, Records) for batch in parts)
+
+
+@pytest.mark.parametrize("order", ["big", "little"])
+@pytest.mark.parametrize("vector", CHECKS, ids=str)
+def test_a_published_check_is_right_and_no_other(
+    vector: CheckVector, order: Literal["big", "little"]
+) -> None:
+    protocol, right = checked_digits(vector, order)
+    wrong = right[:5] + b"!" + right[6:]
+    sent = [Chunk(at * 200 * MS, "host", frame) for at, frame in enumerate([right, wrong] * 20)]
+
+    parts = same(protocol, sent, [40])
+
+    assert any(isinstance(batch, ColumnBatch) for batch in parts)
+    rows = [row for batch in parts for row in hosts(batch.records())]
+    judged = [row.judgement.outcome for row in rows if row.judgement]
+    assert judged == [Outcome.VALID, Outcome.BAD_CHECKSUM] * 20
 
 
 # --------------------------------------------------------------------------------------------------
