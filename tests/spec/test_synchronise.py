@@ -42,6 +42,13 @@ def test_an_anchor_speaks_for_the_place_where_it_falls(protocol: Protocol) -> No
     assert between.first_frame(0.5) == 1
 
 
+def test_data_within_the_range_of_their_field_speak_for_the_frame(protocol: Protocol) -> None:
+    within, outside = (_fed(protocol, bytes.fromhex(frame), 0.1) for frame in ("81 05", "81 85"))
+
+    assert within.first_frame(0.5) == 0
+    assert outside.first_frame(0.5) == 2
+
+
 def test_padding_is_not_taken_for_so_many_instructions(protocol: Protocol) -> None:
     assert not _fed(protocol, bytes(6)).locked
 

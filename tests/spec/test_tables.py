@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bilprov.spec.arrays.answers import answer_tables
 from bilprov.spec.arrays.layouts import OUTCOMES, WIDEST, Checking, field_values, number_values
 from bilprov.spec.arrays.requests import RequestTables, request_tables
 from bilprov.spec.arrays.states import Known
@@ -22,6 +23,7 @@ from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.state import State, after
 from tests.support.car import VARIABLES, car_state
+from tests.support.framed_traffic import FRAMED
 from tests.support.grammars import undeclared
 
 MOTIONS = tuple(Motion)
@@ -191,6 +193,15 @@ def test_a_grammar_whose_numbers_do_not_fit_into_64_bits_is_refused(
 
     with pytest.raises(OverflowError):
         RequestTables(load(text))
+
+
+def test_an_answer_that_its_request_and_it_itself_count_is_refused() -> None:
+    both = FRAMED["stk500v1"].replace(
+        '"content" / Bytes(asked.size)', '"more" / Byte, "content" / Bytes(asked.size + this.more)'
+    )
+
+    with pytest.raises(OverflowError):
+        answer_tables(load(both))
 
 
 @pytest.mark.parametrize("led", [-1, 1 << 15, -(1 << 31), (1 << 62)])

@@ -45,14 +45,18 @@ def same(
 
 HOST = ("t", "end", "known", "kind", "verdict", "sequence", "size", "header")
 DEVICE = ("t", "byte", "sequence", "verdict", "agrees", "odd", "answering")
+ANSWER = ("size", "address")
 
 
 def require_same(batch: Batch, listed: Batch) -> None:
     """Hold the columns of a batch against those of the same rows decoded one by one."""
-    for name in HOST:
-        assert getattr(batch.hosts, name).tolist() == getattr(listed.hosts, name).tolist(), name
-    for name in DEVICE:
-        assert getattr(batch.devices, name).tolist() == getattr(listed.devices, name).tolist(), name
+    for names, ones, others in (
+        (HOST, batch.hosts, listed.hosts),
+        (DEVICE, batch.devices, listed.devices),
+        (ANSWER, batch.devices.answers, listed.devices.answers),
+    ):
+        for name in names:
+            assert getattr(ones, name).tolist() == getattr(others, name).tolist(), name
     answering = batch.devices.answering
     for name in ("header", "latency"):
         one, other = (getattr(each.devices, name)[answering] for each in (batch, listed))

@@ -252,6 +252,9 @@ STATES = [
      INFORMATIONAL, "R-steer-rotating"),
     ("Left 9", TURNING, CURVE, told(TURNING, motion="stopped", moving=False, steering=-9),
      FAIL, ""),
+    ("Left 9", TURNING, CURVE, told(TURNING, steering=-9, left=0, right=100),
+     INFORMATIONAL, "R-steer-rotating"),
+    ("Left 9", TURNING, CURVE, told(TURNING, steering=-9, left=-1, right=100), FAIL, ""),
     ("Right 9", RESTED, {}, told(DRIVING, steering=9), FAIL, ""),
     # R-speed-zero: a probe may name the direction that is set although the wheels stand still.
     ("Speed 0", DRIVING, {}, told(DRIVING, speed=0, moving=False), PASS, ""),

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
+from bilprov.analyzer.client.operations import Received
 from bilprov.captures.schemas import MS
-from bilprov.conformance.oracle.profile import Figures, profile_from
+from bilprov.conformance.oracle.profile import Figures, Profile, profile_from
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
 
@@ -56,6 +57,16 @@ def test_the_longest_time_is_taken(protocol: Protocol) -> None:
     text = _text(protocol).replace("= 40.5", "= 60000")
 
     assert profile_from(protocol, text, LED_ID).truncation_timeout == 60_000 * MS
+
+
+@pytest.mark.parametrize(("came", "latencies"), [(4, []), (5, [0]), (6, [1])])
+def test_an_answer_that_came_before_its_frame_has_no_latency(
+    came: int, latencies: list[int]
+) -> None:
+    profile = Profile()
+    profile.measured(Received(((came, 0), (9, 0)), 9), 5)
+
+    assert (profile.latencies, profile.delays) == (latencies, latencies)
 
 
 TIME = r"truncation_timeout_ms( = .* is not a time|`; give a file)"

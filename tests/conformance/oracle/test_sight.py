@@ -250,6 +250,14 @@ def test_a_facet_is_missed_once_it_was_shown(protocol: Protocol, facet: str) -> 
         assert sight.judged(result("one", state=PASS)).verdict is verdict
 
 
+def test_a_result_is_uncertain_on_the_axes_that_failed_and_are_doubted() -> None:
+    doubted = result("one", answer=FAIL, stop=PASS, state=FAIL).uncertain(only=("stop", "state"))
+
+    verdicts = {name: axis.verdict for name, axis in doubted.axes.items()}
+    assert verdicts == {"answer": FAIL, "stop": PASS, "state": INCONCLUSIVE}
+    assert result("two", state=FAIL).uncertain().verdict is INCONCLUSIVE
+
+
 def test_a_look_between_two_cases_counts_for_the_next_one(protocol: Protocol) -> None:
     sight = Sight(protocol)
     sight.begin("one")
