@@ -118,7 +118,7 @@ def _undelayed(protocol: Protocol, case: AnyCase, byte_time: float, timeout: flo
         total = home + size * byte_time + bursts * _EXCHANGE
         for burst in case.bursts:
             total += timeout if burst.steps[-1].truncated else 0.0
-            total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, 0.004)
+            total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, 0.002)
         return total
     if isinstance(case, OrderCase):
         size = sum(len(frame) + 1 for frame in case.sent)

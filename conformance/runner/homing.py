@@ -115,7 +115,7 @@ def _home(run: Run, trial: Trial | None, late: list[Late]) -> Procedure[int | No
     single = trial is not None and isinstance(trial.case, Case)
     few = 1 if slow else 2 if single else due
     at_once = (few, due, due) if in_step and few < due else (due, due)
-    settle = 0 if trial is not None and trial.settled else run.timers.settle
+    settle = 0 if trial is not None and trial.settled else waiting.settle
     between_frames = in_step or trial is None
     lost = owed = 0
     first: int | None = None

@@ -284,7 +284,7 @@ def stays_stopped(
     # homing, and a stop that does not last shows in the sequences too.
     many = case.kind is not FrameClass.VALID and not case.thorough
     brief = many and run.counters.next_check() % 8
-    window = run.timers.settle if brief else max(run.timers.silence, run.timers.settle)
+    window = run.waiting.settle if brief else max(run.timers.silence, run.timers.settle)
     costly = run.config.observability.costly
     hold = 0 if costly else run.counters.hold(case, run.timers)
     rounds = max(1, hold // window)

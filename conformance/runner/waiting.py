@@ -12,7 +12,8 @@ from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import FLUSH_POINTS
 
-_PAUSE = 4 * MS  # the longest inside a frame
+_PAUSE = 2 * MS  # the longest inside a frame
+_SETTLED = MS  # within which a prompt line has brought what is under way
 _NEVER = 5  # answers missing in succession, until `patience` becomes as short as `usual`
 
 
@@ -91,6 +92,14 @@ class Waiting:
     def coarse(self) -> bool:
         """Whether the line may make the device time out inside a frame that was sent at once."""
         return self.finest > (self._profile.truncation_timeout or self._shortest)
+
+    @property
+    def settle(self) -> int:
+        """How long (ns) what is under way may take: less than the timer's on a prompt line."""
+        if self._profile.round_trip is None:
+            return self._timers.settle
+        slowest = self._profile.round_trip + (self._profile.jitter or 0)
+        return min(self._timers.settle, max(_SETTLED, slowest))
 
     @property
     def idle(self) -> int:
