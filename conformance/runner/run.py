@@ -176,15 +176,16 @@ class Counters:
     def hold(self, case: Case, timers: Timers) -> int:
         """How long (ns) the stop of this case is watched: 0 but for one thorough case of a class.
 
-        So is one valid stop. That of one fault is watched for as long as a moving robot is sent
-        nothing.
+        So is one valid stop. This one, and that of one fault, are watched for as long as a moving
+        robot is sent nothing.
         """
+        valid = case.kind is FrameClass.VALID
         key = (case.kind, case.accepted[0].codes)
-        watched = case.thorough or case.kind is FrameClass.VALID
-        if not watched or self._held.setdefault(key, case.id) != case.id:
+        if not (valid or case.thorough) or self._held.setdefault(key, case.id) != case.id:
             return 0
         faults = (ident for (kind, _), ident in self._held.items() if kind is not FrameClass.VALID)
-        return max(timers.hold, timers.idle) if case.id == next(faults, "") else timers.hold
+        first = valid or case.id == next(faults)
+        return max(timers.hold, timers.idle) if first else timers.hold
 
 
 def _doubted(result: CaseResult, why: str) -> CaseResult:
