@@ -250,7 +250,7 @@ class DiffOptions(msgspec.Struct, frozen=True):
     force: bool = force_option()
 
 
-@command(DiffOptions)
+@command(DiffOptions, only_with={"output": ("force",)})
 def diff(options: DiffOptions) -> int:
     """Examples:
       bilprov capture diff yesterday.mcap today.mcap

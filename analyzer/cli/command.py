@@ -13,10 +13,12 @@ The options of several commands are a class of their own, which `group` makes a 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from bilprov.analyzer.output.help import PageCommand, PageOption
 
@@ -81,23 +83,56 @@ def group(kind: type[Any], heading: str = "") -> Any:
 
 
 def command(
-    kind: type[Options], **attributes: Any
+    kind: type[Options],
+    only_with: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    **attributes: Any,
 ) -> Callable[[Callable[[Options], int | None]], click.Command]:
     """Make a function a command that is called with its options as one value of a class.
 
-    Its docstring is the help below the sentence that stands in the front door's table.
+    Its docstring is the help below the sentence that stands in the front door's table. `only_with`
+    names, by a parameter, the options that have no use without it: who types one of them without
+    it is told so.
     """
 
     def decorated(function: Callable[[Options], int | None]) -> click.Command:
+        def called(**values: Any) -> int | None:
+            for needed, names in only_with.items():
+                if not values[needed]:
+                    refuse(names, f"needs {_spelled(needed)}")
+            return function(_gathered(kind, values))
+
         return PageCommand(
             function.__name__,
-            callback=lambda **values: function(_gathered(kind, values)),
+            callback=called,
             params=list(_parameters(kind)),
             help=function.__doc__,
             **attributes,
         )
 
     return decorated
+
+
+def refuse(names: Iterable[str], why: str) -> None:
+    """Raise UsageError for the first of the options that is typed; `why` follows its name."""
+    for name in filter(asked_here, names):
+        raise click.UsageError(f"{_spelled(name).partition(' ')[0]} {why}")
+
+
+def asked_here(parameter: str) -> bool:
+    """Whether a parameter has its value from the command line.
+
+    A setting is for many uses of a command: where one has no use for it, it is no mistake.
+    """
+    source = click.get_current_context().get_parameter_source(parameter)
+    return source is ParameterSource.COMMANDLINE
+
+
+def _spelled(name: str) -> str:
+    """How a parameter of the running command is written, with what stands for its value."""
+    params = click.get_current_context().command.params
+    param = next(param for param in params if param.name == name)
+    words = [max(param.opts, key=len)] if isinstance(param, click.Option) else []
+    return " ".join((*words, (param.metavar or "").strip("[]."))).strip()
 
 
 def _option(spellings: Sequence[str], name: str, attributes: Mapping[str, Any]) -> click.Option:

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
-from click.core import ParameterSource
 
-from bilprov.analyzer.cli.command import flag, group, option
+from bilprov.analyzer.cli.command import asked_here, flag, group, option
 from bilprov.analyzer.cli.settings import naming_file
 from bilprov.spec.errors import one_line
 
@@ -93,6 +92,11 @@ half_duplex_option = partial(
     flag, "One tap was on a wire with both directions: separate them, as sniff --half-duplex."
 )
 yes_option = partial(flag, "The robot may move: do not ask.")
+
+LINE = ("baud", "parity", "stopbits")
+"""The names of `LineOptions`."""
+SENDING_LINE = (*LINE, "echo")
+"""The names of `SendingLineOptions`."""
 
 
 class LineOptions(msgspec.Struct, frozen=True):
@@ -235,15 +239,6 @@ class ShownOptions(msgspec.Struct, frozen=True):
                 "pipe use --format lines"
             )
         return self.format or ("lines" if self.plain or in_lines or not has_terminal() else "live")
-
-
-def asked_here(parameter: str) -> bool:
-    """Whether a parameter has its value from the command line.
-
-    A setting is for many uses of a command: where one has no use for it, it is no mistake.
-    """
-    source = click.get_current_context().get_parameter_source(parameter)
-    return source is ParameterSource.COMMANDLINE
 
 
 def compiled(expression: str | None, protocol: Protocol) -> Filter | None:

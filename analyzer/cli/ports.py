@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
-from bilprov.analyzer.cli.options import Finite, LineOptions, note_each, text_format_option
+from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, note_each, text_format_option
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.output.console import show, show_json, table
 from bilprov.captures.text import escape_controls, printable
@@ -33,7 +33,7 @@ class PortsOptions(msgspec.Struct, frozen=True):
     style: str = text_format_option()
 
 
-@command(PortsOptions)
+@command(PortsOptions, only_with={"names": ("seconds", *LINE)})
 def ports(options: PortsOptions) -> int:
     """Examples:
       bilprov ports

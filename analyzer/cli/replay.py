@@ -11,6 +11,7 @@ import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, flag, group, option
 from bilprov.analyzer.cli.options import (
+    SENDING_LINE,
     Finite,
     SendingLineOptions,
     ShownOptions,
@@ -94,7 +95,7 @@ class ReplayOptions(msgspec.Struct, frozen=True):
         return "--to" if self.port is not None else "--judge" if self.shown.judged else ""
 
 
-@command(ReplayOptions)
+@command(ReplayOptions, only_with={"port": ("yes", "only_reading", "max_drive", *SENDING_LINE)})
 def replay(options: ReplayOptions) -> int:
     """Examples:
       bilprov replay drive.mcap

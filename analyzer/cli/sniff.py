@@ -14,14 +14,21 @@ from typing import NamedTuple
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import (
+    argument,
+    command,
+    flag,
+    group,
+    option,
+    protocol_in_use,
+    refuse,
+)
 from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.cli.options import (
     Finite,
     LineOptions,
     ShownOptions,
     above_latency,
-    asked_here,
     compiled,
     note,
     note_each,
@@ -109,24 +116,13 @@ class SniffOptions(msgspec.Struct, frozen=True):
         return Ports(self.host, self.device, self.bridge, self.half_duplex)
 
     def rotation(self) -> Rotation | None:
-        """How the recording is kept in parts, None for one file.
-
-        Raises UsageError for what has no use on this command line; a setting is left alone there.
-        """
-        if self.rotate is None:
-            if self.keep is not None and asked_here("keep"):
-                raise click.UsageError(
-                    "--keep limits how many parts are kept: give --rotate too, when a part is full"
-                )
-            return None
-        if self.path is None:
-            if asked_here("rotate"):
-                raise click.UsageError("--rotate is for a recording: name its file with -w")
+        """How the recording is kept in parts, None for one file."""
+        if self.rotate is None or self.path is None:
             return None
         return self.rotate._replace(keep=self.keep)
 
 
-@command(SniffOptions)
+@command(SniffOptions, only_with={"rotate": ("keep",), "path": ("rotate",)})
 def sniff(options: SniffOptions) -> int:
     """Examples:
       bilprov sniff sim
@@ -282,6 +278,7 @@ def _simulated(protocol: Protocol, given: Ports, settings: LineSettings) -> Sour
         return None
     if given != Ports(SIM):
         raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
+    refuse(["wait"], f"is for ports; {SIM} is not a port")
     from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
 
     return SimulatedDrive(protocol, settings)

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import (
+    argument,
+    command,
+    group,
+    option,
+    protocol_in_use,
+    refuse,
+)
 from bilprov.analyzer.cli.options import (
     half_duplex_option,
     note,
@@ -247,6 +254,7 @@ def _records(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) ->
         from bilprov.analyzer.api import read_capture
         from bilprov.captures.reader import open_capture
 
+        refuse(["sender"], "is for bytes: a capture has their directions")
         if not half_duplex:
             yield from read_capture(source, protocol)
             return

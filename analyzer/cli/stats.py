@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, BinaryIO, Literal, TypeAlias, cast
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import argument, command, group, option
+from bilprov.analyzer.cli.command import argument, asked_here, command, group, option
 from bilprov.analyzer.cli.options import (
     RowOptions,
     WindowOptions,
-    asked_here,
     compiled,
     filter_option,
     half_duplex_option,
@@ -49,7 +48,7 @@ class StatsOptions(msgspec.Struct, frozen=True):
     force: bool = force_option()
 
 
-@command(StatsOptions)
+@command(StatsOptions, only_with={"json_file": ("force",)})
 def stats(options: StatsOptions) -> None:
     """Examples:
       bilprov stats drive.mcap

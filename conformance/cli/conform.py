@@ -55,7 +55,7 @@ from bilprov.conformance.cli.outputs import (
     require_writable,
 )
 from bilprov.conformance.cli.robot import RobotOptions
-from bilprov.conformance.dut.target import PORT, Target, TargetName
+from bilprov.conformance.dut.target import Target, TargetName
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.executor import is_slow
@@ -190,7 +190,7 @@ class ConformOptions(msgspec.Struct, frozen=True):
         return Options(**run, profile=profile)
 
 
-@command(ConformOptions)
+@command(ConformOptions, only_with={"expect_failures": ("update_expected",)})
 def conform(options: ConformOptions) -> int:
     """Examples:
       bilprov conform sim --fault no-stop-on-bad-data --html report.html
@@ -221,8 +221,6 @@ def conform(options: ConformOptions) -> int:
         return 0
     promise_verdict()
     options = msgspec.structs.replace(options, robot=robot.fitting(name))
-    if options.reconnect is not None and name.kind != PORT:
-        raise click.UsageError(f"--reconnect is for ports; {name.text} is not a port")
     require_writable(outputs_of(options.reports.outputs))
     if not options.watches:
         note_each([plan.order])

@@ -9,10 +9,10 @@ import click
 import msgspec
 from msgspec.structs import replace
 
-from bilprov.analyzer.cli.command import argument, group, option
+from bilprov.analyzer.cli.command import argument, asked_here, group, option, refuse
 from bilprov.analyzer.cli.options import (
+    SENDING_LINE,
     SendingLineOptions,
-    asked_here,
     confirm_effect,
     note_each,
     note_hindrances,
@@ -58,6 +58,9 @@ class RobotOptions(msgspec.Struct, frozen=True):
             line = self.line.settings(protocol) if name.kind == PORT else line_settings(protocol)
         except ValueError as error:
             raise click.UsageError(str(error)) from error
+        if name.kind != PORT:
+            for_ports = (*SENDING_LINE, "reconnect", "power")
+            refuse(for_ports, f"is for ports; {name.text} is not a port")
         return name, line
 
     def fitting(self, name: TargetName) -> RobotOptions:
@@ -66,7 +69,7 @@ class RobotOptions(msgspec.Struct, frozen=True):
         Raises UsageError for an option of the command line that is not for this kind of target.
         """
         probe = self.probe if asked_here("probe") or not name.own_probe else None
-        power = self.power if asked_here("power") or name.kind == PORT else None
+        power = self.power if name.kind == PORT else None
         if name.own_probe and probe not in (None, SIM):
             raise click.UsageError(
                 f"the target {name.text} brings its own probe; --probe {probe} is for ports"
@@ -76,8 +79,8 @@ class RobotOptions(msgspec.Struct, frozen=True):
             raise click.UsageError(
                 f"{option} is for the target sim; start `bilprov simulate {option}`"
             )
-        if power is not None and (name.kind != PORT or not power.startswith("exec:")):
-            raise click.UsageError(f"--power {power}: it takes exec:COMMAND, and is for ports")
+        if power is not None and not power.startswith("exec:"):
+            raise click.UsageError(f"--power {power}: it takes exec:COMMAND")
         return replace(self, probe=probe, power=power)
 
     @contextmanager

@@ -74,7 +74,7 @@ class ScoreOptions(msgspec.Struct, frozen=True):
     )
 
 
-@command(ScoreOptions)
+@command(ScoreOptions, only_with={"causes": ("pairs",)})
 def score(options: ScoreOptions) -> int:
     """Examples:
       bilprov lab score --level smoke --random 0
@@ -96,8 +96,6 @@ def score(options: ScoreOptions) -> int:
     if not faults:
         none = f"matches {' or '.join(only)}" if only else "is left with --random 0"
         raise click.UsageError(f"no fault {none}; see simulate --list-faults")
-    if options.pairs and not options.causes:
-        raise click.UsageError("--pairs is only for --causes")
     outputs = outputs_of(options.outputs)
     require_writable(outputs)
     console = Console(stderr=onto_standard_output(outputs), highlight=False, soft_wrap=True)

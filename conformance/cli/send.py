@@ -10,11 +10,8 @@ from queue import SimpleQueue
 import click
 from msgspec.structs import replace
 
-from bilprov.analyzer.cli.command import command, protocol_in_use
-from bilprov.analyzer.cli.options import (
-    above_latency,
-    asked_here,
-)
+from bilprov.analyzer.cli.command import asked_here, command, protocol_in_use, refuse
+from bilprov.analyzer.cli.options import SENDING_LINE, above_latency
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.options import SendOptions
@@ -22,7 +19,7 @@ from bilprov.conformance.dut.target import BOARD, SIM
 from bilprov.spec.protocol import Protocol
 
 
-@command(SendOptions)
+@command(SendOptions, only_with={"items": ("together", "unhomed", "expectations", "wait")})
 def send(options: SendOptions) -> int:
     """Examples:
       bilprov send /dev/ttyUSB0 Forward pause=500 "Speed 80" "81 05"
@@ -49,10 +46,6 @@ def send(options: SendOptions) -> int:
     protocol, target, items = protocol_in_use(), options.target, options.items
     settings = options.line.settings(protocol)
     timeout = above_latency(timeout_in_ns(protocol, options.truncation_timeout), target)
-    only_for_items = () if items else ("together", "unhomed", "expectations", "wait")
-    for name in filter(asked_here, only_for_items):
-        spelling = "expect" if name == "expectations" else name
-        raise click.UsageError(f"--{spelling} is only for ITEMs")
     if target.startswith(BOARD):
         raise click.UsageError(
             f"{target} is for conform: start `bilprov simulate --firmware FILE.elf` and "
@@ -60,6 +53,7 @@ def send(options: SendOptions) -> int:
         )
     with ExitStack() as stack:
         if target == SIM:
+            refuse((*SENDING_LINE, "wait"), f"is for ports; {SIM} is not a port")
             typed = options.probe if asked_here("probe") else None
             if typed not in (None, SIM):
                 raise click.UsageError(f"sim brings its own probe; --probe {typed} is for ports")

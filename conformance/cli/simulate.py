@@ -62,7 +62,7 @@ class SimulateOptions(msgspec.Struct, frozen=True):
     list_variants: bool = flag("List the legal variants, and mixtures.")
 
 
-@command(SimulateOptions)
+@command(SimulateOptions, only_with={"firmware": ("start",)})
 def simulate(options: SimulateOptions) -> int:
     """Examples:
       bilprov simulate --probe-listen 127.0.0.1:0
@@ -105,8 +105,6 @@ def simulate(options: SimulateOptions) -> int:
         raise click.UsageError(
             "--firmware is a device of its own: --fault and --variant do not apply"
         )
-    if options.start is not None and firmware is None:
-        raise click.UsageError("--start is the address where firmware starts: give --firmware too")
     if firmware is not None and options.probe_listen and not protocol.wheels:
         raise click.UsageError(
             f"the probe of a board sees the pins of the car, which {protocol.name} does not have: "

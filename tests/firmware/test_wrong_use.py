@@ -55,7 +55,6 @@ ROWS: list[tuple[str, Content, str]] = [
     (SERVE, record(0, 4, b"a") + END, "damaged in line 1"),
     (SERVE, record(0, 0, b"abcd") + "no record\n" + END, "damaged in line 2"),
     (SERVE, record(0, 3, b"\0\0\x7c\0") + record(0, 0, b"ab") + END, "instruction at 0x7c00"),
-    ("simulate --start 0x7c00", HEX, "give --firmware too"),
     (f"{SERVE} --start boot", HEX, "write it like 0x7c00 or 31744"),
     (f"{SERVE} --start 0x7f00", HEX, "no instruction at 0x7f00"),
     (f"{SERVE} --start -2", HEX, "no instruction at -0x2"),
