@@ -103,7 +103,8 @@ class Listener(Closing):
         try:
             self._socket = socket.create_server((host, port), family=family)
         except OSError as error:
-            said = _LISTENING.get(error.errno or 0, f"cannot be listened on: {error.strerror}")
+            why = str(error.strerror).partition(" (while ")[0]  # what Python adds names it again
+            said = _LISTENING.get(error.errno or 0, f"cannot be listened on: {why}")
             raise LinkError(f"{address} {said}") from error
         self._socket.setblocking(False)
 

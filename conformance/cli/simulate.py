@@ -51,9 +51,7 @@ class SimulateOptions(msgspec.Struct, frozen=True):
     listen: str | None = option(
         metavar="HOST:PORT", help="Serve raw TCP instead of a pty; port 0: any."
     )
-    probe_listen: str | None = option(
-        metavar="HOST:PORT", help="Serve the probe over TCP too; 8 clients at most."
-    )
+    probe_listen: str | None = option(metavar="HOST:PORT", help="Serve the probe over TCP too.")
     fault: str | None = fault_option(
         help="Misbehave in one way; random:SEED or random:SEED.NUMBER draws one."
     )
