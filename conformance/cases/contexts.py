@@ -34,7 +34,6 @@ _SETS_ALL = 0.4  # share of the contexts that set the whole state, not the motio
 # ms without a frame: what a fault leaves shows late, at 120, at 60, and what comes after 30, at 15.
 _LONG, _SHORT, _PAUSE, _BRIEF = 122, 62, 31, 16
 _REST = 310  # ms for which it drives before a fault comes: what falls asleep does so within 300
-_TIMES = 2  # that each value of a byte stands in a place, in two states
 _ODD = 83  # from one value of a byte to the next: no value is met twice before all are
 
 
@@ -207,7 +206,7 @@ def _complete(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Contex
         else:
             beside = longest - spec.length if length > spec.length else spec.length - 1
         # The shortest two have no second byte beside the first and the last.
-        visits = ceil(_TIMES * 256 / max(1, beside - 2)) if length else 0
+        visits = ceil(256 / max(1, beside - 2)) if length else 0
         place = identity + length
         for number, kind in enumerate(kinds):
             data = _marked(length, place + number + turn)
