@@ -26,7 +26,11 @@ from bilprov.conformance.runner.discovery.discover import discover
 from bilprov.conformance.runner.discovery.state import first_choices
 from bilprov.conformance.runner.homing import find_speed, home, home_again, leave, see_motions
 from bilprov.conformance.runner.power_on import calibrate, first_bytes
-from bilprov.conformance.runner.probe_trust.probe_check import first_looks, settle_failures
+from bilprov.conformance.runner.probe_trust.probe_check import (
+    first_looks,
+    note_no_stop,
+    settle_failures,
+)
 from bilprov.conformance.runner.retry import TRUSTED, Attempt, judge_case
 from bilprov.conformance.runner.run import Run, result_of
 from bilprov.conformance.runner.settings import other_settings
@@ -100,6 +104,7 @@ class Runner:
             self.ended = self.ended or stopped
         run.release(str(self.ended or ""))
         run.tell_doubt()
+        note_no_stop(run)
 
     def _judge_all(self) -> Procedure[None]:
         run = self.run

@@ -10,6 +10,8 @@ from bilprov.analyzer.client.operations import Procedure, listen, observe, send
 from bilprov.analyzer.client.rest import stops
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.case import in_motion
+from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.homing import home, set_up
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import moving_to
@@ -42,6 +44,22 @@ def settle_failures(run: Run) -> Procedure[None]:
         if doubt:
             run.distrust(doubt)
     run.release()
+
+
+def note_no_stop(run: Run) -> None:
+    """Note where no fault of any class was seen to stop the robot: the probe may show commands."""
+    stops = {
+        result.id.partition("/")[0]: result.axes["stop"].verdict
+        for result in run.results
+        if "stop" in result.axes
+    }
+    seen_to_stop = stops.pop(FrameClass.VALID, None) is Verdict.PASS
+    foreign = run.config.observability.foreign
+    if foreign and seen_to_stop and len(stops) > 1 and {*stops.values()} == {Verdict.FAIL}:
+        run.notices.append(
+            "no kind of fault was seen to stop the robot, and a stop was: check that the probe "
+            "shows what the wheels do, and not what was commanded"
+        )
 
 
 def _check(run: Run) -> Procedure[str]:

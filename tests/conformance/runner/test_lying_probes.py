@@ -183,6 +183,24 @@ def test_through_an_honest_probe_a_good_robot_passes(protocol: Protocol):
     assert "line/probe" not in {result.id for result in report.results}
 
 
+def test_where_no_fault_is_seen_to_stop_the_robot_the_report_asks_about_the_probe(
+    protocol: Protocol,
+):
+    robot = Simulator(protocol)
+
+    def commanded(probe: LyingProbe, random: Random) -> Look:
+        """What the last look showed to which no fault had come."""
+        if robot.previous is not None and not robot.previous.valid:
+            probe.looks[-1] = probe.looks[-2]
+        return probe.looks[-1]
+
+    target = device_target(protocol, LyingProbe(robot, commanded, 1, brief=False))
+    report = run_suite(foreign(target), Options(level="smoke"), logged=False)
+
+    assert report.exit == 1
+    assert ["not what was commanded" in notice for notice in report.notices] == [True]
+
+
 def test_a_single_odd_look_fails_nothing_and_passes_nothing(protocol: Protocol):
     def once(number: int) -> Lie:
         def lie(probe: LyingProbe, random: Random) -> Look:
@@ -192,7 +210,7 @@ def test_a_single_odd_look_fails_nothing_and_passes_nothing(protocol: Protocol):
 
         return lie
 
-    for number in (1, 711):
+    for number in (1, 714):
         report = seen_through(protocol, None, once(number))
         odd = [(r.id, r.reason) for r in report.results if r.verdict >= Verdict.INCONCLUSIVE]
         assert report.exit == 3
