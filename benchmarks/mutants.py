@@ -34,7 +34,13 @@ from benchmarks.commands import ROOT, tell
 
 ROOMS = {  # the code, and the tests that are its own
     # Arrays are compared with the session of the same traffic where that is tested.
-    "spec": ("spec", ["tests/spec", "tests/analyzer/decode/test_framed.py"]),
+    "spec": (
+        "spec",
+        [
+            *("tests/spec", "tests/analyzer/decode/test_framed.py"),
+            "tests/analyzer/simulated/test_device.py",  # devices that answer by a grammar
+        ],
+    ),
     "oracle": ("conformance/oracle", ["tests/conformance/oracle", "tests/conformance/cases"]),
     "decode": (
         "analyzer/decode",
