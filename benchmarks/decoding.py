@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 
 from benchmarks import product
 from benchmarks.ceiling import Judged
@@ -26,15 +27,11 @@ def columns(setting: Setting, work: Work) -> Row:
 
     if judged(said.host).codes != said.device:
         raise Disagree("the columns' verdicts are not those of the frames that were drawn")
-    few, sample = setting.sample.host, _frames(setting)
+    few = setting.sample.host
     _require_same("columns", judged(few), CONSTRUCT, setting.construct.judged(few))
-    works = {
-        OURS: lambda: said.frames / timed(lambda: decode(said.host)),
-        CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
-    }
     if setting.has_ceiling():
         _require_same("columns", judged(said.host), C_LOOP, setting.ceiling.judged(said.host))
-        works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
+    works = {OURS: lambda: said.frames / timed(lambda: decode(said.host)), **_peers(setting, said)}
     rates = medians(setting.sizes.rounds, works)
     least = {CONSTRUCT: 400, C_LOOP: 0.12}
     goals = [times(rates, name, least[name]) for name in rates if name != OURS]
@@ -48,7 +45,6 @@ def records(setting: Setting, work: Work) -> Row:
     file.write_bytes(said.host)
     judge = setting.ceiling if setting.has_ceiling() else setting.construct
     expected = judge.judged(said.host).summary()
-    sample = _frames(setting)
 
     def ours() -> float:
         told = run([sys.executable, "-m", "benchmarks.product", str(file)], keep=True)
@@ -57,13 +53,7 @@ def records(setting: Setting, work: Work) -> Row:
             raise Disagree(f"records: {judged}; {type(judge).__name__}: {expected}")
         return said.frames / float(took)
 
-    works = {
-        OURS: ours,
-        CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
-    }
-    if setting.has_ceiling():
-        works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
-    rates = medians(min(3, setting.sizes.rounds), works)
+    rates = medians(min(3, setting.sizes.rounds), {OURS: ours, **_peers(setting, said)})
     return work.row(_with_size(work, said), "frames/s", rates, times(rates, CONSTRUCT, 40))
 
 
@@ -71,8 +61,13 @@ def _with_size(work: Work, said: Traffic) -> str:
     return f"{work.words}, {len(said.host) / 1e6:.3g} MB"
 
 
-def _frames(setting: Setting) -> list[bytes]:
-    return [frame.data for frame in setting.construct.frames(setting.sample.host)]
+def _peers(setting: Setting, said: Traffic) -> dict[str, Callable[[], float]]:
+    """Frames/s of construct on the sample, and of the C loop on all of it where there is one."""
+    sample = [frame.data for frame in setting.construct.frames(setting.sample.host)]
+    works = {CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample))}
+    if setting.has_ceiling():
+        works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
+    return works
 
 
 def _require_same(one: str, judged: Judged, other: str, also: Judged) -> None:

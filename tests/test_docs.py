@@ -19,7 +19,7 @@ from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.safe_grammar import WORDS
 from examples.demo import FILES, PAGE
 from tests.support import ROOT
-from tests.support.commands import command, parsed
+from tests.support.commands import command, parsed, process
 from tests.support.pages import (
     PROGRAMS,
     Reader,
@@ -226,24 +226,13 @@ def test_what_a_page_links_to_is_there(page: Path) -> None:
 STATUSES = [0, 0, 1]
 
 
-def run(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run Python with these words in a folder."""
-    path = os.pathsep.join([str(ROOT), str(ROOT / "src")])
-    return subprocess.run(
-        [sys.executable, *words],
-        cwd=folder,
-        env={"PATH": "/usr/bin:/bin", "PYTHONPATH": path, "PYTHONWARNINGS": "error"},
-        capture_output=True,
-        text=True,
-        timeout=100,
-    )
-
-
 @pytest.mark.waits
 def test_the_demo_ends_well_leaves_its_files_and_names_three_commands_that_work(
     tmp_path: Path,
 ) -> None:
-    done = run("-m", "examples.demo", folder=tmp_path)
+    code = "import runpy; runpy.run_module('examples.demo', run_name='__main__')"
+    places = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "src")])}
+    done = process(code=code, cwd=tmp_path, env=places | {"PYTHONWARNINGS": "error"}, text=True)
 
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "build" / "demo"

@@ -32,15 +32,8 @@ from tests.support import ROOT
 from tests.support.commands import Done, command, command_named, parsed, process
 
 HEAVY = {
-    "serial",
-    "construct",
-    "mcap",
-    "numpy",
-    "rich",
-    "msgspec",
-    "importlib.metadata",
-    "pyarrow",
-    "aalpy",
+    *("serial", "construct", "mcap", "numpy", "rich", "msgspec"),
+    *("importlib.metadata", "pyarrow", "aalpy"),
 }
 # Modules and packages that a command does not use.
 UNUSED = {

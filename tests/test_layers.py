@@ -96,7 +96,6 @@ HOMES = {
         "analyzer/decode/column_batch.py",
         "analyzer/totals/",
         "analyzer/filters/masks.py",
-        "analyzer/filters/masks.py",
         "analyzer/screen/",
         "conformance/causes/learner.py",
     ),

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import os
 import resource
-import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -48,7 +49,6 @@ CAPTURES = {
 }
 RECORDED = {"conform --record": f"conform sim {FEW} --record", "sniff -w": "sniff {port} -w"}
 PROFILE = "conform --profile"  # one that exists is read first: a device is none
-NOW_AND_THEN = pytest.mark.sample(3)
 
 
 @pytest.fixture(scope="module")
@@ -73,37 +73,26 @@ def refused(result: Done, file: Path | str) -> None:
     assert str(file) in sentence(result)
 
 
-@NOW_AND_THEN
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("name", sorted({*REPORTS} - {PROFILE}))
 def test_a_file_for_which_there_is_no_room_is_named(name: str, runs: Path) -> None:
     refused(command(*words(name, runs, "/dev/full")), "/dev/full")
 
 
-@pytest.mark.sample(1)
+def limited(size: int) -> Callable[[], None]:
+    """Lets a process write files of so many bytes."""
+    return partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+
+
+@pytest.mark.sample(3)
 @pytest.mark.waits
-@NOW_AND_THEN
-@pytest.mark.parametrize("name", REPORTS)
+@pytest.mark.parametrize("name", REPORTS | CAPTURES)
 def test_a_file_that_grows_too_large_is_named_and_nothing_is_left_of_it(
     name: str, runs: Path, tmp_path: Path
 ) -> None:
-    require_nothing_left(name, runs, tmp_path)
-
-
-@pytest.mark.waits
-@pytest.mark.parametrize("name", CAPTURES)
-def test_a_capture_that_grows_too_large_is_named_and_nothing_is_left_of_it(
-    name: str, runs: Path, tmp_path: Path
-) -> None:
-    require_nothing_left(name, runs, tmp_path)
-
-
-def require_nothing_left(name: str, runs: Path, tmp_path: Path) -> None:
     file = tmp_path / "asked"
 
-    def little() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (30, resource.RLIM_INFINITY))
-
-    refused(process(*words(name, runs, file), preexec_fn=little), file)
+    refused(process(*words(name, runs, file), preexec_fn=limited(30)), file)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -111,12 +100,8 @@ def require_nothing_left(name: str, runs: Path, tmp_path: Path) -> None:
 def test_a_recording_that_could_not_be_finished_is_named_and_no_verdict(tmp_path: Path) -> None:
     """It stays as far as it goes, since nobody can drive the same way again."""
     file = tmp_path / "run.mcap"
-
-    def little() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1024, resource.RLIM_INFINITY))
-
     arguments = [*words("conform --record", tmp_path, file), "--fault", "always-1"]
-    refused(process(*arguments, preexec_fn=little), file)
+    refused(process(*arguments, preexec_fn=limited(1024)), file)
 
 
 def test_each_file_that_cannot_be_written_is_named_and_the_others_are_whole(
@@ -205,15 +190,3 @@ def test_ones_own_link_is_followed(victim: Path, runs: Path, tmp_path: Path) -> 
 
     assert link.is_symlink()
     assert not open_capture(victim).unfinished
-
-
-# -- the tests' own -------------------------------------------------------------------------------
-
-
-def test_temporary_files_of_tests_are_in_a_folder_that_goes_away_with_them(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
-    asked = process(code="import tempfile; print(tempfile.gettempdir())").stdout.decode().strip()
-
-    assert asked == tempfile.gettempdir()
-    assert Path(asked).is_relative_to(tmp_path_factory.getbasetemp())

@@ -20,6 +20,7 @@ from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look
 from bilprov.captures.topics import CarLook
 from bilprov.captures.writer import CaptureWriter
 from tests.support import ROOT
+from tests.support.captures import record_places
 from tests.support.messages import messages
 
 START = 1_790_000_000_000_000_000
@@ -72,13 +73,7 @@ def changed_summary(path: Path, change: Callable[[bytearray, int], None]) -> Non
 
 def entries(content: bytes, start: int, kind: int = 8) -> list[int]:
     """The offsets of the records of a kind in the summary: entries of chunks, or statistics."""
-    found, at = [], start
-    while at < len(content) - 37:
-        opcode, length = struct.unpack_from("<BQ", content, at)
-        if opcode == kind:
-            found.append(at)
-        at += 9 + length
-    return found
+    return [at for at, _ in record_places(content, kind, start)]
 
 
 def test_it_tells_what_a_survey_tells(path: Path) -> None:

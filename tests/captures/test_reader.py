@@ -22,6 +22,7 @@ from bilprov.captures.storage import records, recovery
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.topics import TOPICS
 from bilprov.captures.writer import CaptureWriter
+from tests.support.captures import record_places
 from tests.support.car import car_state
 from tests.support.messages import Message, messages
 
@@ -83,25 +84,12 @@ def test_a_file_cut_anywhere_gives_a_prefix(small: Path, pytestconfig: pytest.Co
 
 
 def chunk_offsets(data: bytes) -> list[int]:
-    offsets = []
-    at = 8
-    while at < len(data) - 8:
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        if opcode == 6:
-            offsets.append(at)
-        at += 9 + length
-    return offsets
+    return [at for at, _ in record_places(data, records.CHUNK)]
 
 
 def without_record(data: bytes, opcode: int, number: int) -> bytes:
     """A capture without the record of this opcode that stands there at this place of all."""
-    found, at = [], 8
-    while at < len(data) - 8:
-        kind, length = struct.unpack_from("<BQ", data, at)
-        if kind == opcode:
-            found.append((at, at + 9 + length))
-        at += 9 + length
-    first, end = found[number]
+    first, end = record_places(data, opcode)[number]
     return data[:first] + data[end:]
 
 
@@ -290,10 +278,11 @@ def test_channels_without_messages_are_a_capture(tmp_path: Path) -> None:
     assert capture.contents.last == 0
 
 
-def bomb(packed: bytes, declared: int, crc: int = 1) -> bytes:
-    front = struct.pack("<QQQI", 0, 0, declared, crc) + b"\x04\0\0\0zstd"
+def packed_chunk(packed: bytes, declared: int, crc: int = 1) -> bytes:
+    """A chunk record of these bytes, which declares the size and checksum of what was packed."""
+    front = struct.pack("<QQQII", 0, 0, declared, crc, 4) + b"zstd"
     body = front + struct.pack("<Q", len(packed)) + packed
-    return struct.pack("<BQ", 6, len(body)) + body
+    return struct.pack("<BQ", records.CHUNK, len(body)) + body
 
 
 @pytest.mark.parametrize("declared", [100, records.CHUNK_BYTES, records.CHUNK_BYTES + 1, 1 << 60])
@@ -304,7 +293,7 @@ def test_a_zstd_bomb_is_left_out_without_being_unpacked(
     packed = b"".join([packer.compress(bytes(1 << 20)) for _ in range(200)] + [packer.flush()])
     whole = small.read_bytes()
     last = chunk_offsets(whole)[-1]
-    data = whole[:last] + bomb(packed, declared) + whole[last:]
+    data = whole[:last] + packed_chunk(packed, declared) + whole[last:]
     capture = open_capture(with_bytes(tmp_path / "bomb.mcap", data))
     assert [m.sequence for m in messages(capture)] == list(range(24))
     assert len(capture.damage) == 1
@@ -435,12 +424,9 @@ def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(tmp_path: Path
 # -- bounded work ----------------------------------------------------------------------------------
 
 
-def packed_chunk(content: bytes) -> bytes:
-    """A chunk record with a correct checksum, packed."""
+def whole_chunk(content: bytes) -> bytes:
     packed = zstandard.ZstdCompressor().compress(content)
-    front = struct.pack("<QQQII", 0, 0, len(content), zlib.crc32(content), 4) + b"zstd"
-    body = front + struct.pack("<Q", len(packed)) + packed
-    return struct.pack("<BQ", records.CHUNK, len(body)) + body
+    return packed_chunk(packed, len(content), zlib.crc32(content))
 
 
 def test_a_chunk_of_empty_records_is_left_out_and_what_follows_is_read(
@@ -448,7 +434,7 @@ def test_a_chunk_of_empty_records_is_left_out_and_what_follows_is_read(
 ) -> None:
     whole = small.read_bytes()
     last = chunk_offsets(whole)[-1]
-    empty = packed_chunk(struct.pack("<BQ", 0x80, 0) * (records.DESCRIPTIONS + 1))
+    empty = whole_chunk(struct.pack("<BQ", 0x80, 0) * (records.DESCRIPTIONS + 1))
 
     capture = open_capture(with_bytes(tmp_path / "e.mcap", whole[:last] + empty + whole[last:]))
 
@@ -468,7 +454,7 @@ def test_a_file_with_more_messages_than_bytes_is_read_up_to_a_limit(
 ) -> None:
     # Each has half a million of the smallest messages; as foreign chunks they would all be valid.
     message = struct.pack("<BQHIQQ", records.MESSAGE, 22, 1, 0, START, START)
-    large = packed_chunk(message * (records.CHUNK_BYTES // len(message)))
+    large = whole_chunk(message * (records.CHUNK_BYTES // len(message)))
     path = with_bytes(tmp_path / "u.mcap", foreign_front(small) + large * 5)
 
     capture = open_capture(path)
@@ -483,7 +469,7 @@ def test_a_file_that_unpacks_to_far_more_than_its_size_is_read_up_to_a_limit(
 ) -> None:
     monkeypatch.setattr(recovery, "UNPACKED_SHARE", 100)
     message = struct.pack("<BQHIQQ", records.MESSAGE, 22 + 60_000, 1, 0, START, START)
-    large = packed_chunk((message + bytes(60_000)) * 200)
+    large = whole_chunk((message + bytes(60_000)) * 200)
     path = with_bytes(tmp_path / "u.mcap", foreign_front(small) + large * 5)
 
     capture = open_capture(path)

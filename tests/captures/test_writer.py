@@ -252,17 +252,19 @@ def test_kill_9_loses_at_most_a_tenth_of_a_second(tmp_path: Path) -> None:
     assert all(chunk.data == chunk.t.to_bytes(8, "big") for chunk in kept)
 
 
-FULL = """
+LIMITED = """
 import json, random, resource, signal, sys
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 sys.dont_write_bytecode = True  # a compiled file would be cut short too
-resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+said = []
+"""
+FULL = """
 capture = CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0")
 bytes_of = random.Random(1).randbytes
-said = []
 for t in range(0, 10**12, 50_000_000):
     try:
         capture.chunk(Chunk(t, "host", bytes_of(1000)))
@@ -278,7 +280,7 @@ print(json.dumps([said, t]))
 
 def test_a_full_disk_is_one_sentence_and_keeps_what_was_flushed(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    process = child(FULL, path)
+    process = child(LIMITED + FULL, path, 60_000)
     output, _ = process.communicate()
     said, last = json.loads(output)
     kept = chunks(open_capture(path))
@@ -291,14 +293,6 @@ def test_a_full_disk_is_one_sentence_and_keeps_what_was_flushed(tmp_path: Path) 
 
 
 END = """
-import json, resource, signal, sys
-from bilprov.captures.errors import CaptureError
-from bilprov.captures.schemas import Chunk
-from bilprov.captures.writer import CaptureWriter
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-sys.dont_write_bytecode = True  # a compiled file would be cut short too
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
-said = []
 with CaptureWriter(sys.argv[1], start_wall=10**18, metadata={}, version="0") as capture:
     capture.chunk(Chunk(0, "host", b"kept"))
     capture.flush()
@@ -313,12 +307,12 @@ print(json.dumps([said, size]))
 
 def test_a_disk_with_no_room_for_the_end_of_a_file_keeps_all_before_it(tmp_path: Path) -> None:
     whole = tmp_path / "whole.mcap"
-    output, _ = child(END, whole, 1_000_000).communicate()
+    output, _ = child(LIMITED + END, whole, 1_000_000).communicate()
     said, size = json.loads(output)
     assert said == []
     for room in range(size, whole.stat().st_size, 1_500):
         path = tmp_path / f"{room}.mcap"
-        output, _ = child(END, path, room).communicate()
+        output, _ = child(LIMITED + END, path, room).communicate()
         assert json.loads(output) == [
             [f"disk full: what was captured until 0.0 s is kept in {path}"],
             size,

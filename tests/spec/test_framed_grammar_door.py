@@ -11,7 +11,7 @@ from bilprov.spec.codec import judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, GrammarError, load
 from tests.support import ROOT
-from tests.support.grammars import mutated
+from tests.support.grammars import TIMES, mutated
 
 MORE = {
     " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized, CString, GreedyBytes, "
@@ -202,7 +202,8 @@ ELSEWHERE: list[tuple[dict[str, str], str, str]] = [
 ]
 
 
-LIDAR = """
+LIDAR = (
+    """
 from construct import Byte, Checksum, Const, Int16ul, RawCopy, Struct, Switch, this
 from bilprov.spec.fields import Clauses, Instruction, LineDefaults, Sum, Timing
 
@@ -222,13 +223,9 @@ FRAME = Struct(
     ),
     "sum" / Checksum(Byte, Sum(8), this.covered.data),
 )
-TIMING = Timing(
-    truncation_timeout=50, truncation_shortest=5, truncation_longest=1000,
-    answer_deadline=100, answer_longest=1000, stop_longest=100,
-)
-LINE = LineDefaults(baud=115200, parity="N", stopbits=1)
-CLAUSES = Clauses(header="1", instructions="1", responses="none", safety="none")
 """
+    + TIMES
+)
 
 
 def test_frames_that_are_never_answered_need_neither_a_reply_nor_a_list_of_silent_outcomes() -> (

@@ -248,13 +248,6 @@ def test_the_columns_of_its_rows_are_its_variables(tmp_path: Path) -> None:
     assert chosen.stdout.count(b"\n") == 2
 
 
-def test_the_shell_does_not_promise_to_stop_what_has_no_stop() -> None:
-    told = command(*GRAMMAR, "send", "sim", stdin=b"help\n").stdout
-    assert b"in milliseconds; Ctrl-C ends that" in told
-    assert b"quit       leaves, as Ctrl-D does" in told
-    assert b"home" not in told
-
-
 def test_only_reading_sends_nothing_that_changes_something() -> None:
     read = command(*GRAMMAR, "send", "sim", "--only-reading", "Read")
     assert (read.returncode, read.stderr) == (0, b"")

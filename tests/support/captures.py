@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -29,6 +30,17 @@ def write_capture(
             else:
                 writer.write(event, event.t)
     return path
+
+
+def record_places(data: bytes, opcode: int, start: int = 8) -> list[tuple[int, int]]:
+    """Where each record with this opcode begins and ends in a whole capture, from `start` on."""
+    found, at = [], start
+    while at < len(data) - 8:
+        kind, length = struct.unpack_from("<BQ", data, at)
+        if kind == opcode:
+            found.append((at, at + 9 + length))
+        at += 9 + length
+    return found
 
 
 def about(protocol: Protocol, *heard: Direction) -> dict[str, str]:

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
-from bilprov.conformance.mutation.effects import does_effect, does_watching, then
+from bilprov.conformance.mutation.effects import does_effect, then
 from bilprov.conformance.mutation.faults import Row, hooks
 from bilprov.conformance.mutation.triggers import OUTCOME_WORDS, trigger
 from bilprov.spec.fields import Outcome
@@ -26,9 +26,7 @@ answers_with = partial(does_effect, "answers-with")
 keeps = partial(does_effect, "keeps")
 late = partial(does_effect, "late")
 resumes_after = partial(does_effect, "resumes-after")
-stops_after = partial(does_effect, "stops-after")
 watchdog = partial(does_effect, "watchdog")
-speed_at_next_motion = does_watching("speed-at-next-motion", trigger("motion != stopped"))
 
 
 def condition(text: str) -> Condition:
@@ -39,7 +37,6 @@ def condition(text: str) -> Condition:
 
 faulty = condition("faulty")
 valid = condition("valid")
-is_truncated = condition("truncated")
 
 
 def is_outcome(outcome: Outcome) -> Condition:
@@ -50,16 +47,6 @@ def is_outcome(outcome: Outcome) -> Condition:
 def at_count(counter: str, number: int) -> Condition:
     """So many came before."""
     return condition(f"{counter} {number}")
-
-
-def every_nth(counter: str, number: int) -> Condition:
-    """Each time that so many have come."""
-    return condition(f"{counter} every {number}")
-
-
-def steered_to(sign: int) -> Condition:
-    """It was steered to the right (1) or to the left (-1)."""
-    return condition("steering > 0" if sign > 0 else "steering < 0")
 
 
 def every(*conditions: Condition) -> Condition:

@@ -167,7 +167,7 @@ def with_texts(grammar_text: str, piece: str, places: dict[str, str]) -> str:
     )
 
 
-_LINE = """\
+TIMES = """\
 TIMING = Timing(
     truncation_timeout=50,
     truncation_shortest=5,
@@ -179,6 +179,7 @@ TIMING = Timing(
 LINE = LineDefaults(baud=9600, parity="N", stopbits=1)
 CLAUSES = Clauses(header="1", instructions="2", responses="3", safety="4")
 """
+"""What ends a grammar that says nothing of its line and its times."""
 
 RELAY = (
     '''\
@@ -239,7 +240,7 @@ FAULTY = Sets(motion=Motion.STOPPED)
 POWER_ON = Sets(motion=Motion.STOPPED, speed=0, steering=0, led=0)
 
 '''
-    + _LINE
+    + TIMES
 )
 """A grammar of its own, which shares no frame and no answer with the car's."""
 
@@ -285,7 +286,7 @@ REPLY = Struct(
 )
 SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_SYNC)
 '''
-    + _LINE
+    + TIMES
 )
 
 
@@ -306,4 +307,4 @@ FRAME = Struct(
 )
 SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)
 """
-    return load(text + _LINE), b"\1" + DIGITS + vector.value.to_bytes(size, order)
+    return load(text + TIMES), b"\1" + DIGITS + vector.value.to_bytes(size, order)

@@ -16,8 +16,10 @@ from tests.analyzer.decode.test_stream import same
 from tests.support import ROOT
 from tests.support.decoding import MS, Event, decoded, devices, hosts, kinds
 from tests.support.framed_traffic import drawn_answer, drawn_request
+from tests.support.grammars import TIMES
 
-RECEIVER = '''
+RECEIVER = (
+    '''
 """A satellite receiver of the UBX kind: it sends messages by itself between its answers."""
 
 from construct import (
@@ -65,13 +67,9 @@ ACK = Struct(
     CHECK,
 )
 SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM, Outcome.TOO_MANY, Outcome.TOO_FEW)
-TIMING = Timing(
-    truncation_timeout=50, truncation_shortest=5, truncation_longest=1000,
-    answer_deadline=100, answer_longest=1000, stop_longest=100,
-)
-LINE = LineDefaults(baud=9600, parity="N", stopbits=1)
-CLAUSES = Clauses(header="32.2", instructions="32", responses="32.9", safety="none")
 '''
+    + TIMES
+)
 RATE = bytes.fromhex("b562 0608 0600 c800 0100 0100 de6a")  # its datasheet's, 5 Hz
 DONE = bytes.fromhex("b562 0501 0200 0608 163f")
 TIME = bytes.fromhex("b562 0121 0500 01000000 02 2a3b")

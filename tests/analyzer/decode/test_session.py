@@ -198,12 +198,3 @@ def test_the_last_byte_of_four_of_the_longest_frames_decides_what_was_unclear(
     assert session.feed(Chunk(0, "host", unclear[: most - 1])) == []
     found = hosts(session.feed(Chunk(0, "host", unclear[most - 1 :])))
     assert len(unclear) - sum(len(record.data) for record in found) < 2
-
-
-def test_another_grammar_is_followed(horn: Protocol) -> None:
-    records = hosts(decoded(Session(horn), [Chunk(0, "host", b"\x91\x02\x91\x04")]))
-
-    assert [(r.value.name, r.value.fields, r.value.judgement) for r in records] == [
-        ("Horn", {"sound": 2}, "OK"),
-        ("Horn", {"sound": 4}, "BAD_DATA"),
-    ]

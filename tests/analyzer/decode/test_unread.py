@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import pytest
 
@@ -16,6 +15,7 @@ from bilprov.analyzer.monitor.passive_judge import Findings, PassiveJudge
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import Protocol, load
+from tests.support.framed_traffic import FRAMED
 from tests.support.traffic import records_of
 
 FRAMES = (b"\x20", b"\x11\x01", b"\x00", b"\x81\x09", b"\xf0", b"\x41\xff")
@@ -126,19 +126,9 @@ def test_columns_decode_what_a_session_does(protocol: Protocol, seed: int) -> No
     assert records_of([*stream.feed(events), *stream.finish()]) == expected
 
 
-RELAY = Path(__file__).parents[3] / "examples" / "relay_board.py"
-
-
-@pytest.fixture
-def relay() -> Protocol:
-    return load(RELAY.read_text(encoding="utf-8"), RELAY.name)
-
-
-@pytest.fixture
-def for_all() -> Protocol:
-    """A relay board on which 0 stands for all relays."""
-    text = RELAY.read_text(encoding="utf-8")
-    return load(text.replace("Address(Byte, 1, 4)", "Address(Byte, 1, 4, broadcast=0)"), "all.py")
+TEXT = FRAMED["relay_board"]
+RELAY = load(TEXT, "relay_board.py")
+FOR_ALL = load(TEXT.replace("Address(Byte, 1, 4)", "Address(Byte, 1, 4, broadcast=0)"), "all.py")
 
 
 def states(session: Session, protocol: Protocol, *sent: tuple[str, int]) -> list[int | None]:
@@ -151,26 +141,26 @@ def states(session: Session, protocol: Protocol, *sent: tuple[str, int]) -> list
     return found
 
 
-def test_a_frame_changes_the_state_of_its_address_only(relay: Protocol) -> None:
+def test_a_frame_changes_the_state_of_its_address_only() -> None:
     sent = (("On", 1), ("Read", 2), ("Toggle", 2), ("Read", 1), ("Off", 1), ("Read", 2))
-    assert states(Session(relay), relay, *sent) == [1, 0, 1, 1, 0, 1]
+    assert states(Session(RELAY), RELAY, *sent) == [1, 0, 1, 1, 0, 1]
 
 
-def test_what_is_sent_to_all_changes_each_state(for_all: Protocol) -> None:
+def test_what_is_sent_to_all_changes_each_state() -> None:
     sent = (("Toggle", 1), ("On", 0), ("Read", 1), ("Read", 4), ("Off", 0), ("Read", 1))
-    assert states(Session(for_all), for_all, *sent) == [1, 1, 1, 1, 0, 0]
+    assert states(Session(FOR_ALL), FOR_ALL, *sent) == [1, 1, 1, 1, 0, 0]
 
 
-def test_a_state_that_no_frame_tells_is_not_known(relay: Protocol) -> None:
-    assert states(Session(relay), relay, ("Pulse", 3), ("Toggle", 3), ("On", 3)) == [None, None, 1]
+def test_a_state_that_no_frame_tells_is_not_known() -> None:
+    assert states(Session(RELAY), RELAY, ("Pulse", 3), ("Toggle", 3), ("On", 3)) == [None, None, 1]
 
 
-def test_a_checkpoint_has_the_state_of_each_address(relay: Protocol) -> None:
-    session, other = Session(relay), Session(relay)
-    states(session, relay, ("On", 1), ("Pulse", 2))
+def test_a_checkpoint_has_the_state_of_each_address() -> None:
+    session, other = Session(RELAY), Session(RELAY)
+    states(session, RELAY, ("On", 1), ("Pulse", 2))
     saved = session.saved()
     assert saved is not None
-    again = decoded(encoded(saved), relay)
+    again = decoded(encoded(saved), RELAY)
     assert again == saved
     other.resume(again)
-    assert states(other, relay, ("Read", 1), ("Read", 2), ("Read", 3)) == [1, None, 0]
+    assert states(other, RELAY, ("Read", 1), ("Read", 2), ("Read", 3)) == [1, None, 0]
