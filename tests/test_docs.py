@@ -232,7 +232,8 @@ def test_the_demo_ends_well_leaves_its_files_and_names_three_commands_that_work(
 ) -> None:
     code = "import runpy; runpy.run_module('examples.demo', run_name='__main__')"
     places = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "src")])}
-    done = process(code=code, cwd=tmp_path, env=places | {"PYTHONWARNINGS": "error"}, text=True)
+    strict = places | {"PYTHONWARNINGS": "error"}
+    done = process(code=code, cwd=tmp_path, env=strict, text=True, timeout=100)
 
     assert done.returncode == 0, done.stderr
     folder = tmp_path / "build" / "demo"
