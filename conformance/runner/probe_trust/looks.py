@@ -47,7 +47,8 @@ class Looks:
         were = "was" if self.odd == 1 else "were"
         return (
             f"the probe contradicts itself: {self.odd} of {quantity(self.made, 'observation')} "
-            f"{were} contradicted by the next one"
+            f"{were} contradicted by the next one; check that it answers with what it sees when it "
+            "is asked"
         )
 
     @property
