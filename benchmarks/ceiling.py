@@ -45,8 +45,7 @@ class Ceiling:
         (folder / "protocol.h").write_text(c_header(protocol), encoding="utf-8")
         library = folder / "ceiling.so"
         subprocess.run(
-            [compiler, "-O2", "-shared", "-fPIC", f"-I{folder}", "-o", library, _SOURCE],
-            check=True,
+            [compiler, "-O2", "-shared", "-fPIC", f"-I{folder}", "-o", library, _SOURCE], check=True
         )
         self._library = ctypes.CDLL(str(library))
         self._library.decode.restype = ctypes.c_size_t

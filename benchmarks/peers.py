@@ -168,10 +168,7 @@ def json_written(path: Path, construct: Construct, chunks: Iterable[Chunk]) -> i
 
 
 def raw_written(
-    path: Path,
-    chunks: Iterable[Chunk],
-    about: Mapping[str, str] | None = None,
-    size: int = 1 << 20,
+    path: Path, chunks: Iterable[Chunk], about: Mapping[str, str] | None = None, size: int = 1 << 20
 ) -> int:
     """Write raw chunks alone, as PlainWriter does; returns how many frames were answered."""
     frames = 0

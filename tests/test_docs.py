@@ -20,16 +20,7 @@ from bilprov.spec.safe_grammar import WORDS
 from examples.demo import FILES, PAGE
 from tests.support import ROOT
 from tests.support.commands import command, parsed, process
-from tests.support.pages import (
-    PROGRAMS,
-    Reader,
-    Step,
-    blocks,
-    matches,
-    pages,
-    snippets,
-    steps,
-)
+from tests.support.pages import PROGRAMS, Reader, Step, blocks, matches, pages, snippets, steps
 
 PAGES = pages()
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}

@@ -83,8 +83,7 @@ def loaded(*arguments: str) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("line", "allowed"),
-    [("--help", set()), ("--version", set()), ("encode --help", {"msgspec"})],
+    ("line", "allowed"), [("--help", set()), ("--version", set()), ("encode --help", {"msgspec"})]
 )
 def test_help_and_version_load_nothing_heavy(line: str, allowed: set[str]) -> None:
     assert loaded(*line.split()) & HEAVY <= allowed

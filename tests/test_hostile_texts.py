@@ -256,8 +256,7 @@ SHOWN = {
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.waits] * (name == "shell")) for name in SHOWN],
+    "name", [pytest.param(name, marks=[pytest.mark.waits] * (name == "shell")) for name in SHOWN]
 )
 def test_markup_of_a_grammar_is_shown_as_it_is(
     name: str, grammar_text: str, tmp_path: Path

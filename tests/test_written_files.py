@@ -104,9 +104,7 @@ def test_a_recording_that_could_not_be_finished_is_named_and_no_verdict(tmp_path
     refused(process(*arguments, preexec_fn=limited(1024)), file)
 
 
-def test_each_file_that_cannot_be_written_is_named_and_the_others_are_whole(
-    tmp_path: Path,
-) -> None:
+def test_each_file_that_cannot_be_written_is_named_and_the_others_are_whole(tmp_path: Path) -> None:
     result = command(
         *("conform", "sim", *FEW.split(), "--json", "-", "--junit", "/dev/full"),
         *("--html", str(tmp_path / "a.html"), "--profile", f"/proc/{os.getpid()}/new.toml"),

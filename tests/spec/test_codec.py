@@ -9,25 +9,11 @@ from construct import ValidationError
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.codec import (
-    all_data,
-    bad_data,
-    build,
-    judge,
-    nearest,
-    raw_frame,
-)
+from bilprov.spec.codec import all_data, bad_data, build, judge, nearest, raw_frame
 from bilprov.spec.fields import Outcome
 from bilprov.spec.grammar import FRAME
 from bilprov.spec.protocol import Protocol, load
-from tests.vectors import (
-    FRAME_COUNTS,
-    FRAMES,
-    HEADERS,
-    VALID_FRAMES,
-    FrameVector,
-    InstructionRow,
-)
+from tests.vectors import FRAME_COUNTS, FRAMES, HEADERS, VALID_FRAMES, FrameVector, InstructionRow
 
 
 @pytest.mark.parametrize("vector", FRAMES, ids=lambda v: v.frame.hex(" "))

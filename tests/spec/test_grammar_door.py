@@ -109,10 +109,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ({"        0: Answer(": "        0.5: Answer("}, "is 0.5"),
     ({"        0: Answer(": "        9: 5, 0: Answer("}, "response 9"),
     ({"Answers(\n    Byte": "Answers(\n    7"}, "the type of a response"),
-    (
-        {"Answers(\n    Byte": "Answers(\n    Struct()"},
-        "type of RESPONSE.code must be a whole",
-    ),
+    ({"Answers(\n    Byte": "Answers(\n    Struct()"}, "type of RESPONSE.code must be a whole"),
     # header and frame
     ({"HEADER = BitStruct(": "HEADER = BitStruct(HEADER, "}, "is HEADER in line|'HEADER'"),
     ({"HEADER = BitStruct(": "HEADER = Byte\nX = BitStruct("}, "FRAME has no part"),

@@ -115,14 +115,8 @@ def failing(protocol: Protocol, drive: Drive) -> Iterator[str]:
         "responses": ([(r.code, r.name, r.document) for r in protocol.responses], list(RESPONSES)),
         "timing": ({name: getattr(protocol.timing, name) for name in TIMING}, TIMING),
         "line": ({name: getattr(protocol.line, name) for name in LINE}, LINE),
-        "power-on": (
-            (*(getattr(protocol.power_on, name) for name in POWER_ON._fields),),
-            POWER_ON,
-        ),
-        "colours": (
-            {v: bit_names(protocol.by_name["LED"].fields[0], v) for v in COLOURS},
-            COLOURS,
-        ),
+        "power-on": ((*(getattr(protocol.power_on, name) for name in POWER_ON._fields),), POWER_ON),
+        "colours": ({v: bit_names(protocol.by_name["LED"].fields[0], v) for v in COLOURS}, COLOURS),
     }
     yield from (name for name, (ours, theirs) in facts.items() if ours != theirs)
     for vector in FRAMES:

@@ -200,8 +200,7 @@ def test_an_address_and_constants_may_be_some_bits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "reason"),
-    [("02", "mark is 0, right is 1"), ("8a", "a constant is 1, right is 0")],
+    ("first", "reason"), [("02", "mark is 0, right is 1"), ("8a", "a constant is 1, right is 0")]
 )
 def test_wrong_fixed_bits_are_said_and_begin_no_frame(first: str, reason: str) -> None:
     protocol = load(CAMERA)

@@ -121,9 +121,7 @@ def test_a_state_is_told_in_words() -> None:
     assert car_state("stopped", 80, -3).described == "stopped speed 80 steering -3 led 0"
 
 
-LONG = {
-    'Instruction(document="up"': 'Instruction("by" / Byte, "at" / Byte, document="up"',
-}
+LONG = {'Instruction(document="up"': 'Instruction("by" / Byte, "at" / Byte, document="up"'}
 
 
 @pytest.mark.parametrize("changes", [{}, LONG])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from html.parser import HTMLParser
 from io import StringIO
 
 from msgspec.structs import replace
@@ -140,15 +139,3 @@ _WHEN = re.compile(
 def timeless(written: bytes) -> bytes:
     """A report in any form without when it was made and how long the run took."""
     return _WHEN.sub(b"", written)
-
-
-class Seen(HTMLParser):
-    """The elements of a page and their attributes, as a parser finds them."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))

@@ -30,11 +30,7 @@ NO_TMUX = "apt-get install tmux"
 
 
 def browser(
-    protocol: Protocol,
-    batches: Sequence[Batch],
-    *,
-    live: bool = False,
-    **told: Any,
+    protocol: Protocol, batches: Sequence[Batch], *, live: bool = False, **told: Any
 ) -> Browser:
     """The screen over a recording that is complete; `told` are fields of a Told."""
 

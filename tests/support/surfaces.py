@@ -6,8 +6,6 @@ import csv
 import io
 import json
 import re
-from collections import Counter
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
@@ -40,28 +38,29 @@ def seen(shown: bytes) -> str:
     return text
 
 
-class _Elements(HTMLParser):
-    def __init__(self) -> None:
+class Seen(HTMLParser):
+    """The elements of a page and their attributes, as a parser finds them, with its comments."""
+
+    def __init__(self, text: str) -> None:
         super().__init__()
-        self.found: Counter[tuple[str, ...]] = Counter()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found[tag, *(name for name, _ in attrs)] += 1
+        self.elements.append((tag, dict(attrs)))
 
     def handle_comment(self, data: str) -> None:
-        self.found["comment",] += 1
+        self.elements.append(("comment", {}))
 
     def handle_pi(self, data: str) -> None:
-        self.found["instruction",] += 1
+        self.elements.append(("instruction", {}))
 
 
 def html_elements(page: bytes) -> set[tuple[str, ...]]:
     """The kinds of elements of a page, each with the names of its attributes."""
     text = page.decode("utf-8")
     assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]", text)
-    parser = _Elements()
-    parser.feed(text)
-    return set(parser.found)
+    return {(tag, *attributes) for tag, attributes in Seen(text).elements}
 
 
 def xml_elements(text: bytes) -> set[tuple[str, ...]]:
@@ -98,11 +97,6 @@ def c_lines(text: str) -> list[list[str]]:
     return [words for line in lines if (words := line.split())]
 
 
-def lua_tokens(text: str) -> list[str]:
-    """Lua without its comments, word by word, and with every string empty."""
-    return list(_lua_tokens(text))
-
-
 _LUA = re.compile(
     r"--\[(=*)\[.*?\]\1\]|--[^\n]*"  # comments
     r"|\[(=*)\[.*?\]\2\]|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'"  # strings
@@ -111,9 +105,11 @@ _LUA = re.compile(
 )
 
 
-def _lua_tokens(text: str) -> Iterator[str]:
-    for found in _LUA.finditer(text):
-        word = found[0]
-        if word.startswith("--") or word.isspace():
-            continue
-        yield '""' if word[0] in "\"'" or word.startswith(("[[", "[=")) else word
+def lua_tokens(text: str) -> list[str]:
+    """Lua without its comments, word by word, and with every string empty."""
+    words = [found[0] for found in _LUA.finditer(text)]
+    return [
+        '""' if word[0] in "\"'" or word.startswith(("[[", "[=")) else word
+        for word in words
+        if not word.startswith("--") and not word.isspace()
+    ]

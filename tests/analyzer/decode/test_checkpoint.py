@@ -27,11 +27,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("columns_at_once")]
 @pytest.mark.slow
 @given(ACTS, st.integers(0, 60), SETTINGS, st.booleans())
 def test_a_session_that_is_resumed_gives_the_records_that_were_left(
-    each_protocol: Protocol,
-    acts: list[Act],
-    place: int,
-    chosen: dict[str, Any],
-    by_columns: bool,
+    each_protocol: Protocol, acts: list[Act], place: int, chosen: dict[str, Any], by_columns: bool
 ) -> None:
     events = played(each_protocol, acts)
     first: Session | StreamDecoder

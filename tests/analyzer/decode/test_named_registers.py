@@ -220,33 +220,15 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
 @pytest.mark.parametrize(
     ("registers", "words"),
     [
-        (
-            '{"cells": {}}',
-            "REGISTERS has 'cells', allowed are memories .*: holding, input",
-        ),
-        (
-            '{"coils": {}}',
-            "REGISTERS has 'coils', allowed are memories .*: holding, input",
-        ),
+        ('{"cells": {}}', "REGISTERS has 'cells', allowed are memories .*: holding, input"),
+        ('{"coils": {}}', "REGISTERS has 'coils', allowed are memories .*: holding, input"),
         ("{107: 5}", "REGISTERS must be written"),
         ("[]", "REGISTERS must be written"),
-        (
-            '{"holding": {-1: "a" / Int16ub}}',
-            "a place in REGISTERS of holding is -1",
-        ),
-        (
-            '{"holding": {1: Int16ub}}',
-            'a register of holding must be written "name" / type',
-        ),
-        (
-            '{"holding": {1: "start" / Int16ub}}',
-            "a field and a register, are named start",
-        ),
+        ('{"holding": {-1: "a" / Int16ub}}', "a place in REGISTERS of holding is -1"),
+        ('{"holding": {1: Int16ub}}', 'a register of holding must be written "name" / type'),
+        ('{"holding": {1: "start" / Int16ub}}', "a field and a register, are named start"),
         ('{"holding": {1: "a" / Int16ub, 2: "A" / Int16ub}}', "are named a"),
-        (
-            '{"holding": {1: "a" / Int16ub[2]}}',
-            "the register a of holding must be one number",
-        ),
+        ('{"holding": {1: "a" / Int16ub[2]}}', "the register a of holding must be one number"),
     ],
 )
 def test_registers_that_make_no_sense_are_refused_in_one_sentence(

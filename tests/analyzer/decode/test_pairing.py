@@ -53,9 +53,7 @@ def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> 
 
 
 @pytest.mark.slow
-def test_of_a_flood_of_instructions_at_one_time_the_oldest_are_given_up(
-    protocol: Protocol,
-) -> None:
+def test_of_a_flood_of_instructions_at_one_time_the_oldest_are_given_up(protocol: Protocol) -> None:
     session = Session(protocol)
     records = [r for _ in range(MOST // 64 + 1) for r in session.feed(host(b"\x20" * 64))]
     given_up = [fault for record in records for fault in record.faults]

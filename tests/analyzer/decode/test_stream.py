@@ -116,10 +116,7 @@ def conversation(protocol: Protocol, count: int, seed: int) -> list[Event]:
         header = random.randrange(256)
         frame = bytes([header]) + random.randbytes(protocol.lengths[header])
         answer = bytes([judge(protocol, frame).response.code])
-        events += [
-            Chunk(number * MS, "host", frame),
-            Chunk(number * MS + 1000, "device", answer),
-        ]
+        events += [Chunk(number * MS, "host", frame), Chunk(number * MS + 1000, "device", answer)]
     return events
 
 

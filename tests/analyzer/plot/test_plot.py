@@ -25,7 +25,7 @@ from tests.support.captures import write_capture
 from tests.support.chromium import INSTALL, Page, chromium
 from tests.support.commands import command
 from tests.support.decoding import MS, Event, capture_session, decoded, devices, hosts
-from tests.support.reports import Seen
+from tests.support.surfaces import Seen
 
 pytestmark = pytest.mark.waits
 

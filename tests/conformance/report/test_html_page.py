@@ -17,7 +17,8 @@ from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
 from tests.support.chromium import INSTALL, Page, chromium
-from tests.support.reports import EVIL, Seen, a_case, a_run, every_verdict, hostile
+from tests.support.reports import EVIL, a_case, a_run, every_verdict, hostile
+from tests.support.surfaces import Seen
 
 pytestmark = pytest.mark.waits
 
