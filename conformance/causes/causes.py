@@ -138,15 +138,17 @@ def _effects(bags: Iterable[Bag], clean: Sequence[Exchange]) -> list[Effect]:
 
 
 def _against(relation: Relation, bags: Sequence[Bag], clean: Sequence[Exchange]) -> list[Exchange]:
-    watched = 0
+    watched = unbroken = 0
     if relation.how == "changed":
         watched = min(e.watched for bag in bags for e in bag.exchanges)
-    return [e for e in clean if relation.shows(e, watched)]
+    if relation.how == "extra":
+        unbroken = min(e.codes[-1][0] - e.codes[0][0] for bag in bags for e in bag.exchanges)
+    return [e for e in clean if e.unbroken >= unbroken and relation.shows(e, watched)]
 
 
 def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
     """Add an effect to a cause if one rule explains both; return whether it does."""
-    if _explains(cause.rule, effect):
+    if _explains(cause.rule, effect.at_setters()):
         cause.effects.append(effect)
         return True
     both = [*cause.effects, effect]

@@ -20,13 +20,14 @@ from bilprov.conformance.oracle.judge import differences, facets_of_motion
 from bilprov.conformance.oracle.sight import facets_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.spec.codec import Judgement, judge
-from bilprov.spec.motion import Wheels, visible_motion
+from bilprov.spec.motion import MOTIONS, Moment, Wheels, visible_motion
 from bilprov.spec.open_points import open_after
 
 ANSWER, MOTION = "answer", "motion"
 """The facets besides the values that are set; no variable has these names but the kind of motion.
 """
 FRAMES, FAULTS, VALID, TRUNCATED, STOPPING = "frames", "faults", "valid", "truncated", "stopping"
+ROTATION, MOVING = Moment.ROTATION.value, "moving"
 IN_A_ROW = "two faults in a row"
 """Classes of frames that are counted, besides each `kind` and each open point."""
 _OFTEN = 3
@@ -79,8 +80,9 @@ class Exchange:
     as (how many bytes stand before it, how long), `gap` from the frame before to its header (None
     after power-on). `ahead` is how many frames before it were not answered yet. `before` and
     `after` are the states of a conforming device, `accepted` its answers, `watched` how long (ns)
-    it was then looked at, `looked` when for the first time (ns), `last_seen` is the look before it.
-    `right` are the facets that were seen to be right, `deviations` those that were not.
+    it was then looked at, `looked` whether it was at all. `unbroken` is how long (ns) the line was
+    listened to from its first answer until the next frame came. `right` are the facets that were
+    seen to be right, `deviations` those that were not.
     """
 
     case: str
@@ -97,8 +99,8 @@ class Exchange:
     after: ExpectedState
     accepted: frozenset[int | None] = frozenset()
     watched: int = 0
-    looked: int | None = None
-    last_seen: Look | None = None
+    looked: bool = False
+    unbroken: int = 0
     codes: tuple[tuple[int, int], ...] = ()
     right: set[str] = field(default_factory=set)
     deviations: dict[str, Deviation] = field(default_factory=dict)
@@ -111,7 +113,7 @@ class Exchange:
     def settles(self, facet: str) -> bool:
         """Whether it was looked at, nothing deviated, and this facet was seen right after it."""
         seen = facet == ANSWER or facet in self.right
-        return seen and self.looked is not None and not self.deviations
+        return seen and self.looked and not self.deviations
 
     @property
     def answered(self) -> int:
@@ -186,7 +188,6 @@ class Exchanges:
         self._waited = 0
         self._owed = 0
         self._lost = False
-        self._last_seen: Look | None = None
         self._unseen: dict[str, list[Exchange]] = {}
 
     def _take(self, event: Event) -> None:
@@ -287,6 +288,9 @@ class Exchanges:
         classes = {FRAMES, general, exchange.kind, step.point, *points}
         if protocol.stops(step.frame_effect.effect or protocol.on_fault):
             classes.add(STOPPING)
+        moment = self._car.moment(step.frame_effect.effect)
+        if moment in MOTIONS:
+            classes |= {MOVING, moment.value}
         if step.faulty and row:
             classes.add(IN_A_ROW)
         self._counts = History(
@@ -311,8 +315,12 @@ class Exchanges:
             self._lost = True  # it may have been cut
         self._owed += len(burst) - len(answers)
         guilty: Exchange | None = None
-        for exchange, codes in zip(burst, self._paired(burst, answers), strict=True):
+        over = [*(behind.start for behind in burst[1:]), self._waited]
+        pairs = self._paired(burst, answers)
+        self._give_back(burst[0], pairs[0])
+        for exchange, codes, until in zip(burst, pairs, over, strict=True):
             exchange.codes = tuple(codes)
+            exchange.unbroken = until - (codes[0][0] if codes else exchange.end)
             exchange.before = self._expected
             deviation = self._judged_answer(exchange)
             if self._lost:
@@ -330,14 +338,14 @@ class Exchanges:
                 exchange.right.add(ANSWER)
             self._may_show_in(exchange)
             self._expected = self._model.after(self._expected, exchange.step.frame_effect)
-            exchange.after, exchange.last_seen = self._expected, self._last_seen
+            exchange.after = self._expected
             if guilty:
                 self._expected = replace(
                     self._expected, unknown=frozenset(self._model.protocol.variables)
                 )
             if exchange is burst[-1] or not repeats(exchange):
                 self.all.append(exchange)
-        if guilty and len(burst) > 1:
+        if (guilty or len(answers) > len(burst)) and len(burst) > 1:
             for exchange in burst:
                 exchange.right.discard(ANSWER)  # whose answer is whose is not certain
         if self._lost:
@@ -368,6 +376,18 @@ class Exchanges:
                 pairs[due].append(answer)
                 due += 1
         return pairs
+
+    def _give_back(self, exchange: Exchange, codes: list[tuple[int, int]]) -> None:
+        """Take from the answers of a frame one that is the second to the frame before it."""
+        before = exchange.previous
+        if before is None or before.case != exchange.case or len(codes) < 2:
+            return
+        accepted = self._accepted(exchange.step)
+        if codes[0][1] in before.accepted - accepted and codes[1][1] in accepted:
+            before.codes += (codes.pop(0),)
+            deviation = Deviation(ANSWER, "extra", before.codes[0][1], len(before.codes))
+            before.deviations[ANSWER] = deviation
+            self.bags.append(Bag(deviation, (before,)))
 
     def _unanswered(self, burst: Sequence[Exchange], last: Exchange) -> tuple[Exchange, ...]:
         """The frames of which one has got no answer: each but the last may have the one before's.
@@ -455,8 +475,7 @@ class Exchanges:
                 continue  # no motion shows at speed 0
             candidates = (guilty,) if guilty else self._visible(facet, burst)
             for exchange in candidates:
-                seen_after = (t - exchange.end for t, _ in looks if t >= exchange.end)
-                exchange.looked = next(seen_after, None)
+                exchange.looked = True
             deviation = None
             if all(wrong):
                 deviation = Deviation(facet, "wrong", *found[-1][facet])
@@ -521,7 +540,6 @@ class Exchanges:
 
     def _resynchronise(self, look: Look) -> None:
         """Go on from what was seen, so that a deviation is not counted again later."""
-        self._last_seen = look
         state, car = self._expected.state, self._car
         values = {
             name: getattr(look, name)

@@ -13,11 +13,14 @@ from bilprov.conformance.causes.exchanges import (
     FAULTS,
     FRAMES,
     IN_A_ROW,
+    MOVING,
+    ROTATION,
     STOPPING,
     TRUNCATED,
     VALID,
     Exchange,
 )
+from bilprov.spec.motion import MOTIONS
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
 
@@ -81,8 +84,10 @@ def _instruction(exchange: Exchange) -> str:
 
 def _stops(protocol: Protocol, exchange: Exchange) -> str:
     effect = exchange.step.frame_effect.effect
-    stops = effect is None or protocol.stops(effect)
-    return "a frame that stops it" if stops else "a frame that does not stop it"
+    if effect is None or protocol.stops(effect):
+        return "a frame that stops it"
+    moves = protocol.car.moment(effect) in MOTIONS
+    return "a frame that moves it" if moves else "a frame that leaves its motion"
 
 
 def _whole(exchange: Exchange, outcome: str) -> str | None:
@@ -140,13 +145,6 @@ def _of_delivery() -> Iterator[Feature]:
     yield Feature("split", lambda e: "sent in pieces" if e.pauses else "sent in one piece", "{}", 2)
     yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} inside", 5, unit=" ms")
     yield Feature(
-        "looked",
-        lambda e: None if e.looked is None else e.looked // MS,
-        "when it is observed {} after it",
-        3,
-        unit=" ms",
-    )
-    yield Feature(
         "gap",
         lambda e: None if e.gap is None else e.gap // MS,
         "{} after the frame before",
@@ -165,14 +163,12 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
     for name in (name for name, spec in protocol.variables.items() if spec.words):
         words = f"with the frame before it sent while {name} is {{}}"
         yield Feature(f"{name} before the previous", _of_previous(_before(name)), words, 3)
-    words = "with the frame before it sent while it {}"
-    yield Feature("moving before the previous", _of_previous(_moved), words, 3)
     kinds = [FAULTS, VALID, TRUNCATED, *(s.name for s in protocol.instructions)]
-    for kind in (FRAMES, *kinds, STOPPING, *POINTS):
+    for kind in (FRAMES, *kinds, STOPPING, MOVING, *POINTS):
         name = kind if kind in (FRAMES, FAULTS) else f"{kind} frames"
         words = f"with {{}} {name} before it since power-on"
         yield Feature(name, _times(kind), words, 6 if kind == FRAMES else 5, counts=True)
-    kinds.append(IN_A_ROW)
+    kinds += [IN_A_ROW, ROTATION]
     yield Feature("row", lambda e: e.history.row, "with {} faults in a row before it", 3)
     for kind in kinds:
         yield Feature(
@@ -201,7 +197,7 @@ def _since(kind: str) -> Of:
 
 
 _LAST = {FAULTS: "fault", VALID: "valid frame", TRUNCATED: "truncated frame"}
-_ONE = {kind: f"a {words}" for kind, words in _LAST.items()}
+_ONE = {kind: f"a {words}" for kind, words in (*_LAST.items(), (ROTATION, ROTATION))}
 
 
 def _later(one: str, other: str) -> Of:

@@ -220,13 +220,8 @@ class Learner:
     def one_rule(self, share: float) -> Rule | None:
         """Return one rule that takes in this share of the bags, None where there is none."""
         while True:
-            hit = self._bags_hit(self._held)
-            common = np.flatnonzero(hit.mean(axis=1) >= share)
-            chosen = self._cover(common)
+            chosen = self._cover(share)
             if chosen is None:
-                return None
-            taken = self._bags_hit(self._held[chosen].all(axis=0))
-            if taken.mean() < share:
                 return None
             if self._verified(chosen):
                 return self._rule(self._with_subject(chosen))
@@ -243,11 +238,15 @@ class Learner:
                 return [subject, *chosen]
         return chosen
 
-    def _cover(self, usable: npt.NDArray[np.intp]) -> list[int] | None:
-        """The fewest of these literals of which no right exchange fulfils all."""
+    def _cover(self, share: float) -> list[int] | None:
+        """The fewest literals that take in this share of the bags and no right exchange."""
         left = np.ones(self._wrong.shape[1], bool)
+        taken = np.ones(self._count, bool)
+        usable = np.arange(len(self._literals))
         chosen: list[int] = []
         while left.any():
+            hit = self._bags_hit(self._held[usable] & taken)
+            usable = usable[hit.mean(axis=1) >= share]
             if not len(usable):
                 return None
             excluded = (~self._wrong[usable][:, left]).sum(axis=1)
@@ -258,6 +257,7 @@ class Learner:
             pick = int(close[np.argmin(self._costs[close])])
             chosen.append(pick)
             left &= self._wrong[pick]
+            taken &= self._held[pick]
         return self._pruned(chosen)
 
     def _pruned(self, chosen: list[int]) -> list[int]:

@@ -15,7 +15,6 @@ from bilprov.conformance.causes.exchanges import (
     MOTION,
     Bag,
     Exchange,
-    seen_motion,
     value_of,
 )
 
@@ -149,7 +148,7 @@ def _of_answers(how: str, bags: Iterable[Bag]) -> list[Relation]:
 def _instead(facet: str, how: str, bags: Iterable[Bag]) -> Iterator[Relation]:
     """A value of its own instead of each that is right, where several are exchanged for others."""
     pairs = Counter((bag.deviation.expected, bag.deviation.seen) for bag in bags)
-    found = {right: seen for (right, seen), _ in reversed(pairs.most_common())}
+    found = {right: seen for (right, seen), _ in reversed(pairs.most_common()) if right != seen}
     if len(set(found.values())) > 1:
         exchanged = ", ".join(f"{seen} instead of {right}" for right, seen in found.items())
         words = "exchanges codes" if facet == ANSWER else f"is {exchanged}"
@@ -165,17 +164,7 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     def before(exchange: Exchange) -> Value:
         return value_of(facet, exchange.before)
 
-    def last_seen(exchange: Exchange) -> Value:
-        look = exchange.last_seen
-        if look is None or exchange.ahead:  # a frame since then may have changed it
-            return before(exchange)
-        car = exchange.before.state.wheels
-        return seen_motion(car, look) if facet == MOTION else getattr(look, facet)
-
-    found = [
-        Relation(facet, how, "stays as it was", before),
-        Relation(facet, how, "stays as it was", last_seen),
-    ]
+    found = [Relation(facet, how, "stays as it was", before)]
     seen = Counter(bag.deviation.seen for bag in bags).most_common(3)
     if facet == MOTION:
         found += [Relation(facet, how, f"is {v}", _moving_as(v)) for v, _ in seen]
