@@ -524,7 +524,8 @@ class Exchanges:
         }
         reported = replace(self._expected, state=self._expected.state.but(**own))
         if any(name in self._of_motion for name, _, _ in differences(self._model, reported, look)):
-            found[MOTION] = visible_motion(reported.state), seen_motion(self._car, look)
+            due, seen = visible_motion(reported.state), seen_motion(self._car, look)
+            found[MOTION] = due, seen if seen != due else "turning a wheel wrongly"
         return found
 
     def _may_show_in(self, exchange: Exchange) -> None:

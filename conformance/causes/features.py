@@ -204,10 +204,11 @@ def _later(one: str, other: str) -> Of:
     def of(exchange: Exchange) -> Value:
         last = exchange.history.last
         first, second = last.get(one, -1), last.get(other, -1)
-        if first == second:
-            return None
         late, early = (one, other) if first > second else (other, one)
-        return f"with {_ONE.get(late, late)} since the last {_LAST.get(early, early)}"
+        last = _LAST.get(early, early)
+        if first != second:
+            return f"with {_ONE.get(late, late)} since the last {last}"
+        return f"with the last {last} also the last {_LAST.get(late, late)}" if first >= 0 else None
 
     return of
 

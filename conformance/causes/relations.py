@@ -148,7 +148,7 @@ def _of_answers(how: str, bags: Iterable[Bag]) -> list[Relation]:
 def _instead(facet: str, how: str, bags: Iterable[Bag]) -> Iterator[Relation]:
     """A value of its own instead of each that is right, where several are exchanged for others."""
     pairs = Counter((bag.deviation.expected, bag.deviation.seen) for bag in bags)
-    found = {right: seen for (right, seen), _ in reversed(pairs.most_common()) if right != seen}
+    found = {right: seen for (right, seen), _ in reversed(pairs.most_common())}
     if len(set(found.values())) > 1:
         exchanged = ", ".join(f"{seen} instead of {right}" for right, seen in found.items())
         words = "exchanges codes" if facet == ANSWER else f"is {exchanged}"

@@ -76,6 +76,8 @@ NAMED = [
      "unknown ID, while motion is forward"),
     ("no-stop-once-it-has-rotated", "stop", "does not stop",
      "a faulty frame, with a rotation since the last Stop"),
+    ("no-stop-at-the-fault-after-a-truncation", "stop", "does not stop",
+     "with the last fault also the last truncated frame"),
     ("answers-fault-again-after-15-ms", "answer", "answers more than once", "a faulty frame"),
     ("mixture:R-rotate-steering=reset-and-drives-straight:by-frame", "state",
      "steering stays as it was", "at one in 2 of the moving frames"),
