@@ -382,9 +382,12 @@ class Exchanges:
         before = exchange.previous
         if before is None or before.case != exchange.case or len(codes) < 2:
             return
+        if ANSWER not in before.right:  # it has got none, or a wrong one
+            return
         accepted = self._accepted(exchange.step)
         if codes[0][1] in before.accepted - accepted and codes[1][1] in accepted:
             before.codes += (codes.pop(0),)
+            before.right.remove(ANSWER)
             deviation = Deviation(ANSWER, "extra", before.codes[0][1], len(before.codes))
             before.deviations[ANSWER] = deviation
             self.bags.append(Bag(deviation, (before,)))

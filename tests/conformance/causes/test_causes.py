@@ -233,6 +233,22 @@ def test_the_answer_to_a_frame_cut_short_may_come_before_its_time_out_was_noted(
     assert all(one.right == {ANSWER} for one in found.all if cut)
 
 
+@pytest.mark.parametrize(("asked", "second"), [(b"\x20", True), (b"\x90", False)])
+def test_a_second_answer_before_that_to_a_frame_cut_short_belongs_to_the_frame_before(
+    protocol: Protocol, asked: bytes, *, second: bool
+) -> None:
+    events = [
+        Done(Send(asked), 0),
+        Done(None, Received(((MS, 0),), MS)),
+        Done(Send(b"\x11"), 2 * MS),
+        Done(None, Received(((55 * MS, 0), (56 * MS, 4)), 60 * MS)),
+    ]
+    timing = Timing(50 * MS, 86_806, 250 * MS)
+    before, cut = Exchanges(Model(protocol, Choices()), events, timing).all
+    assert before.deviations[ANSWER].how == ("extra" if second else "other")
+    assert (ANSWER in cut.right) == second
+
+
 class Recorded:
     """The trace of a run against a faulty device, and the causes found in it."""
 
