@@ -205,10 +205,10 @@ def _later(one: str, other: str) -> Of:
         last = exchange.history.last
         first, second = last.get(one, -1), last.get(other, -1)
         late, early = (one, other) if first > second else (other, one)
-        last = _LAST.get(early, early)
+        words, others = _LAST.get(early, early), _LAST.get(late, late)
         if first != second:
-            return f"with {_ONE.get(late, late)} since the last {last}"
-        return f"with the last {last} also the last {_LAST.get(late, late)}" if first >= 0 else None
+            return f"with {_ONE.get(late, late)} since the last {words}"
+        return None if first < 0 else f"with the last {words} also the last {others}"
 
     return of
 
