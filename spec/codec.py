@@ -484,10 +484,17 @@ def _built_many(name: str, part: FieldSpec, value: Any) -> bytes:
             value = [
                 part.many.element.parse(raw[at : at + width]) for at in range(0, len(raw), width)
             ]
-        return part.build(value)
+        if part.names:
+            value = [dict(part.names).get(one, one) for one in value]
+        built = part.build(value)
     except (ValueError, TypeError, OverflowError) as error:
         what = "numbers, or their bytes in hex" if part.many.element else "bytes in hex"
         raise ValueError(f"{name} is {value!r}, allowed are {what} ({error})") from None
+    values = part.parse(built)
+    if not part.in_range(values):
+        said = f"{name} is {shown_value(part, values)}"
+        raise ValueError(f"{said}, allowed are {part.allowed}")
+    return built
 
 
 def raw_frame(protocol: Protocol, identity: int, length: int, data: bytes = b"") -> bytes:

@@ -21,6 +21,7 @@ from construct import (
     Prefixed,
     Renamed,
 )
+from msgspec.structs import replace
 
 from bilprov.spec.errors import WrongValue, one_line, require_text, require_whole, require_word
 from bilprov.spec.fields import Ranged, Reports
@@ -136,11 +137,15 @@ class FieldSpec(msgspec.Struct, frozen=True):
         return form.build(value) if form else bytes(value)
 
     def named(self, value: Any) -> Any:
-        """The name of a value, and the value itself where it has none."""
+        """The name of a value, and the value itself where it has none; of several values each."""
+        if isinstance(value, tuple):
+            return tuple(map(self.named, value))
         return next((name for name, known in self.names if known == value), value)
 
     def in_words(self, value: Any) -> Any:
         """The same, and of flags the names of those that are set."""
+        if isinstance(value, tuple):
+            return tuple(map(self.in_words, value))
         return self.flags_in(value) if self.flags else self.named(value)
 
     def flags_in(self, value: int) -> tuple[str, ...]:
@@ -162,9 +167,8 @@ class FieldSpec(msgspec.Struct, frozen=True):
     @property
     def unlimited(self) -> bool:
         """Whether any bytes are a value in the range."""
-        if self.many:
-            return True
-        return self.constant is None and self.count == 256**self.size
+        form = self.many.element if self.many else self.number
+        return self.constant is None and (form is None or self.count == 1 << 8 * form.size)
 
     @property
     def count(self) -> int:
@@ -191,13 +195,14 @@ class FieldSpec(msgspec.Struct, frozen=True):
     @property
     def allowed_in_short(self) -> str:
         """The range as one word: `0..7`, `off|on`, `HEX` for bytes, `N,N` for several numbers."""
-        if self.many:
+        if self.many and self.unlimited:
             return "N,N" if self.many.element else "HEX"
+        one = f"{self.low}..{self.high}"
         if self.names:
-            return "|".join(name for name, _ in self.names)
-        if self.flags:
-            return f"0..{self.mask}"
-        return f"{self.low}..{self.high}"
+            one = "|".join(name for name, _ in self.names)
+        elif self.flags:
+            one = f"0..{self.mask}"
+        return f"{one},{one}" if self.many else one
 
     @property
     def mask(self) -> int:
@@ -373,51 +378,55 @@ def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
     name = f"{owner}.{member.name}"
     require_text(f"the prose of {name}", prose_of(member))
     many = _many(name, body)
+    field = FieldSpec(member.name, prose_of(member), offset, 0, 0, 255)
     if many:
-        low, high = (many.element.low, many.element.high) if many.element else (0, 255)
-        return FieldSpec(member.name, prose_of(member), offset, many.least, low, high, many=many)
-    return _number_field(name, member, body, offset)
-
-
-def _number_field(name: str, member: Construct, body: Construct, offset: int) -> FieldSpec:
+        allowed = _allowed(name, _element(body), many.element) if many.element else {}
+        return replace(field, size=many.least, many=many, **allowed)
     reports = None
     if isinstance(body, Reports):
         reports = Reported(body.variable, body.factor, body.plus)
         body = unwrapped(body.subcon)
+    number = _number(name, body, ", or Bytes, Array, Prefixed or PrefixedArray")
+    allowed = _allowed(name, body, number)
+    return replace(field, size=number.size, number=number, reports=reports, **allowed)
+
+
+def _number(name: str, declared: Construct, others: str = "") -> Number:
+    """The number within a range and names."""
+    body = unwrapped(declared)
+    while isinstance(body, Ranged | Enum | FlagsEnum):
+        body = unwrapped(body.subcon)
+    return number_of(body, name, others)
+
+
+def _allowed(name: str, declared: Construct, number: Number) -> dict[str, Any]:
+    """What a number may be, as attributes of its FieldSpec: its range, its names, its flags."""
+    body = unwrapped(declared)
     ranged = body if isinstance(body, Ranged) else None
     inner = unwrapped(ranged.subcon) if ranged else body
     names: tuple[tuple[str, int], ...] = ()
     if isinstance(inner, Enum):
         names = tuple((str(name), int(value)) for name, value in inner.encmapping.items())
     flags = tuple(inner.flags.items()) if isinstance(inner, FlagsEnum) else ()
-    plain = unwrapped(inner.subcon) if names or flags else inner
-    number = number_of(plain, name, ", or Bytes, Array, Prefixed or PrefixedArray")
-    size = number.size
     low, high = (ranged.low, ranged.high) if ranged else (number.low, number.high)
     if low > high:
         raise WrongValue(f"{name} has the range {low} to {high}, which holds nothing")
     if not number.low <= low <= high <= number.high:
         raise WrongValue(f"{name} cannot carry its range {low} to {high}")
     bits = ranged.bits if ranged else ""
-    if len(bits) > 8 * size:
-        raise WrongValue(f"{name} names {len(bits)} bits, it has {8 * size}")
+    if len(bits) > 8 * number.size:
+        raise WrongValue(f"{name} names {len(bits)} bits, it has {8 * number.size}")
     if names and not ranged:
         low, high = min(value for _, value in names), max(value for _, value in names)
-    return FieldSpec(
-        name=member.name,
-        prose=prose_of(member),
-        offset=offset,
-        size=size,
-        low=low,
-        high=high,
-        bits=bits,
-        reading=ranged.reading if ranged else "",
-        code=ranged.code if ranged else "",
-        names=names,
-        flags=flags,
-        number=number,
-        reports=reports,
-    )
+    allowed = {"low": low, "high": high, "bits": bits, "names": names, "flags": flags}
+    return allowed | ({"reading": ranged.reading, "code": ranged.code} if ranged else {})
+
+
+def _element(body: Construct) -> Construct:
+    """The type of one of the numbers of a field that has several."""
+    if isinstance(body, Prefixed):
+        return _element(unwrapped(body.subcon))
+    return (unwrapped(body.subcons[1]) if isinstance(body, FocusedSeq) else body).subcon
 
 
 def _many(name: str, body: Construct) -> Many | None:
@@ -425,11 +434,11 @@ def _many(name: str, body: Construct) -> Many | None:
     if body is GreedyBytes:
         return Many(None, "rest")
     if isinstance(body, GreedyRange):
-        return Many(number_of(unwrapped(body.subcon), name), "rest")
+        return Many(_number(name, body.subcon), "rest")
     if isinstance(body, Bytes):
         return _counted(name, None, body.length)
     if isinstance(body, Array):
-        return _counted(name, number_of(unwrapped(body.subcon), name), body.count)
+        return _counted(name, _number(name, body.subcon), body.count)
     if isinstance(body, Prefixed):
         inner = _many(name, unwrapped(body.subcon))
         if inner is None or inner.how != "rest" or body.includelength:
@@ -437,7 +446,7 @@ def _many(name: str, body: Construct) -> Many | None:
         return Many(inner.element, "bytes in front", prefix=_prefix(name, body.lengthfield))
     if isinstance(body, FocusedSeq) and body.parsebuildfrom == "items":  # PrefixedArray
         count, items = (unwrapped(part) for part in body.subcons)
-        element = number_of(unwrapped(items.subcon), name)
+        element = _number(name, items.subcon)
         return Many(element, "elements in front", prefix=_prefix(name, count.subcon))
     return None
 
@@ -461,7 +470,7 @@ def shown_value(part: FieldSpec, value: Value) -> str:
     if isinstance(value, bytes):
         return value.hex(" ")
     if isinstance(value, tuple):
-        return " ".join(map(str, value))
+        return " ".join(shown_value(part, one) for one in value)
     name = part.named(value)
     if name != value:
         return f"{value} ({name})"

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain, repeat
 
+from msgspec.structs import replace
+
 from bilprov.spec.codec import Judgement, judge, nearest, spaced
 from bilprov.spec.data import DataSpec, FieldSpec, Many
 from bilprov.spec.fields import Outcome
@@ -444,7 +446,7 @@ def _field_groups(judgement: Judgement | Reply, data: DataSpec) -> Iterator[BitG
     for spec in data.fields:
         at = judgement.head + spec.offset
         if spec.many:
-            yield from _elements(spec, spec.many, at, frame, values[spec.name])
+            yield from _elements(judgement, spec, spec.many, values[spec.name])
         elif spec.constant is not None:
             yield from _fixed_bytes(frame, at, spec.constant, spec)
         elif spec.bits:
@@ -454,15 +456,16 @@ def _field_groups(judgement: Judgement | Reply, data: DataSpec) -> Iterator[BitG
 
 
 def _elements(
-    spec: FieldSpec, many: Many, at: int, frame: bytes, values: Iterable[int]
+    judgement: Judgement | Reply, spec: FieldSpec, many: Many, values: Iterable[int]
 ) -> Iterator[BitGroup]:
+    at = judgement.head + spec.offset
     if many.prefix:
-        raw = frame[at : at + many.prefix.size]
+        raw = judgement.frame[at : at + many.prefix.size]
         yield _group(raw, at, f"{spec.name} count", many.prefix.parse(raw), many.how)
         at += len(raw)
     for number, value in enumerate(values):
-        raw = frame[at : at + many.width]
-        yield _group(raw, at, f"{spec.name}[{number}]", value, spec.prose)
+        one = replace(spec, name=f"{spec.name}[{number}]", size=many.width, many=None)
+        yield _whole_group(judgement, at, one, value)
         at += many.width
 
 

@@ -69,10 +69,14 @@ def number_of(declared: Construct, what: str, others: str = "") -> Number:
 
     What it is follows from how it reads and writes bytes in which every byte is another one.
     """
+    refused = f"the type of {what} must be a whole number, such as Byte{others}"
     try:
         size = declared.sizeof()
         patterns = _patterns(size) if 0 < size < 256 else []
         values = [declared.parse(raw) for raw in patterns]
+        if float in map(type, values):
+            bits = f"Int{8 * size}ub or Int{8 * size}ul"
+            refused = f"{what} is a floating-point number; declare its bits, {bits}"
         for order in _ORDERS:
             for signed in (False, True):
                 number = Number(size, order, signed)
@@ -83,10 +87,8 @@ def number_of(declared: Construct, what: str, others: str = "") -> Number:
                 if same and [declared.build(value) for value in read] == patterns:
                     return number
     except Exception as error:  # construct raises many kinds for what is no number
-        raise WrongValue(
-            f"the type of {what} must be a whole number, such as Byte{others}"
-        ) from error
-    raise WrongValue(f"the type of {what} must be a whole number, such as Byte{others}")
+        raise WrongValue(refused) from error
+    raise WrongValue(refused)
 
 
 def _patterns(size: int) -> list[bytes]:

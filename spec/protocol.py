@@ -1200,6 +1200,11 @@ def _from(value: From, spec: VariableSpec, where: str, of: InstructionSpec | Non
     part = next((part for part in (of.fields if of else ()) if part.name == value.field), None)
     if of is None or part is None:
         raise GrammarError(f"{where} names the field {value.field}, which is not there")
+    if part.many or part.constant is not None:
+        raise GrammarError(
+            f"{where} sets {spec.name} from the field {value.field}, allowed is a field of one "
+            "number"
+        )
     if spec.words:
         if not part.names or not {word for word, _ in part.names} <= {*spec.words}:
             raise GrammarError(
@@ -1208,11 +1213,6 @@ def _from(value: From, spec: VariableSpec, where: str, of: InstructionSpec | Non
                 f"of an Enum that are words of {spec.name}: {spec.allowed}"
             )
         return replace(value, words=part.names)
-    if part.many or part.constant is not None:
-        raise GrammarError(
-            f"{where} sets {spec.name} from the field {value.field}, allowed is a field of one "
-            "number"
-        )
     low, high = sorted((part.low * value.factor, part.high * value.factor))
     if not spec.low <= low <= high <= spec.high:
         raise GrammarError(

@@ -41,16 +41,18 @@ def answer_names(data: DataSpec) -> Mapping[str, FieldSpec]:
 
 def taken_type(part: FieldSpec) -> str:
     """The type of the values that a field's parameter takes."""
+    number = "int | str" if part.names else "int"
     if part.many is None:
-        return "int | str" if part.names else "int"
-    return "bytes | str" if part.many.element is None else "Sequence[int]"
+        return number
+    return "bytes | str" if part.many.element is None else f"Sequence[{number}]"
 
 
 def told_type(part: FieldSpec) -> str:
     """The type of the value that a field of an answer has."""
     if part.many is None:
         return taken_type(part)
-    return "bytes" if part.many.element is None else "tuple[int, ...]"
+    number = "int | str" if part.names else "int"
+    return "bytes" if part.many.element is None else f"tuple[{number}, ...]"
 
 
 def read_by_name(protocol: Protocol, spec: InstructionSpec) -> tuple[str, str]:

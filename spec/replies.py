@@ -424,11 +424,12 @@ def _repeated(
 def _zeros(data: DataSpec, part: FieldSpec, before: bytes, asked: Mapping[str, Any]) -> bytes:
     """The field with zeros, as many as the request asks for, or with the value nearest to 0."""
     many = part.many
+    nearest = part.names[0][1] if part.names else min(max(part.low, 0), part.high)
     if many is None:
-        nearest = min(max(part.low, 0), part.high)
-        return part.build(part.names[0][1] if part.names else nearest)
+        return part.build(nearest)
     if many.prefix:
         return many.build(b"" if many.element is None else ())
+    count = many.fixed
     if many.how == "expression":
-        return bytes((data.measure(before, asked) or len(before)) - len(before))
-    return bytes(part.size)
+        count = ((data.measure(before, asked) or len(before)) - len(before)) // many.width
+    return count * (many.element.build(nearest) if many.element else b"\0")

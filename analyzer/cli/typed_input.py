@@ -135,14 +135,18 @@ def _values(protocol: Protocol, spec: InstructionSpec, words: Sequence[str]) -> 
 def _value(name: str, part: FieldSpec, word: str) -> Any:
     """The value of a field: a number, a name, bytes in hex, or numbers with commas between."""
     if part.many is None:
-        named = next((number for known, number in part.names if known == word), None)
-        return _number(name, word, part) if named is None else named
+        return _named_number(name, word, part)
     if part.many.element is None:
         try:
             return bytes.fromhex(word)
         except ValueError:
             raise ValueError(f"{name} is {word!r}, allowed are bytes in hex, like 01ff") from None
-    return [_number(name, one, part) for one in word.split(",")] if word else []
+    return [_named_number(name, one, part) for one in word.split(",")] if word else []
+
+
+def _named_number(name: str, word: str, part: FieldSpec) -> int:
+    known = dict(part.names).get(word)
+    return _number(name, word, part) if known is None else known
 
 
 def _number(name: str, word: str, part: FieldSpec | Part) -> int:

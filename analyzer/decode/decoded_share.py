@@ -148,11 +148,14 @@ def _near(protocol: Protocol, record: HostRecord | DeviceRecord, data: bytes) ->
         return near_miss(protocol, record.data if known else data)
     asked = record.answered.instruction if record.answered else None
     reason = record.reply.reason if record.reply else record.reason
-    wrong = _has_wrong_check(protocol, record)
-    return NearMiss(asked.name if asked else "", "checksum" if wrong else "length", reason)
+    if _has_wrong_check(protocol, record):
+        return NearMiss(asked.name if asked else "", "checksum", reason)
+    if asked is None and protocol.reply.begins(record.data):
+        return NearMiss("", "request", "they answer no request that waits")
+    return NearMiss(asked.name if asked else "", "length", reason)
 
 
-Obstacle = Literal["checksum", "length", "range", "sync", "address", "id"]
+Obstacle = Literal["checksum", "length", "range", "sync", "address", "id", "request"]
 
 _ORDERS: tuple[Order, ...] = ("big", "little")
 _LONGEST = 512  # bytes within which another end of a frame is looked for

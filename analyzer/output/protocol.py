@@ -103,6 +103,8 @@ def check_in_words(function: CheckFunction) -> str:
     digits = -(-function.width // 4)
     said = f"CRC-{function.width} (polynomial {function.poly:0{digits}x}"
     said += f", start {function.init:0{digits}x}" + (", reflected" if function.reflected else "")
+    if function.refout is not function.reflected:
+        said += ", result reflected" if function.refout else ", result not reflected"
     return said + (f", combined with {function.xorout:0{digits}x})" if function.xorout else ")")
 
 

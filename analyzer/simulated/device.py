@@ -308,4 +308,6 @@ def _elements(
         count = -(-count // 8) if spec.writes.bits else count
     if many.element is None:
         return chance.randbytes(count)
-    return tuple(chance.randint(many.element.low, many.element.high) for _ in range(count))
+    if part.unlimited:
+        return tuple(chance.randint(part.low, part.high) for _ in range(count))
+    return tuple(_number(part, chance) for _ in range(count))

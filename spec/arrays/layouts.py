@@ -11,7 +11,7 @@ from construct import Container
 from numpy.typing import NDArray
 
 from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum
-from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.data import DataSpec, FieldSpec, Many
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
 from bilprov.spec.numbers import Number
@@ -234,13 +234,31 @@ def in_range(part: FieldSpec, data: Bytes, at: Places, size: Places) -> Mask:
     """Which of the fields at these places, the last one of `size` bytes, are in their range."""
     if part.constant is not None:
         return same_bytes(part.constant, data, at)
-    if part.many and part.many.how != "fixed":
-        before = part.many.prefix.size if part.many.prefix else 0
-        whole: Mask = (size - before) % part.many.width == 0
-        return whole
+    if part.many:
+        return _all_in_range(part, part.many, data, at, size)
     if part.number is None or part.unlimited:
         return np.ones(len(at), np.bool_)
-    value = number_values(part.number, data, at)
+    return _numbers_in_range(part, part.number, data, at)
+
+
+def _all_in_range(part: FieldSpec, many: Many, data: Bytes, at: Places, size: Places) -> Mask:
+    """Which of the fields have whole elements, each of which is in its range."""
+    before = many.prefix.size if many.prefix else 0
+    count = np.full(len(at), many.fixed)
+    good = np.ones(len(at), np.bool_)
+    if many.how != "fixed":
+        count, over = np.divmod(size - before, many.width)
+        good = over == 0
+    if many.element and not part.unlimited:
+        for place in range(int(count.max(initial=0))):
+            rows = np.flatnonzero(good & (count > place))
+            places = at[rows] + before + place * many.width
+            good[rows] = _numbers_in_range(part, many.element, data, places)
+    return good
+
+
+def _numbers_in_range(part: FieldSpec, number: Number, data: Bytes, at: Places) -> Mask:
+    value = number_values(number, data, at)
     good = (value >= part.low) & (value <= part.high)
     if part.names:
         good &= np.isin(value, [known for _, known in part.names])

@@ -290,7 +290,8 @@ class RequestTables:
 def _require_numbers(spec: DataSpec) -> None:
     """Raise OverflowError for data whose ranges do not fit into 64 bits."""
     for part in spec.fields:
-        if part.number is not None and part.size > WIDEST and not part.unlimited:
+        number = part.many.element if part.many else part.number
+        if number is not None and number.size > WIDEST and not part.unlimited:
             raise OverflowError(f"{part.name} does not fit into 64 bits")
 
 

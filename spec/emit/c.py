@@ -160,11 +160,14 @@ def _field(owner: str, field: FieldSpec) -> Iterator[Line]:
 
 
 def _values(name: str, field: FieldSpec) -> Iterator[Line]:
-    """Yield how a number is written, its range and its names."""
-    if field.number is None:
+    """Yield how a number, or each of several, is written, its range and its names."""
+    number = field.number
+    if field.many:
+        number, name = field.many.element, f"{name}_ELEMENT"
+    if number is None:
         return
-    yield from _number(name, field.number)
-    if field.size <= _WIDEST:
+    yield from _number(name, number)
+    if number.size <= _WIDEST:
         yield f"{name}_MIN", _decimal(field.low), ""
         yield f"{name}_MAX", _decimal(field.high), ""
     for word, value in (*field.names, *field.flags):

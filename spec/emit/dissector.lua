@@ -299,12 +299,11 @@ end
 local function in_words(row, values)
     local words = {}
     for i, one in ipairs(values) do
-        words[i] = row.bytes and hex(one.value) or format("%.0f", one.value)
+        local name = row.names and row.names[one.value]
+        words[i] = (row.bytes and hex(one.value) or format("%.0f", one.value))
+            .. (name and format(" (%s)", name) or "") .. bits_of(row, one.value)
     end
-    local only = not row.count and not row.bytes and values[1].value
-    local name = only and row.names and row.names[only]
-    return table.concat(words, " ") .. (name and format(" (%s)", name) or "")
-        .. (only and bits_of(row, only) or "")
+    return table.concat(words, " ")
 end
 
 local function is_strange(row, value)

@@ -84,6 +84,10 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ),
     ({"SILENT =": "SILNT ="}, "nothing uses 'SILNT'; did you mean SILENT?"),
     ({"POWER_ON =": "power_on ="}, "nothing uses 'power_on'; did you mean POWER_ON?"),
+    (
+        read('"text" / Float32b, '),
+        "Read.text is a floating-point number; declare its bits, Int32ub or Int32ul",
+    ),
     *(
         (
             read(f'"text" / {kind}, '),
@@ -95,7 +99,6 @@ WRONG: list[tuple[dict[str, str], str]] = [
             "NullTerminated(Byte)",
             "Optional(Byte)",
             "If(this.x, Byte)",
-            "Float32b",
         )
     ),
     ({SUM: "Checksum(Byte, Summ(8), this.covered.data)"}, "name 'Summ' is not"),

@@ -54,7 +54,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, Container):
         return value.a + 8 * value.b
     if isinstance(value, list):
-        return tuple(value)
+        return tuple(map(plain, value))
     if isinstance(value, str):
         return {"off": 0, "on": 1, "other": 9}.get(value, value)
     return value

@@ -14,9 +14,9 @@ from bilprov.spec.protocol import InstructionSpec, Protocol, load
 
 _IMPORTS = """\
 from construct import (
-    Array, BitsInteger, BitStruct, Byte, Bytes, Checksum, Const, Enum, FixedSized, FlagsEnum,
-    GreedyBytes, GreedyRange, Int16sb, Int16ub, Int16ul, Int24ub, Int32sl, Prefixed,
-    PrefixedArray, RawCopy, Struct, Switch, this,
+    Array, BitsInteger, BitStruct, Byte, Bytes, BytesInteger, Checksum, Const, Enum, FixedSized,
+    FlagsEnum, GreedyBytes, GreedyRange, Int8sb, Int16sb, Int16ub, Int16ul, Int24sl, Int24ub,
+    Int32sl, Int64ub, Int64sl, Prefixed, PrefixedArray, RawCopy, Struct, Switch, this,
 )
 from bilprov.spec.fields import (
     Address, Answer, Answers, Clauses, Crc, Data, Fletcher, Instruction, Length, LineDefaults,
@@ -33,11 +33,18 @@ _NUMBERS = (
         "Enum(Byte, off=0, on=1, other=9)",
         "FlagsEnum(Byte, a=1, b=8)",
     ),
-    *("Array(2, Int16ub)", "Bytes(3)"),
+    *("Array(2, Int16ub)", "Bytes(3)", "Int8sb", "Int24sl", "Int64sl", "Int64ub"),
+    *("BytesInteger(5)", "BytesInteger(6, signed=True, swapped=True)"),
+    *("Enum(Int16ul, off=0, on=1, other=9)", "FlagsEnum(Int24ub, a=1, b=8)"),
+    *("Array(2, Enum(Byte, off=0, on=1, other=9))", "Array(3, FlagsEnum(Int16ub, a=1, b=8))"),
+    "Array(2, Ranged(Int16sb, -300, 500))",
 )
 _NIBBLE = '"flag" / BitsInteger(6), "address" / Address(BitsInteger(4), 1, 14, broadcast=0)'
 _ID, _ECHO = '"id" / Byte', '"id" / Same("id", Byte)'
-_COUNTED = ("Prefixed(Byte, GreedyRange(Int16ub))", "Prefixed(Byte, GreedyBytes)")
+_COUNTED = (
+    *("Prefixed(Byte, GreedyRange(Int16ub))", "Prefixed(Byte, GreedyBytes)"),
+    "PrefixedArray(Byte, Enum(Int16ul, off=0, on=1, other=9))",
+)
 _CHECKS = (
     *(("Byte", f"Sum(8, complement={flag})") for flag in (0, 1)),
     *(("Byte", "Xor()"), ("Byte", "Xor(0x5A)"), ("Int16ub", "Sum(16)"), ("Byte", "Crc(8, 0xD5)")),
@@ -90,7 +97,10 @@ def drawn_fields(draw: Random, data: Any) -> dict[str, Any]:
         count = many.fixed or draw.randint(0, 5)
         if many.how == "expression":
             values["size"] = count
-        numbers = tuple(draw.randint(part.low, part.high) for _ in range(count))
+        numbers = tuple(
+            draw.randint(part.low, part.high) if part.unlimited else draw.choice(_allowed(part))
+            for _ in range(count)
+        )
         values[part.name] = numbers if many.element else bytes(numbers)
     return values
 

@@ -290,6 +290,31 @@ SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_SYNC)
 )
 
 
+SWITCHES = (
+    """\
+from construct import *
+from bilprov.spec.fields import *
+
+NAME, VERSION, DOCUMENT = "switches", "1", "none"
+MODE = Enum(Int16ul, off=0, on=1, slow=300)
+INSTRUCTIONS = {
+    1: "Set"
+    / Instruction(
+        "modes" / Array(2, MODE),
+        "limits" / PrefixedArray(Byte, Ranged(Int8sb, -3, 5)),
+        document="",
+        answer=Struct("alarms" / Array(2, FlagsEnum(Byte, hot=1, slow=2))),
+    )
+}
+FRAME = Struct("id" / Byte, "data" / Switch(this.id, INSTRUCTIONS), "end" / Const(b"\\xee"))
+REPLY = Struct("id" / Same("id", Byte), "data" / Data(), "end" / Const(b"\\xee"))
+SILENT = (Outcome.UNKNOWN_ID, Outcome.BAD_DATA, Outcome.BAD_SYNC)
+"""
+    + TIMES
+)
+"""Several numbers in a row, each of which has names, flags or a range."""
+
+
 def checked_digits(vector: CheckVector, order: Literal["big", "little"]) -> tuple[Protocol, bytes]:
     """A grammar of one request with nine bytes and their check, and that of the published value."""
     size = -(-eval(vector.declared, vars(checks)).bits // 8)

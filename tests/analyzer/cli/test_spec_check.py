@@ -46,15 +46,27 @@ def test_the_first_bytes_that_do_not_decode_are_told(tmp_path: Path) -> None:
     }
 
 
-def test_an_unused_id_is_told_though_frames_follow(tmp_path: Path) -> None:
-    """Its frame is one with a data byte, whose end only the silence behind it tells."""
-    (tmp_path / "line.jsonl").write_text(
-        '{"t": 0, "dir": "host", "hex": "5556000000010900b5"}\n'
-        '{"t": 1, "dir": "host", "hex": "55560000000102ae"}\n',
-        encoding="utf-8",
-    )
+@pytest.mark.parametrize(
+    ("sent", "nearly"),
+    [
+        # A frame with a data byte, whose end only the silence behind it tells.
+        (
+            '{"t": 0, "dir": "host", "hex": "5556000000010900b5"}\n',
+            b"no instruction (id): no instruction has ID 9, used are 0, 1, 2, 3, 4",
+        ),
+        (
+            '{"t": 0, "dir": "device", "hex": "333c000000010171"}\n',
+            b"no instruction (request): they answer no request that waits",
+        ),
+    ],
+)
+def test_an_unused_id_and_an_answer_to_nothing_are_told(
+    sent: str, nearly: bytes, tmp_path: Path
+) -> None:
+    more = '{"t": 1, "dir": "host", "hex": "55560000000102ae"}\n'
+    (tmp_path / "line.jsonl").write_text(sent + more, encoding="utf-8")
     result = checked(ROOT / "examples" / "relay_board.py", tmp_path / "line.jsonl")
-    assert b"no instruction (id): no instruction has ID 9, used are 0, 1, 2, 3, 4" in result.stdout
+    assert nearly in result.stdout
 
 
 def test_a_capture_and_hex_are_read_too(tmp_path: Path) -> None:

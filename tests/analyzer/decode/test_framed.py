@@ -14,9 +14,10 @@ from bilprov.analyzer.decode.column_batch import ColumnBatch
 from bilprov.analyzer.decode.records import FaultRecord
 from bilprov.analyzer.decode.session import SKEW, Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.captures.schemas import Chunk
+from bilprov.captures.schemas import Chunk, Direction
+from bilprov.spec.codec import build
 from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from tests.analyzer.decode.test_foreign_traffic import TRAFFIC, events
 from tests.analyzer.decode.test_foreign_traffic import events as recorded
 from tests.analyzer.decode.test_stream import same
@@ -24,7 +25,7 @@ from tests.support import ROOT
 from tests.support.decoding import MS, Event, decoded, devices, hosts
 from tests.support.drawn_layouts import drawn_layout
 from tests.support.framed_traffic import Traffic, exchanges
-from tests.support.grammars import checked_digits
+from tests.support.grammars import SWITCHES, checked_digits
 from tests.vectors_checks import CHECKS, CheckVector
 
 pytestmark = pytest.mark.usefixtures("columns_at_once")
@@ -116,6 +117,38 @@ def test_a_published_check_is_right_and_no_other(
     rows = [row for batch in parts for row in hosts(batch.records())]
     judged = [row.judgement.outcome for row in rows if row.judgement]
     assert judged == [Outcome.VALID, Outcome.BAD_CHECKSUM] * 20
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        (
+            "01 0000 0700 01 05 ee",
+            "modes is 0 (off) 7, allowed are 0 (off), 1 (on), 300 (slow)",
+        ),
+        ("01 0000 0100 02 05 fc ee", "limits is 5 -4, allowed are -3 to 5"),
+    ],
+)
+def test_each_of_several_numbers_has_its_names_and_its_range(wrong: str, reason: str) -> None:
+    protocol = load(SWITCHES)
+    right = build(protocol, "Set", {"modes": ["on", 300], "limits": [-3, 5]})
+    assert right == bytes.fromhex("01 0100 2c01 02 fd 05 ee")
+    told = "answer alarms=3 (hot slow) 0 (none)"
+
+    sides: list[tuple[Direction, bytes]] = [
+        ("host", right),
+        ("device", bytes.fromhex("01 03 00 ee")),
+        ("host", bytes.fromhex(wrong)),
+    ]
+    sent = [Chunk(at * 100 * MS, *sides[at % 3]) for at in range(60)]
+    parts = same(protocol, sent, [40])
+
+    assert any(isinstance(batch, ColumnBatch) for batch in parts)
+    rows = [row for batch in parts for row in batch.records()]
+    assert {row.judgement.reason for row in hosts(rows) if row.judgement} == {"", f"Set.{reason}"}
+    assert {row.reply.describe() for row in devices(rows) if row.reply} == {told}
+    with pytest.raises(ValueError, match=r"Set\.limits is 6, allowed are -3 to 5"):
+        build(protocol, "Set", {"modes": [0, 0], "limits": [6]})
 
 
 # --------------------------------------------------------------------------------------------------
