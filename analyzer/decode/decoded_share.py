@@ -222,7 +222,8 @@ def _other_length(
     if check is None or layout.part("length"):
         return
     for end in check.right_sizes(data[:_LONGEST], least):
-        if check.part.size == 1 and end < len(data):
+        more = data[end:]
+        if check.part.size == 1 and more and not (layout.sync and layout.begins(more)):
             continue  # right by chance, once in 256 times
         if end != size and not layout.wrong_constant(data[:end]):
             came, due = end - least, size - least

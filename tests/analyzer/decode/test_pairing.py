@@ -12,7 +12,8 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.checks import Crc, Sum
 from bilprov.spec.codec import judge
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
+from tests.support import ROOT
 from tests.support.decoding import MS, decoded, devices, hosts, kinds
 
 # What the host says (ms), what the device answers, and to which instruction after how long (ms).
@@ -144,6 +145,16 @@ def test_the_nearest_instruction_is_told_with_what_is_wrong(
     assert found is not None
     assert (found.name, found.obstacle) == (name, obstacle)
     assert reason in found.reason
+
+
+def test_a_field_too_many_is_told_where_the_next_sync_stands_early() -> None:
+    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
+    wrong = text.replace('Instruction(document="close"', 'Instruction("x" / Byte, document="close"')
+    found = near_miss(load(wrong), bytes.fromhex("5556000000 01 02 AE 5556000000 01 01 AD"))
+
+    assert found is not None
+    assert (found.name, found.obstacle) == ("Off", "length")
+    assert found.reason.startswith("its check is right after 8 bytes, with 0 bytes of data")
 
 
 def test_a_valid_frame_is_no_near_miss() -> None:
