@@ -12,8 +12,14 @@ import click
 import msgspec
 from msgspec.structs import replace
 
-from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use, refuse
-from bilprov.analyzer.cli.options import compiled, filter_option, request_option, sender_option
+from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
+from bilprov.analyzer.cli.options import (
+    compiled,
+    filter_option,
+    only_for_bytes,
+    request_option,
+    sender_option,
+)
 from bilprov.analyzer.cli.reading import opened_captures
 from bilprov.analyzer.cli.typed_input import (
     are_json_lines,
@@ -123,7 +129,7 @@ def _decoded(path: Path | None, options: DecodeOptions) -> tuple[Iterator[Batch]
     if kind == "JSON lines":
         protocol = protocol_in_use()
         return _of_lines(path, options.sender, protocol), 0, protocol
-    refuse(["sender"], "is for bytes: a capture has their directions")
+    only_for_bytes()
     from bilprov.analyzer.replay.capture_decoding import opened_whole
 
     (capture,), protocol = opened_captures([path])

@@ -8,8 +8,8 @@ from typing import Any
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use, refuse
-from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, note
+from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
+from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, note, only_for_ports
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.taps.relay import PTY, ImpairedDirection, LineFaults, Noise, join, open_end
 from bilprov.analyzer.transport.port import PtyPair
@@ -69,7 +69,7 @@ def line(options: ImpairedOptions) -> int:
     """
     a, b = options.a, options.b
     if a == b == PTY:
-        refuse(LINE, "is for ports; a pty is as fast as its programs")
+        only_for_ports(LINE, PTY)
     try:
         if a != PTY and same_line(a, b):  # to open it twice would only report that it is in use
             raise ValueError(f"both ends are {b}; a line joins two, so give another one")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import asked_here, flag, group, option
+from bilprov.analyzer.cli.command import asked_here, flag, group, option, refuse
 from bilprov.analyzer.cli.settings import naming_file
 from bilprov.spec.errors import one_line
 
@@ -239,6 +239,16 @@ class ShownOptions(msgspec.Struct, frozen=True):
                 "pipe use --format lines"
             )
         return self.format or ("lines" if self.plain or in_lines or not has_terminal() else "live")
+
+
+def only_for_ports(names: Iterable[str], target: str) -> None:
+    """Raise UsageError for the first option that is typed, though the target is no port."""
+    refuse(names, f"is for ports; {target} is not a port")
+
+
+def only_for_bytes() -> None:
+    """Raise UsageError if --from is typed, though the bytes are of a capture."""
+    refuse(["sender"], "is for bytes: a capture has their directions")
 
 
 def compiled(expression: str | None, protocol: Protocol) -> Filter | None:

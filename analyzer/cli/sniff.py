@@ -14,15 +14,7 @@ from typing import NamedTuple
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import (
-    argument,
-    command,
-    flag,
-    group,
-    option,
-    protocol_in_use,
-    refuse,
-)
+from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
 from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.cli.options import (
     Finite,
@@ -33,6 +25,7 @@ from bilprov.analyzer.cli.options import (
     note,
     note_each,
     note_hindrances,
+    only_for_ports,
     timeout_option,
 )
 from bilprov.analyzer.cli.settings import PortName
@@ -278,7 +271,7 @@ def _simulated(protocol: Protocol, given: Ports, settings: LineSettings) -> Sour
         return None
     if given != Ports(SIM):
         raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
-    refuse(["wait"], f"is for ports; {SIM} is not a port")
+    only_for_ports(["wait"], SIM)
     from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
 
     return SimulatedDrive(protocol, settings)

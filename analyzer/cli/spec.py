@@ -9,18 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import (
-    argument,
-    command,
-    group,
-    option,
-    protocol_in_use,
-    refuse,
-)
+from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     half_duplex_option,
     note,
     note_each,
+    only_for_bytes,
     sender_option,
     text_format_option,
 )
@@ -254,7 +248,7 @@ def _records(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) ->
         from bilprov.analyzer.api import read_capture
         from bilprov.captures.reader import open_capture
 
-        refuse(["sender"], "is for bytes: a capture has their directions")
+        only_for_bytes()
         if not half_duplex:
             yield from read_capture(source, protocol)
             return

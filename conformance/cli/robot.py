@@ -9,7 +9,7 @@ import click
 import msgspec
 from msgspec.structs import replace
 
-from bilprov.analyzer.cli.command import argument, asked_here, group, option, refuse
+from bilprov.analyzer.cli.command import argument, asked_here, group, option
 from bilprov.analyzer.cli.options import (
     SENDING_LINE,
     SendingLineOptions,
@@ -17,6 +17,7 @@ from bilprov.analyzer.cli.options import (
     note_each,
     note_hindrances,
     note_suspension,
+    only_for_ports,
     yes_option,
 )
 from bilprov.analyzer.cli.settings import PortName
@@ -59,8 +60,7 @@ class RobotOptions(msgspec.Struct, frozen=True):
         except ValueError as error:
             raise click.UsageError(str(error)) from error
         if name.kind != PORT:
-            for_ports = (*SENDING_LINE, "reconnect", "power")
-            refuse(for_ports, f"is for ports; {name.text} is not a port")
+            only_for_ports((*SENDING_LINE, "reconnect", "power"), name.text)
         return name, line
 
     def fitting(self, name: TargetName) -> RobotOptions:

@@ -10,8 +10,8 @@ from queue import SimpleQueue
 import click
 from msgspec.structs import replace
 
-from bilprov.analyzer.cli.command import asked_here, command, protocol_in_use, refuse
-from bilprov.analyzer.cli.options import SENDING_LINE, above_latency
+from bilprov.analyzer.cli.command import asked_here, command, protocol_in_use
+from bilprov.analyzer.cli.options import SENDING_LINE, above_latency, only_for_ports
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.options import SendOptions
@@ -53,7 +53,7 @@ def send(options: SendOptions) -> int:
         )
     with ExitStack() as stack:
         if target == SIM:
-            refuse((*SENDING_LINE, "wait"), f"is for ports; {SIM} is not a port")
+            only_for_ports((*SENDING_LINE, "wait"), SIM)
             typed = options.probe if asked_here("probe") else None
             if typed not in (None, SIM):
                 raise click.UsageError(f"sim brings its own probe; --probe {typed} is for ports")
