@@ -9,7 +9,7 @@ from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.captures.schemas import Chunk
+from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.checks import Crc, Sum
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
@@ -83,6 +83,14 @@ def test_a_flood_of_answers_ends_the_search_for_frames(protocol: Protocol) -> No
     records = [r for _ in range(1000) for r in session.feed(Chunk(0, "device", bytes(64)))]
 
     assert len(devices(records)) > 10_000
+
+
+def test_after_bytes_were_lost_an_answer_is_that_of_no_frame_before(protocol: Protocol) -> None:
+    events = [host(b"\x20"), Line(MS, "gap"), Chunk(2 * MS, "device", b"\x00")]
+
+    records = decoded(Session(protocol), events)
+
+    assert [record.value.instruction for record in devices(records)] == [None]
 
 
 def host(data: bytes) -> Chunk:
