@@ -39,6 +39,7 @@ ROOMS = {  # the code, and the tests that are its own
         [
             *("tests/spec", "tests/analyzer/decode/test_framed.py"),
             "tests/analyzer/simulated/test_device.py",  # devices that answer by a grammar
+            "tests/analyzer/cli/test_typed_answers.py",
         ],
     ),
     "oracle": ("conformance/oracle", ["tests/conformance/oracle", "tests/conformance/cases"]),
