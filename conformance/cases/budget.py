@@ -24,6 +24,7 @@ from bilprov.conformance.oracle.profile import Timers
 from bilprov.spec.by_effect import Movement, frames_to, link_check, movement_of, movers
 from bilprov.spec.protocol import Protocol
 
+PAUSE = 2 * MS  # the longest inside a frame
 _LOOKS = 3  # at each setting of the wheels' order
 _LOOKS_ONCE, _LOOKS_AT_STOP, _LOOKS_AT_RECOVERY = 2, 5, 3  # in a case of a single frame
 _ANSWERS_BEFORE, _LOOKS_BEFORE = 190, 60  # that are waited for before the first case
@@ -118,7 +119,7 @@ def _undelayed(protocol: Protocol, case: AnyCase, byte_time: float, timeout: flo
         total = home + size * byte_time + bursts * _EXCHANGE
         for burst in case.bursts:
             total += timeout if burst.steps[-1].truncated else 0.0
-            total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, 0.002)
+            total += burst.idle_ms / 1000 + len(burst.pauses) * min(timeout / 8, PAUSE / 1e9)
         return total
     if isinstance(case, OrderCase):
         size = sum(len(frame) + 1 for frame in case.sent)

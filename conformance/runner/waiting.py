@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bilprov.analyzer.client.operations import Procedure, Received, listen
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.budget import group
+from bilprov.conformance.cases.budget import PAUSE, group
 from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.profile import Profile, Timers
@@ -12,7 +12,6 @@ from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import FLUSH_POINTS
 
-_PAUSE = 2 * MS  # the longest inside a frame
 _SETTLED = MS  # within which a prompt line has brought what is under way
 _NEVER = 5  # answers missing in succession, until `patience` becomes as short as `usual`
 
@@ -77,7 +76,7 @@ class Waiting:
     @property
     def pause(self) -> int:
         """How long (ns) a pause inside a frame lasts that a device must not take for its end."""
-        return min(self.timeout // 8, _PAUSE)
+        return min(self.timeout // 8, PAUSE)
 
     @property
     def finest(self) -> int:
