@@ -134,7 +134,7 @@ class Ended:
 
 
 FAULTS = {"good": "", "faulty": "--fault ok-to-unknown-id"}
-FEW = "--only unused-id/9/*"
+FEW = "--level smoke --only unused-id/9/*"
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +236,7 @@ def test_a_verdict_is_given_only_where_everything_was_shown_and_written(
 
 # What drives a robot on a port; a frame with an unused ID is answered OK by the faulty one.
 DRIVING = {
-    "conform": "conform {port} --probe {probe} --only unused-id/9/* --json {new}/a.json",
+    "conform": f"conform {{port}} --probe {{probe}} {FEW} --json {{new}}/a.json",
     "send": "send {port} 'Speed 255' Forward 90",
     "send, expecting": "send {port} 'Speed 255' Forward 90 --expect OK,OK,BAD_HEADER",
     "replay": "replay {runs}/good.mcap --to {port} --rate 0 --duration 0.1",

@@ -31,6 +31,7 @@ from bilprov.conformance.pytest_plugin.bench import Client
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.python_names import RESERVED
 from tests.support import ROOT
+from tests.support.grammars import mutated
 from tests.support.robots import PATIENCE, served_here, simulate
 from tests.support.signals import handled
 
@@ -137,7 +138,7 @@ def test_a_robot_that_was_in_the_middle_of_a_frame_is_understood_at_once(
 class Slow(Scripted):
     """A robot that answers one instruction after the other, each in its time."""
 
-    pace = 120 * MS
+    pace = 30 * MS
 
     def __init__(self, protocol: Protocol) -> None:
         super().__init__(protocol)
@@ -158,8 +159,14 @@ class Slow(Scripted):
         return self.next if self.owed else super().deadline()
 
 
-def test_a_robot_that_takes_its_time_is_driven_all_the_same(protocol: Protocol) -> None:
-    with served_here(Slow(protocol)) as (port, _), Robot(port) as robot:
+def test_a_robot_that_takes_its_time_is_driven_all_the_same(grammar_text: str) -> None:
+    """It takes longer than the deadline."""
+    times = {
+        "answer_deadline=100": "answer_deadline=20",
+        "truncation_timeout=50": "truncation_timeout=20",
+    }
+    strict = load(mutated(grammar_text, times))
+    with served_here(Slow(strict)) as (port, _), Robot(port, grammar=strict) as robot:
         assert robot.speed(5).latency >= Slow.pace / MS
         assert robot.led(3).name == "OK"
 
@@ -313,10 +320,13 @@ def test_what_a_robot_says_unasked_is_an_error_and_it_is_homed_before_the_next(
         assert device.heard == b"\x90" + protocol.longest_frame * STOP + b"\x81\x03"
 
 
-def test_a_robot_that_never_answers_is_not_opened_and_its_port_is_free_again() -> None:
+def test_a_robot_that_never_answers_is_not_opened_and_its_port_is_free_again(
+    grammar_text: str,
+) -> None:
+    soon = load(grammar_text.replace("answer_longest=1000", "answer_longest=100"))
     with simulate("--fault", "dead", pty=True) as served:
         with pytest.raises(NoAnswer) as raised:
-            Robot(served.port)
+            Robot(served.port, grammar=soon)
         open_port(served.port).close()  # a path is locked while it is open
 
     assert str(raised.value).startswith(f"nobody answers at {served.port}; is the robot on")

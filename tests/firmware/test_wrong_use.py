@@ -14,7 +14,7 @@ from tests.support.robots import sentence
 
 pytestmark = [pytest.mark.waits, AVR]
 
-CONFORM, SERVE = "conform emulator:simavr:{file}", "simulate --firmware {file}"
+CONFORM, SERVE = "conform emulator:simavr:{file} --level smoke", "simulate --firmware {file}"
 TEXT, HEX = b"no firmware", (record(0, 0, b"abcd") + END).encode()
 INTEL = b"\x7fELF\x01\x01" + bytes(12) + b"\x3e\x00" + bytes(40)
 Content = bytes | str | Callable[[bytes], bytes]

@@ -193,7 +193,8 @@ class EchoedCar(Simulator):
 
 def test_a_robot_on_a_line_with_an_echo_is_judged_and_without_the_option_it_is_not() -> None:
     with served_here(EchoedCar(load_protocol())) as (port, probe):
-        words = ("conform", port, "--probe", probe, "--yes", "--only", "valid/Stop")
+        known = ("--level", "smoke", "--truncation-timeout", "50")
+        words = ("conform", port, "--probe", probe, "--yes", "--only", "valid/Stop", *known)
         judged = command(*words, "--echo")
         without = command(*words)
     assert judged.returncode == 0, judged.stdout
@@ -206,7 +207,8 @@ def test_the_commands_that_repeat_a_case_have_the_options_of_the_line(tmp_path: 
     line = "--baud 9600 --stopbits 2 --echo"
     with served_here(EchoedCar(protocol, fault_bank(protocol)["ok-to-bad-data"])) as (port, probe):
         words = ("conform", port, "--probe", probe, "--yes", "--only", "bad-data/LED/8")
-        told = command(*words, "--verbose", *line.split(), "--json", str(file)).stdout.decode()
+        known = ("--level", "smoke", "--truncation-timeout", "50", *line.split())
+        told = command(*words, *known, "--verbose", "--json", str(file)).stdout.decode()
     assert read_report(str(file)).link["options"] == line
     assert f"bilprov send {port} {line} --probe {probe} " in told
     assert f"--probe {probe} {line}" in told

@@ -160,8 +160,9 @@ ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("pause", ENDS)
 @pytest.mark.parametrize("skew", [0, 20 * MS])
+@pytest.mark.parametrize("batches", [[1000], [1], [21, 2]], ids=str)
 def test_at_the_ends_of_all_times_columns_hold_the_records_of_a_session(
-    protocol: Protocol, pause: int, skew: int
+    protocol: Protocol, pause: int, skew: int, batches: list[int]
 ) -> None:
     valid, faulty = bytes([protocol.pad_byte]), b"\x90"
     ok, wrong = (bytes([judge(protocol, frame).response.code]) for frame in (valid, faulty))
@@ -189,9 +190,8 @@ def test_at_the_ends_of_all_times_columns_hold_the_records_of_a_session(
                 t += wait
                 events.append(Chunk(t, side, data))  # type: ignore[arg-type]
             events += [Chunk(t + MS, "host", valid), Chunk(t + 2 * MS, "device", ok)] * (number < 2)
-        for batches in ([1000], [1], [21, 2]):
-            same(protocol, events, batches, skew=skew)
-            same(protocol, events, batches, frozenset(range(20, 40)), skew=skew)
+        same(protocol, events, batches, skew=skew)
+        same(protocol, events, batches, frozenset(range(20, 40)), skew=skew)
 
 
 def replace_time(event: Event, t: int) -> Event:

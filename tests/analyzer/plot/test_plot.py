@@ -290,10 +290,9 @@ def colours(page: Page) -> int:
     )
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @needs_chromium
-@pytest.mark.parametrize("width", [1280, 400])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (400, "dark")])
 def test_look_zoom_move_and_read(
     protocol: Protocol, page: Page, show: Open, tmp_path: Path, width: int, scheme: str
 ) -> None:
@@ -438,6 +437,7 @@ def test_a_recording_of_nothing_is_shown_without_a_complaint(
 
 @needs_chromium
 @pytest.mark.usefixtures("little_room")  # so that what is told is as long as it gets
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("width", [1280, 900, 400])
 def test_the_read_out_covers_nothing_cuts_nothing_and_moves_nothing(
     protocol: Protocol, page: Page, show: Open, tmp_path: Path, width: int

@@ -206,11 +206,14 @@ def test_without_a_terminal_a_device_moves_only_with_yes(
     assert robot.frames == []
 
 
-def test_a_port_where_nobody_answers_is_said(capture: Write) -> None:
+def test_a_port_where_nobody_answers_is_said(
+    capture: Write, tmp_path: Path, grammar_text: str
+) -> None:
+    soon = tmp_path / "soon.py"
+    soon.write_text(grammar_text.replace("answer_longest=1000", "answer_longest=100"))
+    words = ("replay", str(capture(conversation(TALK))), "--grammar", str(soon))
     with open_pty() as silent:
-        run = commands.command(
-            "replay", str(capture(conversation(TALK))), "--to", silent.name, "--yes"
-        )
+        run = commands.command(*words, "--to", silent.name, "--yes")
 
     assert run.returncode == 2
     assert b"nobody answers" in run.stderr

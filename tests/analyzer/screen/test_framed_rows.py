@@ -28,7 +28,7 @@ KEYS = (
 
 
 def on_screen(protocol: Protocol) -> Browser:
-    events = odd_traffic(protocol, count=25)
+    events = odd_traffic(protocol, count=12)
     return browser(protocol, told(StreamDecoder(protocol), events, [len(events)]))
 
 

@@ -74,11 +74,11 @@ def test_a_random_sequence_of_a_soak_is_made_again_by_its_id(protocol: Protocol)
 
 @pytest.mark.slow
 def test_sequences_that_pass_are_kept_as_counts_and_others_whole(protocol: Protocol) -> None:
-    options = Options(only=(f"{RANDOM}00?",))
+    options = Options(level="smoke", only=(f"{RANDOM}001", f"{RANDOM}002"))
     good = conform(Simulator(protocol), grammar=protocol, options=options)
 
     kept = [result for result in good.results if result.id.startswith(RANDOM)]
-    assert len(kept) == 9
+    assert len(kept) == 2
     assert all(result.frames >= 64 for result in kept)
     assert {(result.sent, result.received, result.log) for result in kept} == {((), (), ())}
 

@@ -141,8 +141,7 @@ def test_hostile_text_makes_no_element_and_no_attribute(protocol: Protocol, evil
 
 
 @needs_chromium
-@pytest.mark.parametrize("width", [1280, 400])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (400, "dark")])
 def test_open_filter_click_and_read(
     failing: Report, page: Page, show: Open, width: int, scheme: str
 ) -> None:
@@ -287,7 +286,7 @@ def test_the_line_to_try_it_again_is_copied(failing: Report, show: Open, place: 
 
 
 @needs_chromium
-@pytest.mark.sample(5)
+@pytest.mark.sample(3)
 @pytest.mark.parametrize("evil", EVIL)
 def test_hostile_text_does_not_run(protocol: Protocol, show: Open, evil: str) -> None:
     report = hostile(protocol, evil)

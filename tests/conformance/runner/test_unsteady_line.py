@@ -225,7 +225,8 @@ def test_a_delay_holds_each_byte_up_in_both_directions(protocol: Protocol) -> No
 def test_the_same_seed_is_the_same_run(protocol: Protocol) -> None:
     def run(seed: int) -> list[tuple[str, Verdict]]:
         device = NoisyDevice(Simulator(protocol), Noise(flipped=1e-3), seed)
-        report = conform(device, grammar=protocol, options=Options(level="smoke"))
+        few = Options(level="smoke", only=("sequence/tour/*",))
+        report = conform(device, grammar=protocol, options=few)
         assert device.hurt
         return [(result.id, result.verdict) for result in report.results]
 
