@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from benchmarks import captures, lines, product
-from benchmarks.commands import Skipped, started
+from benchmarks.commands import started
 from benchmarks.report import OURS, Goal, Row
 from benchmarks.setting import Setting, Work
 
@@ -60,7 +60,7 @@ def _pressed(terminal: int, keys: bytes, patience: float, words: str = "") -> fl
 def _drawn(terminal: int, patience: float, words: str = "") -> float:
     """When (s) a pattern was drawn; without one, when the last was drawn before it was still.
 
-    Raises Skipped if it takes longer than `patience` (s).
+    Raises TimeoutError if it takes longer than `patience` (s).
     """
     last, output = time.perf_counter(), b""
     give_up = last + patience
@@ -72,7 +72,7 @@ def _drawn(terminal: int, patience: float, words: str = "") -> float:
                 return last
         elif not words:
             return last
-    raise Skipped(f"it took longer than {patience:.0f} s")
+    raise TimeoutError(f"it took longer than {patience:.0f} s")
 
 
 def _peak_memory(pid: int) -> int:

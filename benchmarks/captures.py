@@ -215,7 +215,7 @@ def replayed(
             )
         }
         # To read a message for each frame takes the library minutes.
-        if captures[1] is big and setting.has_ceiling():
+        if captures[1] is big:
             speed[f"mcap + {C_LOOP}"] = lambda: _rate(
                 lambda: peers.ceiling_replayed(made.path, setting.ceiling)
             )

@@ -29,10 +29,6 @@ def tell(line: str) -> None:
     sys.stdout.flush()
 
 
-class Skipped(Exception):
-    """Raised for what cannot be measured here; the text says why."""
-
-
 @dataclass(frozen=True, slots=True)
 class Ended:
     """How a command ended: time and CPU time in s, peak memory in bytes, and its output if kept.
@@ -99,7 +95,7 @@ os.write(int(sys.argv[1]), json.dumps([os.waitstatus_to_exitcode(status), *figur
 def run(words: list[str], *, keep: bool = False, patience: float = _PATIENCE) -> Ended:
     """Run a program to its end, its output kept or dropped.
 
-    Raises Skipped if it takes longer than `patience` (s), RuntimeError if it fails.
+    Raises TimeoutError if it takes longer than `patience` (s), RuntimeError if it fails.
     """
     ended = run_any(words, keep=keep, patience=patience)
     if ended.code:
@@ -115,7 +111,7 @@ def run_any(
     patience: float = _PATIENCE,
     stdin: Stream = subprocess.DEVNULL,
 ) -> Ended:
-    """Run a program to its end, whatever its exit code. Raises Skipped as `run` does."""
+    """Run a program to its end, whatever its exit code. Raises TimeoutError as `run` does."""
     with (
         tempfile.TemporaryFile() as output,
         tempfile.TemporaryFile() as error,
@@ -128,7 +124,7 @@ def run_any(
             try:
                 process.wait(patience)
             except subprocess.TimeoutExpired:
-                raise Skipped(f"it took longer than {patience:.0f} s") from None
+                raise TimeoutError(f"it took longer than {patience:.0f} s") from None
         for file in (output, error, figures):
             file.seek(0)
         code, took, cpu, memory = json.load(figures)
@@ -137,7 +133,7 @@ def run_any(
 
 
 def first_line(words: list[str], patience: float = _PATIENCE) -> float:
-    """How long (s) a program takes to its first line of output. Raises Skipped as `run` does."""
+    """How long (s) a program takes to its first line. Raises TimeoutError as `run` does."""
     begun = time.perf_counter()
     with started(words, stdout=subprocess.PIPE) as process:
         timer = Timer(patience, process.kill)
@@ -146,7 +142,7 @@ def first_line(words: list[str], patience: float = _PATIENCE) -> float:
         took = time.perf_counter() - begun
         timer.cancel()
     if took >= patience:
-        raise Skipped(f"it took longer than {patience:.0f} s")
+        raise TimeoutError(f"it took longer than {patience:.0f} s")
     if not line:
         raise RuntimeError(f"{' '.join(words)} printed nothing")
     return took

@@ -29,8 +29,7 @@ def columns(setting: Setting, work: Work) -> Row:
         raise Disagree("the columns' verdicts are not those of the frames that were drawn")
     few = setting.sample.host
     _require_same("columns", judged(few), CONSTRUCT, setting.construct.judged(few))
-    if setting.has_ceiling():
-        _require_same("columns", judged(said.host), C_LOOP, setting.ceiling.judged(said.host))
+    _require_same("columns", judged(said.host), C_LOOP, setting.ceiling.judged(said.host))
     works = {OURS: lambda: said.frames / timed(lambda: decode(said.host)), **_peers(setting, said)}
     rates = medians(setting.sizes.rounds, works)
     least = {CONSTRUCT: 400, C_LOOP: 0.12}
@@ -43,14 +42,13 @@ def records(setting: Setting, work: Work) -> Row:
     file = setting.new_file("records.bytes")
     said = setting.said.first(setting.protocol, setting.sizes.records)
     file.write_bytes(said.host)
-    judge = setting.ceiling if setting.has_ceiling() else setting.construct
-    expected = judge.judged(said.host).summary()
+    expected = setting.ceiling.judged(said.host).summary()
 
     def ours() -> float:
         told = run([sys.executable, "-m", "benchmarks.product", str(file)], keep=True)
         took, judged = json.loads(told.output)
         if judged != expected:
-            raise Disagree(f"records: {judged}; {type(judge).__name__}: {expected}")
+            raise Disagree(f"records: {judged}; {C_LOOP}: {expected}")
         return said.frames / float(took)
 
     rates = medians(min(3, setting.sizes.rounds), {OURS: ours, **_peers(setting, said)})
@@ -62,12 +60,12 @@ def _with_size(work: Work, said: Traffic) -> str:
 
 
 def _peers(setting: Setting, said: Traffic) -> dict[str, Callable[[], float]]:
-    """Frames/s of construct on the sample, and of the C loop on all of it where there is one."""
+    """Frames/s of construct on the sample, and of the C loop on all of it."""
     sample = [frame.data for frame in setting.construct.frames(setting.sample.host)]
-    works = {CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample))}
-    if setting.has_ceiling():
-        works[C_LOOP] = lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host))
-    return works
+    return {
+        CONSTRUCT: lambda: len(sample) / timed(lambda: setting.construct.parse(sample)),
+        C_LOOP: lambda: said.frames / timed(lambda: setting.ceiling.decode(said.host)),
+    }
 
 
 def _require_same(one: str, judged: Judged, other: str, also: Judged) -> None:

@@ -1,18 +1,16 @@
-"""The bench's result: rows with their peers and goals, as JSON and as a Markdown table."""
+"""The bench's result: rows with their peers and goals, as a Markdown table."""
 
 from __future__ import annotations
 
 import os
 import platform
 import re
-import shutil
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
 
 OURS = "bilprov"
 CONSTRUCT = "construct"
@@ -47,8 +45,8 @@ class Row:
     """One work, measured beside its peers in the same rounds.
 
     `unit` is that of `ours` and of the `peers` (name -> figure). `figures` are others of ours,
-    `beside` others of the peers, their unit in the name. A row that is `skipped` or `failed` says
-    why in `note`.
+    `beside` others of the peers, their unit in the name. A row that failed has
+    no figure of ours, and says why in `note`.
     """
 
     name: str
@@ -60,7 +58,6 @@ class Row:
     beside: dict[str, float] = field(default_factory=dict)
     goals: tuple[Goal, ...] = ()
     note: str = ""
-    state: Literal["measured", "skipped", "failed"] = "measured"
 
     @property
     def ratios(self) -> dict[str, float]:
@@ -72,33 +69,19 @@ class Row:
 
 def machine() -> str:
     """When, where and with what it is measured, the load average before it begins included."""
-    cpus = re.findall(r"^model name\s*: (.+)$", _text("/proc/cpuinfo"), re.MULTILINE)
-    libraries = ", ".join(f"{name} {found}" for name in _LIBRARIES if (found := _version(name)))
+    cpuinfo = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    cpus = re.findall(r"^model name\s*: (.+)$", cpuinfo, re.MULTILINE)
+    libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
+    compiler = subprocess.run(["cc", "--version"], capture_output=True, text=True, check=True)
     return (
         f"{time.strftime('%Y-%m-%d %H:%M:%S %z')}: {cpus[0] if cpus else platform.machine()}, "
         f"{len(os.sched_getaffinity(0))} cores, {platform.system()} {platform.release()}, load "
         f"{os.getloadavg()[0]:.3g} before; Python {platform.python_version()}, {libraries}, "
-        f"{_compiler() or 'no C compiler'}."
+        f"{compiler.stdout.partition(chr(10))[0]}."
     )
 
 
-def as_json(rows: Sequence[Row], on: str, mode: str) -> dict[str, Any]:
-    """The whole result as an object of JSON."""
-    return {
-        "mode": mode,
-        "machine": on,
-        "rows": [
-            {
-                **{name: value for name, value in asdict(row).items() if name != "goals"},
-                "ratios": row.ratios,
-                "goals": [{**asdict(goal), "reached": goal.reached} for goal in row.goals],
-            }
-            for row in rows
-        ],
-    }
-
-
-def as_markdown(rows: Sequence[Row], on: str, mode: str, *, short: bool = False) -> str:
+def as_markdown(rows: Sequence[Row], on: str, *, short: bool = False) -> str:
     """The table with ratios, and the machine; `short` leaves the peers' figures out."""
     head = ["work", "bilprov", *([] if short else ["beside it, same run"]), "bilprov is", "reach"]
     lines = [
@@ -106,13 +89,13 @@ def as_markdown(rows: Sequence[Row], on: str, mode: str, *, short: bool = False)
         f"|{'---|' * len(head)}",
         *(f"| {' | '.join(cells(row, short))} |" for row in rows),
     ]
-    return "\n".join([*lines, "", f"Measured ({mode}) {on}", ""])
+    return "\n".join([*lines, "", f"Measured {on}", ""])
 
 
 def cells(row: Row, short: bool = False) -> list[str]:
     """What the table shows of a row: work, figures, peers, ratios and what was to be reached."""
     if row.ours is None:
-        return [row.work, "", *([] if short else [""]), "", f"{row.state}: {one_cell(row.note)}"]
+        return [row.work, "", *([] if short else [""]), "", f"failed: {one_cell(row.note)}"]
     ratios = "; ".join(f"{_short(ratio)} x {name}" for name, ratio in row.ratios.items())
     goals = "; ".join(_reach(goal) for goal in row.goals)
     if short:
@@ -157,25 +140,3 @@ def between_markers(text: str, table: str) -> str:
     if not begin or not end:
         raise ValueError(f"there is no {_BEGIN} ... {_END} to write the table into")
     return f"{head}{begin}\n{table}{end}{tail}"
-
-
-def _text(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except OSError:
-        return ""
-
-
-def _compiler() -> str:
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        return ""
-    told = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False)
-    return told.stdout.partition("\n")[0]
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""

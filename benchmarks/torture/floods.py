@@ -20,7 +20,7 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from benchmarks.commands import Ended, Skipped, bilprov_words, run_any
+from benchmarks.commands import Ended, bilprov_words, run_any
 from benchmarks.torture.exits import items, replay_to
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.client.rest import stops
@@ -165,7 +165,7 @@ def flooded(name: str, peer: str, seed: int) -> Ended | str:
         try:
             words = command.words(port, Path(folder))
             return run_any(words, patience=_PATIENCE, stdin=typed)
-        except Skipped as late:
+        except TimeoutError as late:
             return str(late)
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from benchmarks.commands import Skipped, bilprov_words, run_any
+from benchmarks.commands import bilprov_words, run_any
 from benchmarks.product import metadata
 from benchmarks.torture.harm import Harm, Progress, Row
 from bilprov.analyzer.grammar_file import load_protocol
@@ -240,7 +240,7 @@ def used(words: list[str]) -> Used:
     """Run a command and see what it takes."""
     try:
         ended = run_any(words, patience=_PATIENCE)
-    except Skipped as hangs:
+    except TimeoutError as hangs:
         return Used(_PATIENCE, 0, str(hangs))
     wrong = ""
     if ended.code not in (0, 1, 2, 3) or "Traceback" in ended.error:
