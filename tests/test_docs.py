@@ -95,6 +95,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.sample(6)
 @pytest.mark.waits
 @pytest.mark.parametrize(("text", "output"), named_snippets().values(), ids=named_snippets().keys())
 def test_a_python_snippet_runs_as_it_stands(text: str, output: str | None, folder: Path) -> None:

@@ -32,13 +32,7 @@ PIP = ("-m", "pip", "--quiet", "--disable-pip-version-check")
 OFFLINE = ("--no-index", "--no-deps")
 
 SCRIPT = """\
-from bilprov import Robot, decode
-
-
-def drive(url: str) -> int:
-    with Robot(url) as robot:
-        return robot.speed(127).code
-
+from bilprov import decode
 
 print(decode(b"\\x81\\x05")[0].value.name)
 """
@@ -101,9 +95,7 @@ def installed(wheel: Path) -> Path:
     python = folder / "venv" / "bin" / "python"
     where = "import sysconfig; print(sysconfig.get_path('purelib'))"
     link_libraries(Path(run(python, "-c", where, cwd=folder).strip()))
-    pip = (sys.executable, *PIP, "--python", python)
-    run(*pip, "install", *OFFLINE, wheel, cwd=folder)
-    run(*pip, "check", cwd=folder)
+    run(sys.executable, *PIP, "--python", python, "install", *OFFLINE, wheel, cwd=folder)
     project = folder / "project"
     for name, text in {
         "spec/__init__.py": "",
@@ -148,13 +140,6 @@ def runs_the_command(site: Path) -> None:
     assert run(bilprov, "--version", cwd=site / "project") == f"bilprov {version}\n"
 
 
-def type_checks_a_script(site: Path) -> None:
-    mypy = (sys.executable, "-m", "mypy", "--strict", "--no-incremental")
-    python = f"--python-executable={site / 'venv/bin/python'}"
-
-    assert "Success" in run(*mypy, python, "drive.py", cwd=site / "project")
-
-
 def runs_the_users_tests(site: Path) -> None:
     pytested = ("-m", "pytest", "-q", "-p", "no:cacheprovider")
     only = ("--robot-port", "sim", "--robot-only", "valid/LED/1", "tests/test_it.py")
@@ -167,7 +152,7 @@ def runs_the_users_tests(site: Path) -> None:
 @pytest.mark.waits
 @pytest.mark.timeout(300)
 def test_a_wheel_built_from_the_sdist_is_whole_and_works_beside_the_users_own_modules(
-    tmp_path: Path, pytestconfig: pytest.Config
+    tmp_path: Path,
 ) -> None:
     made = shutil.ignore_patterns(".*", "build", "dist", "*.egg-info", "__pycache__")
     source = shutil.copytree(ROOT, tmp_path / "source", symlinks=True, ignore=made)
@@ -182,8 +167,6 @@ def test_a_wheel_built_from_the_sdist_is_whole_and_works_beside_the_users_own_mo
     holds_one_package_and_all_of_it(site)
     runs_the_command(site)
     assert run(site / "venv/bin/python", "drive.py", cwd=site / "project") == "LED\n"
-    if pytestconfig.getoption("--whole"):  # tests/spec/test_python_stub.py has one from the sources
-        type_checks_a_script(site)
     runs_the_users_tests(site)
 
 

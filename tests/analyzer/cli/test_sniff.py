@@ -103,7 +103,7 @@ def test_the_capture_holds_what_was_decoded_too(path: Path) -> None:
     [
         ("--count 2 --filter speed>0", "20 1101 00 1102 1103", ["11 01", "11 02"]),
         ("--count 1 --filter sound<4 --grammar HORN", "9107 9103", ["91 03"]),
-        ("--duration 2", "20", ["20"]),
+        ("--duration 1", "20", ["20"]),
     ],
 )
 def test_the_host_alone_is_heard_and_what_was_asked_for_is_shown(

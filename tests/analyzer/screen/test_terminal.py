@@ -24,7 +24,7 @@ from tests.support.terminals import CONTINUE, CTRL_Z, as_job
 pytestmark = pytest.mark.waits
 
 SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
-SIZES = [(40, 10), (60, 15), (80, 24), (100, 30), (132, 43), (200, 60)]
+SIZES = [(40, 10), (80, 24), (132, 43), (200, 60)]
 ECHO = "typed-in-the-shell"
 
 

@@ -110,7 +110,7 @@ def test_an_interrupted_run_stops_the_robot_and_is_inconclusive(protocol: Protoc
         )
         with run:
             until = time.monotonic() + PATIENCE
-            while robot.frames < 3000 and time.monotonic() < until:  # past the opening
+            while robot.frames < 1200 and time.monotonic() < until:  # past the opening
                 time.sleep(0.05)
             while not robot.state.moving and time.monotonic() < until:
                 time.sleep(0.001)
