@@ -362,6 +362,7 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
             f"{spec.name}.{spec.fields[-1].name} makes {data_bytes(len(data))}, the fields before "
             f"it ask for {data_bytes(needed or 0)}"
         )
+    _require_counted(spec, data)
     parts = {part.name: _built_part(spec.name, part, given) for part in free_parts(protocol)}
     if given:
         takes = (
@@ -369,6 +370,21 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
         )
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")
     return protocol.layout.build({**parts, "id": spec.id}, data)
+
+
+def _require_counted(spec: InstructionSpec, data: bytes) -> None:
+    """Raise ValueError where a request counts other cells than those that it writes."""
+    memory = spec.writes
+    if memory is None or memory.blocks or memory.count not in spec.names:
+        return
+    values = spec.decode(data)
+    count, cells = values[memory.count], len(values[memory.value])
+    due = -(-count // 8) if memory.bits else count
+    if cells != due:
+        raise ValueError(
+            f"{spec.name}.{memory.count} is {count}, so the length of {memory.value} must be "
+            f"{due}, not {cells}"
+        )
 
 
 def _by_register(

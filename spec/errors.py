@@ -85,7 +85,7 @@ def require_whole(what: str, value: Any, low: int = -LARGEST, high: int = LARGES
         raise WrongValue(f"{what} is {shown(value)}, allowed is a whole number")
     if not low <= value <= high:
         reach = "2 to the 128th at most" if high == LARGEST else f"{low} to {high}"
-        raise WrongValue(f"{what} is {_digits(value)}, allowed is {reach}")
+        raise WrongValue(f"{what} is {value}, allowed is {reach}")
 
 
 def require_number(what: str, value: Any, above: float, most: float) -> None:
@@ -93,9 +93,7 @@ def require_number(what: str, value: Any, above: float, most: float) -> None:
     if not isinstance(value, int | float) or isinstance(value, bool) or value != value:
         raise WrongValue(f"{what} is {shown(value)}, allowed is a number")
     if not above < value <= most:
-        raise WrongValue(
-            f"{what} is {_digits(value)}, allowed is more than {above:g} and at most {most:g}"
-        )
+        raise WrongValue(f"{what} is {value}, allowed is more than {above:g} and at most {most:g}")
 
 
 def require_kind(what: str, value: Any, kind: type) -> None:
@@ -103,10 +101,3 @@ def require_kind(what: str, value: Any, kind: type) -> None:
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         raise WrongValue(f"{what} is {shown(value)}, allowed is {article} {kind.__name__}")
-
-
-def _digits(value: float) -> str:
-    """A number as text: Python itself refuses to write very long ones."""
-    if isinstance(value, int) and abs(value) > LARGEST:
-        return f"a number of {value.bit_length()} bits"
-    return str(value)

@@ -14,7 +14,7 @@ from bilprov.spec.data import DataSpec, FieldSpec, Many
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
 from bilprov.spec.layout import Layout, Part
-from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
+from bilprov.spec.protocol import Protocol, ResponseSpec
 from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Erratum, Example, Reading
 from bilprov.spec.replies import Reply, Way, covered, read_reply, reply_size
 from bilprov.spec.state import Effect, assigned, value_words
@@ -201,7 +201,9 @@ def _frame(
         device=protocol.device,
         action=action,
         stops=protocol.stops(effect),
-        changes=tuple(_changes(effect, dict(judgement.fields))),
+        changes=tuple(
+            (name, value_words(new)) for name, new in assigned(effect, dict(judgement.fields))
+        ),
         keeps=tuple(name for name in protocol.variables if not effect.sets(name)),
         readings=_readings(judgement, errata) if protocol.plain else (),
         errata=errata,
@@ -231,11 +233,6 @@ def _answer(protocol: Protocol, judgement: Judgement) -> str:
     timeout = f"{protocol.timing.truncation_timeout:g} ms"
     waits = f", once {timeout} have passed without a byte" if judgement.truncated else ""
     return f"{response.name}, code {response.code:02x}{holds}{waits if protocol.plain else ''}"
-
-
-def _changes(effect: Effect, fields: dict[str, int]) -> Iterator[tuple[str, str]]:
-    for variable, value in assigned(effect, fields):
-        yield variable, value_words(value)
 
 
 def _readings(judgement: Judgement, errata: Iterable[Erratum]) -> tuple[Reading, ...]:
@@ -330,10 +327,6 @@ def _no_fields(judgement: Judgement) -> str:
     return "taken because the header announces it, means nothing"
 
 
-def _instruction(spec: InstructionSpec) -> str:
-    return spec.name if spec.document == spec.name else f"{spec.name} ({spec.document})"
-
-
 def _bytes(count: int) -> str:
     return "no data byte" if not count else "1 data byte" if count == 1 else f"{count} data bytes"
 
@@ -394,7 +387,9 @@ def _part_meaning(
     if part.role == "id":
         spec = protocol.by_id.get((part.read(one.frame) - part.plus) & part.most)
         marked = f", marked by {part.plus:02x}: an error" if part.plus else ""
-        known = _instruction(spec) if spec else "unused: no instruction has it"
+        known = spec.name if spec else "unused: no instruction has it"
+        if spec and spec.document != spec.name:
+            known += f" ({spec.document})"
         return known + marked, request and spec is None
     if part.role == "length":
         return _announced(one, max(0, part.read(one.frame)))

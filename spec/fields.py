@@ -2,7 +2,8 @@
 
 Each keeps its arguments as public attributes. construct's own validators hide theirs in a closure,
 and a grammar whose ranges cannot be read could be used for nothing but parsing. Each raises
-WrongValue, in one sentence, for an argument of a wrong type or size.
+WrongValue, in one sentence, for an argument of a wrong type or size; construct itself raises
+TypeError for what is to be a construct and is none.
 """
 
 from __future__ import annotations
@@ -133,7 +134,6 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
         reading: str = "",
         code: str = "",
     ) -> None:
-        require_kind("the type of a field", subcon, Construct)
         require_whole("the lowest value of a field", low)
         require_whole("the highest value of a field", high)
         require_text("the bits of a field", bits)
@@ -159,7 +159,6 @@ class Reports(Subconstruct):  # type: ignore[misc]  # construct ships no types
 
     def __init__(self, variable: str, subcon: Construct, factor: int = 1, plus: int = 0) -> None:
         require_name("the variable of a Reports", variable)
-        require_kind("the type of a Reports", subcon, Construct)
         require_whole("the factor of a Reports", factor)
         require_whole("what a Reports adds", plus)
         super().__init__(subcon)
@@ -307,7 +306,6 @@ class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
     def __init__(
         self, subcon: Construct, answers: Mapping[int, Answer], flags: bool = False
     ) -> None:
-        require_kind("the type of a response", subcon, Construct)
         require_kind("the responses", answers, dict)
         require_kind("the flags of the responses", flags, bool)
         for code, answer in answers.items():
@@ -396,7 +394,6 @@ class Address(Subconstruct):  # type: ignore[misc]  # construct ships no types
     def __init__(
         self, subcon: Construct, low: int, high: int, broadcast: int | None = None
     ) -> None:
-        require_kind("the type of an Address", subcon, Construct)
         require_whole("the lowest address", low, 0)
         require_whole("the highest address", high, 0)
         if low > high:
@@ -413,7 +410,6 @@ class Length(Adapter):  # type: ignore[misc]  # construct ships no types
     """The part that announces the data; it counts `also` bytes more than the data have."""
 
     def __init__(self, subcon: Construct, also: int = 0) -> None:
-        require_kind("the type of a Length", subcon, Construct)
         require_whole("what a Length counts besides the data", also, -255, 255)
         super().__init__(subcon)
         self.also = also
@@ -433,7 +429,6 @@ class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
 
     def __init__(self, name: str, subcon: Construct, plus: int = 0) -> None:
         require_name("the part that a Same repeats", name)
-        require_kind("the type of a Same", subcon, Construct)
         require_whole("what a Same adds", plus, 0)
         super().__init__(subcon)
         self.part = name

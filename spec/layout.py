@@ -524,13 +524,12 @@ class _Reader:
         offset = part.offset - (tail if has_data else head)
         name, asked = self._covered_name(declared)
         after_begin, begin, after_end, end = self._spans[name]
-        if after_begin:
-            raise WrongValue(f"the check of {self._what} covers nothing before the data")
-        if has_data and not after_end:
-            raise WrongValue(f"the check of {self._what} does not cover the data")
+        if after_begin or offset >= 0 or (has_data and not after_end):
+            raise WrongValue(
+                f"the check of {self._what} must stand behind the data, and cover them and what is "
+                "before them"
+            )
         last = (tail if has_data else head) - end
-        if offset >= 0:
-            raise WrongValue(f"the check of {self._what} is before the data; it must be behind")
         return Check(replace(part, offset=offset), declared.hashfunc, begin, last, asked)
 
     def _covered_name(self, declared: Checksum) -> tuple[str, bool]:

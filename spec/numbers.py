@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import msgspec
-from construct import Construct
+from construct import BytesInteger, Construct, FormatField
 
 from bilprov.spec.errors import WrongValue
 
@@ -66,33 +66,20 @@ def number_of(declared: Construct, what: str, others: str = "") -> Number:
     """Read a whole number of construct. Raises WrongValue for anything else.
 
     `others` names what else is allowed there.
-
-    What it is follows from how it reads and writes bytes in which every byte is another one.
     """
-    refused = f"the type of {what} must be a whole number, such as Byte{others}"
-    try:
-        size = declared.sizeof()
-        patterns = _patterns(size) if 0 < size < 256 else []
-        values = [declared.parse(raw) for raw in patterns]
-        if float in map(type, values):
-            bits = f"Int{8 * size}ub or Int{8 * size}ul"
-            refused = f"{what} is a floating-point number; declare its bits, {bits}"
-        for order in _ORDERS:
-            for signed in (False, True):
-                number = Number(size, order, signed)
-                read = [number.parse(raw) for raw in patterns]
-                same = (
-                    bool(values) and values == read and all(type(value) is int for value in values)
-                )
-                if same and [declared.build(value) for value in read] == patterns:
-                    return number
-    except Exception as error:  # construct raises many kinds for what is no number
-        raise WrongValue(refused) from error
-    raise WrongValue(refused)
-
-
-def _patterns(size: int) -> list[bytes]:
-    """Bytes from which the order and the sign of a number of that size follow."""
-    rising = [bytes((start + 37 * place) % 256 for place in range(size)) for start in (1, 200)]
-    low = bytes(size - 1)
-    return [*rising, bytes(size), b"\xff" * size, b"\x80" + low, low + b"\x80"]
+    if isinstance(declared, BytesInteger):
+        size, signed, little = declared.length, declared.signed, declared.swapped
+        if isinstance(size, int) and 0 < size < 256 and isinstance(little, bool):
+            return Number(size, _ORDERS[little], bool(signed))
+    if isinstance(declared, FormatField):
+        order, kind = declared.fmtstr
+        native = order == "=" and declared.parse(b"\1".ljust(declared.length, b"\0")) == 1
+        little = order == "<" or native
+        if kind in "BHLQbhlq":
+            return Number(declared.length, _ORDERS[little], kind.islower())
+        if kind in "efd":
+            bits = 8 * declared.length
+            raise WrongValue(
+                f"{what} is a floating-point number; declare its bits, Int{bits}ub or Int{bits}ul"
+            )
+    raise WrongValue(f"the type of {what} must be a whole number, such as Byte{others}")

@@ -15,12 +15,11 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
-import construct
 import msgspec
 from construct import Construct, FixedSized, Struct, Switch
 from msgspec.structs import replace
 
-from bilprov.spec import fields, grammar
+from bilprov.spec import grammar
 from bilprov.spec.data import (
     DataSpec,
     FieldSpec,
@@ -552,13 +551,9 @@ def load(source: str, origin: str = "grammar") -> Protocol:
             what, where = error.msg, f" (line {error.lineno})"
         if isinstance(error, ImportError):
             what = error.msg.partition(" (")[0]  # without the path of the module's file
-        advice = "start from what `bilprov spec emit grammar` writes"
-        homes = [one.__name__ for one in (construct, fields) if hasattr(one, _unknown(error))]
-        if homes:
-            advice = f"add `from {homes[0]} import {_unknown(error)}`"
         raise GrammarError(
             f"the grammar {origin} does not load: {type(error).__name__}: "
-            f"{one_line(what, _LONGEST)}{where}; {advice}"
+            f"{one_line(what, _LONGEST)}{where}; start from what `bilprov spec emit grammar` writes"
         ) from error
     try:
         _require_each_id_once(tree)
@@ -572,11 +567,6 @@ def load(source: str, origin: str = "grammar") -> Protocol:
             f"the grammar {origin} cannot be used: {one_line(error, _LONGEST)}; "
             "compare it with what `bilprov spec emit grammar` writes"
         ) from error
-
-
-def _unknown(error: BaseException) -> str:
-    """The name that is not defined, "" where that is not the error."""
-    return str(error.name) if isinstance(error, NameError) else ""
 
 
 def _line(error: BaseException, origin: str) -> str:

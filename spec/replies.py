@@ -117,15 +117,16 @@ def reply_size(protocol: Protocol, held: bytes, asked: Judgement | None) -> int 
     `asked` is the request that it answers, None if there is none.
     """
     values = asked_values(protocol, asked) if asked else {}
-    ways = list(_ways(protocol, asked, held))
-    for way in ways:
+    first = -1
+    for way in _ways(protocol, asked, held):
         size = _size(protocol, way, held, asked, values)
         if size is None or size > len(held):
-            return size if size is not None and size > 0 else None
+            return size
         if size > 0 and _is_right(protocol, way, held[:size], asked):
             return size
-    sizes = [_size(protocol, way, held, asked, values) for way in ways]
-    return next((size for size in sizes if size is not None and size > 0), -1)
+        if size > 0 > first:
+            first = size
+    return first
 
 
 def read_reply(

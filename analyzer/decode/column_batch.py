@@ -19,7 +19,6 @@ from bilprov.analyzer.decode.batch import (
     Batch,
     DeviceRows,
     HostRows,
-    Mask,
     OtherRows,
     Selection,
     StateColumns,
@@ -33,7 +32,7 @@ from bilprov.captures.schemas import Line
 from bilprov.spec.arrays.answers import Answers, AnswerTables
 from bilprov.spec.arrays.layouts import Requests
 from bilprov.spec.arrays.requests import RequestTables
-from bilprov.spec.arrays.states import Known, Reports
+from bilprov.spec.arrays.states import Known
 from bilprov.spec.codec import Judgement, Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_as, usual_way
@@ -44,15 +43,13 @@ from bilprov.spec.state import State
 class Decoding:
     """What decoding into columns rests on: the protocol, its tables, and the session's settings.
 
-    `paired` is true if both directions are heard; `skew` and `late` (the answer's deadline) are in
-    ns.
+    `skew` and `late` (the answer's deadline) are in ns.
     """
 
     protocol: Protocol
     requests: RequestTables
     answers: AnswerTables
     steps: Steps
-    paired: bool
     skew: int
     late: int
 
@@ -64,10 +61,9 @@ class ColumnBatch(Batch):
     `data` are the host's bytes and `heard` the device's. The `requests` are the new frames, which
     came from `start` to `end` (ns); the first has the number `first`. Answer j of `answers`, whose
     first byte came at `t` (ns), is to the frame of row j of `asked`, which has the number
-    `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. Where
-    nothing is paired, the row is of no frame: it has no verdict, and its number is -1. `before` is
-    the state before the new frames, and `reports` is what answers report of it. Before each of the
-    `lines` come `line_after` new frames and `line_heard` answers.
+    `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. `before` is
+    the state before the new frames. Before each of the `lines` come `line_after` new frames and
+    `line_heard` answers.
     """
 
     decoding: Decoding
@@ -84,7 +80,6 @@ class ColumnBatch(Batch):
     t: NDArray[np.int64]
     device_after: NDArray[np.int64]
     before: Known
-    reports: Reports
     lines: Sequence[Line]
     line_after: NDArray[np.int64]
     line_heard: NDArray[np.int64]
@@ -100,7 +95,7 @@ class ColumnBatch(Batch):
     def hosts(self) -> HostRows:
         """The host's rows."""
         count, alone, tables = len(self.start), self._alone, self.decoding.requests
-        timelines, wide = self._timelines, self._wide
+        timelines = self._timelines
         return HostRows(
             t=self.start,
             end=self.end,
@@ -111,7 +106,7 @@ class ColumnBatch(Batch):
             size=self.requests.size,
             verdict=self.requests.verdict,
             sequence=self.first + np.arange(count),
-            states=StateColumns(timelines.kind, count, lambda name: timelines[name][wide::wide]),
+            states=StateColumns(timelines.kind, count, lambda name: timelines[name][1:]),
             reasons=lambda rows: [one.reason for one in alone._judgements(rows)],
             header=tables.keys.take(self.requests.kind),
             due=tables.due(self.data, self.requests),
@@ -121,14 +116,9 @@ class ColumnBatch(Batch):
     @cached_property
     def devices(self) -> DeviceRows:
         """The device's rows."""
-        count, alone, tables = len(self.t), self._alone, self.decoding
+        alone, tables = self._alone, self.decoding
         plain, verdict = tables.protocol.plain, self.asked.verdict
-        if tables.paired:
-            right = tables.answers.agree(self.asked, self.answers)
-            agrees, header = right.view(np.int8), tables.requests.keys.take(self.asked.kind)
-        else:  # no code is expected, but one that is used
-            right = tables.answers.known.take(self.answers.code)
-            agrees, header = -right.view(np.int8), np.zeros(count, np.uint8)
+        right = tables.answers.agree(self.asked, self.answers)
         latency = self.t - self.asked_end
         late = latency > tables.late
 
@@ -143,12 +133,12 @@ class ColumnBatch(Batch):
             t=self.t,
             byte=self.answers.code if plain else tables.answers.bytes.take(self.answers.code),
             sequence=self.sequence,
-            header=header,
+            header=tables.requests.keys.take(self.asked.kind),
             verdict=verdict,
             latency=latency,
-            agrees=agrees,
+            agrees=right.view(np.int8),
             odd=~right | late | (latency < 0),
-            states=self._states_at(self._places(self.after, self._answered)),
+            states=self._states_at(self.after),
             samples=alone._samples,
             sort=sort,
             answers=self._answer_bytes,
@@ -173,8 +163,7 @@ class ColumnBatch(Batch):
     def others(self) -> OtherRows:
         """The other rows."""
         after = self.line_after
-        told = np.append(-1, self.sequence)[self.line_heard] + 1 == self.first + after
-        states = self._states_after(after, told) if len(after) else []
+        states = self._states_after(after) if len(after) else []
         listed = [
             LineRecord(line, False, state, anomalies.of_line(line, lost=False))
             for line, state in zip(self.lines, states, strict=True)
@@ -193,8 +182,7 @@ class ColumnBatch(Batch):
             for places, mask in zip(self.places, chosen or self.places, strict=True)
         )
         made: list[Record] = [*self._host_records(hosts)]
-        states = self._states_after(self.after[devices], self._answered[devices])
-        made += self._answers(devices, states)
+        made += self._answers(devices, self._states_after(self.after[devices]))
         made += [self.others.listed[row] for row in others.tolist()]
         rows = (hosts, devices, others)
         places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
@@ -232,11 +220,6 @@ class ColumnBatch(Batch):
         """The records of some of the device's rows, in these states."""
         tables, hosts, end = self.decoding, self.devices, self.asked_end[rows]
         code = self.answers.code[rows]
-        if not tables.paired:
-            return [
-                answer_record(tables.protocol, Held(t, byte), state)
-                for t, byte, state in zip(objects(self.t[rows]), code.tolist(), states, strict=True)
-            ]
         judged = self._asked_judgements(rows)
         made = list(
             map(
@@ -297,34 +280,17 @@ class ColumnBatch(Batch):
 
     @cached_property
     def _timelines(self) -> StateColumns:
-        """The variables before the new frames and after each, as `StateTables.timeline`."""
-        count = self._wide * (len(self.start) + 1)
-        return StateColumns(type(self.before.state), count, self._alone._timeline)
-
-    @property
-    def _wide(self) -> int:
-        """How many places of the timelines each frame has."""
-        return 2 if self.reports.variables else 1
+        """The variables before the new frames and after each."""
+        return StateColumns(type(self.before.state), len(self.start) + 1, self._alone._timeline)
 
     def _timeline(self, variable: str) -> NDArray[Any]:
         tables = self.decoding.requests.states
-        found = tables.timeline(variable, self.data, self.requests, self.before, self.reports)
-        return found.reshape(-1)
+        return tables.column(variable, self.data, self.requests, self.before)
 
-    def _states_at(self, places: NDArray[np.int64]) -> StateColumns:
-        """The states of some rows, which are at these places of the timelines."""
+    def _states_at(self, after: NDArray[np.int64]) -> StateColumns:
+        """The states of some rows, which come after so many frames."""
         timelines = self._timelines
-        return StateColumns(timelines.kind, len(places), lambda name: timelines[name].take(places))
-
-    def _places(self, after: NDArray[np.int64], answered: Mask | bool = False) -> NDArray[np.int64]:
-        """The places in the timelines after so many frames, or the answer to the last of them."""
-        return 2 * after + answered if self._wide > 1 else after
-
-    @property
-    def _answered(self) -> Mask:
-        """At which of the device's rows the newest frame is answered."""
-        newest = self.first + self.after - 1 if self._wide > 1 else np.int64(-2)
-        return np.asarray(self.sequence == newest)
+        return StateColumns(timelines.kind, len(after), lambda name: timelines[name].take(after))
 
     @cached_property
     def _states(self) -> NDArray[np.object_]:
@@ -332,9 +298,9 @@ class ColumnBatch(Batch):
         states = self._timelines.states()
         return np.fromiter(states, object, len(states))
 
-    def _states_after(self, after: NDArray[np.int64], answered: Mask | bool = False) -> list[State]:
-        """The states after so many frames, or the answer to the last of them."""
-        states: list[State] = self._states.take(self._places(after, answered)).tolist()
+    def _states_after(self, after: NDArray[np.int64]) -> list[State]:
+        """The states after so many frames."""
+        states: list[State] = self._states.take(after).tolist()
         return states
 
 

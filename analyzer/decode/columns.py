@@ -18,17 +18,16 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from bilprov.analyzer.decode.batch import NO_VERDICT
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.column_batch import ColumnBatch, Decoding
 from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.pairing import MOST
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.spec.arrays.answers import Answers, answer_tables
-from bilprov.spec.arrays.layouts import Mask, Places, Requests, part_values
+from bilprov.spec.arrays.answers import answer_tables
+from bilprov.spec.arrays.layouts import Mask, Places, Requests
 from bilprov.spec.arrays.requests import request_tables
-from bilprov.spec.arrays.states import NO_REPORTS, Known, Reports
+from bilprov.spec.arrays.states import Known
 from bilprov.spec.codec import Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import GIVES_UP
@@ -145,7 +144,7 @@ class ColumnDecoder:
         self._held = min(skew, QUIET) if protocol.plain else max(timeout, skew)
         self._longest = round(protocol.timing.answer_longest * MS)
         late = round(protocol.timing.answer_deadline * MS)
-        self._decoding = Decoding(protocol, requests, answers, Steps(protocol), paired, skew, late)
+        self._decoding = Decoding(protocol, requests, answers, Steps(protocol), skew, late)
         self._plain = protocol.plain
 
     def carry(self, state: DecoderState, begun: Sequence[Chunk]) -> Carry | None:
@@ -266,19 +265,12 @@ class ColumnDecoder:
             asked_come = np.append(np.full(len(before.end), -1), asked_come)
             sequence = np.append(before.sequence, sequence)
 
-        if not self._paired and self._plain:  # each answer is to no request that is known
-            each, many = len(device.data), np.diff(device.upto, prepend=0)
-            none = np.broadcast_to(np.int64(0), each)
-            asked = Requests(none, none, none, np.broadcast_to(np.uint8(NO_VERDICT), each))
-            asked_end, asked_come = np.repeat(device.t, many), np.repeat(device.event, many)
-            sequence = none - 1
-
         # Answers: answer j is to request j of those.
         given = self._answers.cut(host.data, asked, device.data, device.upto)
         answers, pairs = given.whole, slice(len(given.whole.code))
         if not given.regular:
             cut = min(cut, device.event_of(given.end))
-        if not self._paired and not self._plain and len(device.data):
+        if not self._paired and len(device.data):
             cut = min(cut, device.event_of(0))
 
         # What there is after 0, 1, 2 ... events; what falls due before the next event ends it.
@@ -337,14 +329,6 @@ class ColumnDecoder:
         begun, low = int(taken[cut]), int(heard[cut])
         new = requests.rows(slice(count))
         known = self._known(rest)
-        reports = self._reports(
-            host.data,
-            asked.rows(slice(replies)),
-            sequence[:replies] - rest.sequence,
-            device.data,
-            answers.rows(slice(replies)),
-            after[:replies],
-        )
         line_event = line_event[line_event < cut]
         batch = ColumnBatch(
             decoding=self._decoding,
@@ -361,7 +345,6 @@ class ColumnDecoder:
             t=answer_t[:replies],
             device_after=after[:replies],
             before=known,
-            reports=reports,
             lines=[
                 replace(line, t=int(t[at]))
                 for line, at in zip(events.lines, line_event.tolist(), strict=False)
@@ -374,7 +357,7 @@ class ColumnDecoder:
 
         # What is left.
         if self._requests.states.has_effects:
-            known = self._requests.states.last(host.data, new, known, reports)
+            known = self._requests.states.last(host.data, new, known)
             rest = replace(rest, state=known.state)
             if known.by_address is not None:
                 rest = replace(rest, by_address=tuple(sorted(known.by_address.items())))
@@ -393,27 +376,6 @@ class ColumnDecoder:
                 rest=replace(rest, time=int(t[cut - 1]), sequence=rest.sequence + count),
             ),
         )
-
-    def _reports(
-        self,
-        data: NDArray[np.uint8],
-        asked: Requests,
-        place: Places,
-        heard: NDArray[np.uint8],
-        answers: Answers,
-        after: Places,
-    ) -> Reports:
-        """What the answers report that come while their request, at `place`, is the newest one."""
-        found = self._answers.reported(asked, heard, answers, place + 1 == after)
-        if not found:
-            return NO_REPORTS
-        variables = {name: (place[rows], codes) for name, (rows, codes) in found.items()}
-        carried = np.flatnonzero((place == -1) & (after == 0))
-        part = self._decoding.protocol.layout.part("address")
-        if part is None or not len(carried):
-            return Reports(variables)
-        last = asked.rows(carried)
-        return Reports(variables, int(part_values(part, data, last.offset, last.end)[0]))
 
     def _due(self, data: NDArray[np.uint8], requests: Requests) -> slice | Mask:
         """The requests that wait for an answer."""

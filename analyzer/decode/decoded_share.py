@@ -208,31 +208,36 @@ def _hypotheses(protocol: Protocol, data: bytes) -> Iterator[NearMiss]:
     if judged.valid:
         return
     name = judged.instruction.name if judged.instruction else ""
-    if judged.instruction and judged.outcome in (Outcome.BAD_CHECKSUM, Outcome.TOO_FEW):
-        yield from _other_length(layout, judged.instruction, data, len(judged.frame))
+    if judged.outcome in (Outcome.BAD_CHECKSUM, Outcome.TOO_FEW):
+        size = 0 if judged.truncated else len(judged.frame)
+        yield from _other_length(layout, judged.instruction, data, size)
     yield NearMiss(name, _OBSTACLES[judged.outcome], judged.reason)
 
 
 def _other_length(
-    layout: Layout, spec: InstructionSpec, data: bytes, size: int
+    layout: Layout, spec: InstructionSpec | None, data: bytes, size: int
 ) -> Iterator[NearMiss]:
     """The frame with another end, if its check is right there."""
     check = layout.check
-    least = layout.head + layout.tail
-    if check is None or layout.part("length"):
+    if check is None:
         return
-    for end in check.right_sizes(data[:_LONGEST], least):
+    least = layout.head + layout.tail
+    for end in check.right_sizes(data[:_LONGEST], check.first + check.last + 1):
         more = data[end:]
         if check.part.size == 1 and more and not (layout.sync and layout.begins(more)):
             continue  # right by chance, once in 256 times
-        if end != size and not layout.wrong_constant(data[:end]):
-            came, due = end - least, size - least
-            reason = (
-                f"its check is right after {quantity(end, 'byte')}, with "
-                f"{quantity(came, 'byte')} of data; {spec.name} takes {max(due, spec.length)}"
-            )
-            yield NearMiss(spec.name, "length", reason)
-            return
+        if end == size or layout.wrong_constant(data[:end]):
+            continue
+        name, reason = "", f"its check is right after {quantity(end, 'byte')}, "
+        if end < least or spec is None or layout.part("length"):
+            reason += "as if a part of FRAME were declared with a wrong size"
+            named = layout.part("address") or layout.part("length")
+            reason += f", such as {named.name}" if named else ""
+        else:
+            name, due = spec.name, max(size - least, spec.length)
+            reason += f"with {quantity(end - least, 'byte')} of data; {name} takes {due}"
+        yield NearMiss(name, "length", reason)
+        return
 
 
 def _other_sync(protocol: Protocol, data: bytes) -> Iterator[NearMiss]:

@@ -375,7 +375,8 @@ class Decoder:
 
     def _reply(self, heard: Heard, out: list[Record]) -> None:
         """Pair an answer of several bytes with the oldest request that waits, if there is one."""
-        held = Held.of_reply(heard.start, heard.reply)
+        response = heard.reply.response
+        held = Held(heard.start, response.code if response else -1, heard.reply)
         if self._paired and self._pairing.waiting and not heard.loose:
             waiting = self._pairing.waiting.popleft()
             if waiting.sequence == self._sequence - 1:  # else a newer request may have changed it
@@ -523,11 +524,12 @@ class BusState:
 
         What is sent to all changes all.
         """
-        if self._part is not None and address == self._part.broadcast:
+        part = self._part
+        if part is not None and address == part.broadcast:
             self._states = {one: after(state, sets) for one, state in self._states.items()}
             return self._states[OTHERS]
         state = self._states.get(address, self._states[OTHERS])
-        if self._for_one(address):
+        if part is not None and part.low <= address <= part.high:  # there is no end of others
             state = self._states[address] = after(state, sets)
         return state
 
@@ -539,8 +541,3 @@ class BusState:
     def resume(self, states: Iterable[tuple[int, State]]) -> None:
         """Go on from saved states; none is the state of power-on for all."""
         self._states = {OTHERS: self._states[OTHERS], **dict(states)}
-
-    def _for_one(self, address: int) -> bool:
-        """Whether a device can have that address, so that there is no end of them."""
-        part = self._part
-        return part is not None and part.low <= address <= part.high

@@ -52,11 +52,6 @@ class Held(msgspec.Struct, frozen=True, gc=False):
     byte: int
     reply: Reply | None = None
 
-    @classmethod
-    def of_reply(cls, t: int, reply: Reply) -> Held:
-        """An answer of several bytes that came at `t` (ns)."""
-        return cls(t, reply.response.code if reply.response else -1, reply)
-
 
 class Pairing:
     """Queues of the instructions that wait for an answer and of the answers held for one.

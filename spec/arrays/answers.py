@@ -5,16 +5,13 @@ An answer in the layout of errors is not: what it is depends on all the ways to 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.spec.arrays.layouts import (
-    NO_NUMBERS,
     OUTCOMES,
     Bytes,
     Checking,
@@ -26,7 +23,6 @@ from bilprov.spec.arrays.layouts import (
     checks_hold,
     constants_hold,
     data_sizes,
-    field_values,
     fixed_size,
     frame_sizes,
     leading,
@@ -36,12 +32,11 @@ from bilprov.spec.arrays.layouts import (
 )
 from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.codec import judge
-from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.data import DataSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.replies import meaning, reply_size, reported_value, usual_way
-from bilprov.spec.state import NOT_KNOWN
+from bilprov.spec.replies import meaning, reply_size, usual_way
 
 NO_CODE = 256
 """The place of the name of answers without a code; that of a code is the code."""
@@ -69,19 +64,20 @@ class Answers(NamedTuple):
 
 
 class AnswerTables:
-    """Cuts answers and reads them. Raises OverflowError for what does not fit into 64 bits."""
+    """Cuts answers and reads them.
+
+    Raises OverflowError for what does not fit into 64 bits, and for an answer whose size only its
+    request tells.
+    """
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        tables = self._tables = request_tables(protocol)
+        self._tables = request_tables(protocol)
         usual = (usual_way(protocol, spec) for spec in protocol.instructions)
         self._ways = [(way.layout, way.data or DataSpec()) for way in usual]
-        asked = [tables.numbers_of(spec) for spec in protocol.instructions]
-        # Those whose size only the request tells; that of the others is in their own bytes.
-        self._by_request = [
-            _by_request(spec, names) and layout.part("length") is None
-            for (layout, spec), names in zip(self._ways, asked, strict=True)
-        ]
+        for (layout, data), spec in zip(self._ways, protocol.instructions, strict=True):
+            # Without a length an answer must tell its size by itself.
+            require_arrays(data, self._tables.numbers_of(spec) if layout.part("length") else ())
         # For each kind the first one whose answers have their sizes in the same way.
         told = [(own, own.part("length") is None and spec) for own, spec in self._ways]
         self._alike = np.array([told.index(way) for way in told], np.int64)
@@ -122,10 +118,10 @@ class AnswerTables:
             count = min(len(data), len(requests.kind))
             size = np.broadcast_to(np.int64(1), count)
             return Cut(Answers(np.arange(count), size, data[:count]), count, regular=True)
-        bounds = self._whole_reads(asked, requests, data, reads)
+        bounds = self._whole_reads(requests, data, reads)
         if bounds[-1] < len(data):
             left = requests.rows(slice(len(bounds) - 1, len(bounds) - 1 + len(data)))
-            bounds = np.append(bounds[:-1], self._walk(asked, left, data, int(bounds[-1])))
+            bounds = np.append(bounds[:-1], self._walk(left, data, int(bounds[-1])))
         end, code = int(bounds[-1]), np.full(len(bounds) - 1, NO_CODE)
         found = Answers(bounds[:-1], np.diff(bounds), code)
         good = self._right(asked, requests.rows(slice(len(code))), data, found)
@@ -171,72 +167,42 @@ class AnswerTables:
                 found[rows] = part.repeated(value)
         return found
 
-    def reported(
-        self, asked: Requests, data: Bytes, answers: Answers, newest: Mask
-    ) -> Mapping[str, tuple[Places, NDArray[Any]]]:
-        """The variables that the newest answers report: of which answers, and their numbers."""
-        if not any(part.reports for _, spec in self._ways for part in spec.fields):
-            return {}
-        at, size = self.fields(asked.kind, answers)
-        every: dict[str, NDArray[np.int64]] = {}
-        for kind, (_, spec) in enumerate(self._ways):
-            rows = np.flatnonzero(newest & (size >= 0) & (asked.kind == kind))
-            for part in spec.fields:
-                if part.reports:
-                    name, numbers = part.reports.variable, field_values(part, data, at[rows])
-                    codes = every.setdefault(name, np.full(len(size), NOT_KNOWN))
-                    codes[rows] = self._codes_of(name, part, numbers)
-        told = {name: np.flatnonzero(codes != NOT_KNOWN) for name, codes in every.items()}
-        return {name: (rows, every[name][rows]) for name, rows in told.items() if len(rows)}
-
-    def _codes_of(self, name: str, part: FieldSpec, numbers: NDArray[Any]) -> NDArray[Any]:
-        """The numbers of a variable's values that a field reports; NOT_KNOWN for none."""
-        spec, kind = self._protocol.variables[name], self._protocol.state_type
-        distinct, place = np.unique(numbers, return_inverse=True)
-        values = [reported_value(spec, part, number) for number in distinct.tolist()]
-        return np.array([kind.code(name, value) for value in values], np.int64).take(place)
-
     def _is_open(self, rest: bytes, asked: Bytes, request: Requests) -> bool:
         """Whether bytes are the beginning of an answer to a request that is not complete."""
         frame = asked[int(request.offset[0]) : int(request.end[0])].tobytes()
         size = reply_size(self._protocol, rest, judge(self._protocol, frame))
         return size is None or size > len(rest)
 
-    def _sizes(self, asked: Bytes, requests: Requests, data: Bytes, start: Places) -> Places:
+    def _sizes(self, requests: Requests, data: Bytes, start: Places) -> Places:
         """The sizes of the answers to some requests that begin at these places."""
         found = self._fixed.take(requests.kind)
         for kind in self._varied:
-            layout, spec = self._ways[kind]
             rows = np.flatnonzero(requests.kind == kind)
             if len(rows):
-                told: Numbers = NO_NUMBERS
-                if self._by_request[kind]:
-                    told = self._tables.numbers(asked, requests.rows(rows), kind)
-                found[rows] = frame_sizes(layout, spec, data, start[rows], told)
+                found[rows] = frame_sizes(*self._ways[kind], data, start[rows])
         return found
 
-    def _whole_reads(self, asked: Bytes, requests: Requests, data: Bytes, reads: Places) -> Places:
+    def _whole_reads(self, requests: Requests, data: Bytes, reads: Places) -> Places:
         """Where the answers begin of which each is one read, and where the next one begins."""
         bounds = np.append(0, reads[: len(requests.kind)])
         begun = requests.rows(slice(len(bounds) - 1))
-        whole = self._sizes(asked, begun, data, bounds[:-1]) == np.diff(bounds)
+        whole = self._sizes(begun, data, bounds[:-1]) == np.diff(bounds)
         return bounds[: 1 + leading(whole)]
 
-    def _walk(self, asked: Bytes, requests: Requests, data: Bytes, first: int) -> list[int]:
+    def _walk(self, requests: Requests, data: Bytes, first: int) -> list[int]:
         """Where the answers from byte `first` on begin that are whole, and where the next one does.
 
         They are to these requests.
         """
         places = np.arange(first, len(data) + 1)
-        by_request = self._sizes(asked, requests, data, np.zeros(len(requests.kind), np.int64))
-        alike = self._alike.take(requests.kind)
+        fixed, alike = self._fixed.take(requests.kind), self._alike.take(requests.kind)
         by_place = {
             kind: frame_sizes(*self._ways[kind], data, places).data
             for kind in self._varied
-            if not self._by_request[kind] and kind in alike
+            if kind in alike
         }
         walked, at, last = [first], first, len(data)
-        for kind, size in zip(alike.tolist(), by_request.tolist(), strict=True):
+        for kind, size in zip(alike.tolist(), fixed.tolist(), strict=True):
             at += by_place[kind][at - first] if kind in by_place else size
             if at == walked[-1] or at > last:
                 break
@@ -301,19 +267,6 @@ def _repeats(layout: Layout, asked: Numbers, data: Bytes, start: Places) -> Mask
             right = part_values(part, data, start, start) == part.repeating(value)
             found &= right & (value >= 0)
     return found
-
-
-def _by_request(spec: DataSpec, names: Iterable[str]) -> bool:
-    """Whether only the numbers of the request, which have these names, tell the size of data.
-
-    Raises OverflowError where nothing tells it for arrays.
-    """
-    try:
-        require_arrays(spec)
-    except OverflowError:
-        require_arrays(replace(spec, fields=spec.fields[-1:]), names)
-        return True
-    return False
 
 
 @lru_cache(maxsize=8)

@@ -173,13 +173,10 @@ def fixed_size(layout: Layout, spec: DataSpec) -> int:
     return int(frame_sizes(layout, spec, np.zeros(1, np.uint8), np.zeros(1, np.int64))[0])
 
 
-def frame_sizes(
-    layout: Layout, spec: DataSpec, data: Bytes, start: Places, asked: Numbers = NO_NUMBERS
-) -> Places:
+def frame_sizes(layout: Layout, spec: DataSpec, data: Bytes, start: Places) -> Places:
     """The sizes of the frames that begin at these places, with data laid out as `spec`.
 
-    A size is 0 where there is no such frame; one that reaches beyond the data may be wrong. `asked`
-    has the numbers of the requests that the frames answer.
+    A size is 0 where there is no such frame; one that reaches beyond the data may be wrong.
     """
     around, length = layout.head + layout.tail, layout.part("length")
     if length is not None:
@@ -187,13 +184,14 @@ def frame_sizes(
         return np.where(announced < 0, 0, around + announced)
     if not layout.has_data:
         return np.full(len(start), around)
-    return around + data_sizes(spec, data, start + layout.head, asked)
+    return around + data_sizes(spec, data, start + layout.head)
 
 
 def data_sizes(spec: DataSpec, data: Bytes, at: Places, asked: Numbers = NO_NUMBERS) -> Places:
     """How many bytes the data have that begin at each place; see `DataSpec.measure`.
 
-    Raises OverflowError for a count that cannot be worked out for arrays.
+    `asked` has the numbers of the requests that they answer. Raises OverflowError for a count that
+    cannot be worked out for arrays.
     """
     many = spec.counted
     if many is None or many.how == "rest":

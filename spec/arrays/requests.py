@@ -5,7 +5,7 @@ Those with one header byte may be faulty, too: their headers tell where they end
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import pairwise
 
@@ -139,20 +139,18 @@ class RequestTables:
             kind[rows] = header << 8 | ~good
         return Requests(offset, size, kind, self._verdict.take(kind))
 
-    def blocks(self, data: Bytes, start: int = 0) -> Iterator[tuple[Places, int]]:
-        """Find the headers in `data`, whose byte `start` is one, block by block.
+    def offsets(self, data: Bytes, start: int = 0) -> tuple[Places, int]:
+        """The offsets of all complete frames in `data`, and that of the first header after them.
 
-        Yields the offsets of the frames that are complete, and that of the next header.
-
-        Where a frame begins depends on all frames before it. So for each place the place 2^k
-        frames on is looked up (k times an array operation); only each 2^k-th frame is then walked
-        to one by one, and those between are looked up again.
+        Byte `start` is a header. Where a frame begins depends on all frames before it. So block by
+        block, for each place the place 2^k frames on is looked up (k times an array operation);
+        only each 2^k-th frame is then walked to one by one, and those between are looked up again.
         """
         spare = int(self._size_of.max())
         block = min(len(data) - start, _BLOCK)
         places = np.arange(block + spare, dtype=np.int64)
         jumps = [np.empty(block + spare, np.int64) for _ in range(_DOUBLINGS + 1)]
-        at = start
+        found, at = [np.empty(0, np.int64)], start
         for base in range(start, len(data), _BLOCK):
             size = min(len(data) - base, _BLOCK)
             reach = size + spare
@@ -171,17 +169,11 @@ class RequestTables:
                 frames = both
             frames = frames[: np.searchsorted(frames, size)]
             frames += base
-            if at > len(data):  # the last frame is not complete, and may end in a block to come
-                yield frames[:-1], int(frames[-1])
-                return
-            yield frames, at
-
-    def offsets(self, data: Bytes, start: int = 0) -> tuple[Places, int]:
-        """The offsets of all complete frames, and that of the first header after them."""
-        blocks = list(self.blocks(data, start))
-        if not blocks:
-            return np.empty(0, np.int64), start
-        return np.concatenate([offset for offset, _ in blocks]), blocks[-1][1]
+            found.append(frames)
+        offsets = np.concatenate(found)
+        if at > len(data):  # the last frame is not complete
+            return offsets[:-1], int(offsets[-1])
+        return offsets, at
 
     def _whole_reads(self, data: Bytes, begun: int, reads: Places) -> Places:
         """Where the frames begin of which each is one read, and where the next one begins."""

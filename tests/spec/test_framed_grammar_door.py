@@ -15,7 +15,7 @@ from tests.support.grammars import TIMES, mutated
 
 MORE = {
     " Const,": " BitsInteger, BitStruct, Bytes, Const, FixedSized, CString, GreedyBytes, "
-    "GreedyString, NullTerminated, Optional, If, Float32b,",
+    "Optional, If, Float32b,",
     " Data,": " AllOf, Ranged, AnyOf, Crc, Data, Length, asked,",
 }
 TEXT = mutated((ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8"), MORE)
@@ -40,10 +40,6 @@ WRONG: list[tuple[dict[str, str], str]] = [
         "FRAME.sum is a Sum of up to 65535 in a type of up to 255; give it a wider type",
     ),
     (
-        {SUM: "Checksum(Byte, Crc(16, 0x1021), this.covered.data)"},
-        "FRAME.sum is a Crc of up to 65535 in a type of up to 255",
-    ),
-    (
         {'Same("address", Byte)': 'Same("adress", Byte)'},
         "REPLY.address is Same('adress'), allowed are address, id",
     ),
@@ -65,14 +61,8 @@ WRONG: list[tuple[dict[str, str], str]] = [
         {"Address(Byte, 1, 4)": "Address(Byte, 1, 400)"},
         "FRAME.address has addresses up to 400 in a type of up to 255",
     ),
-    (
-        {"Address(Byte, 1, 4)": "Address(Byte, 1, 4, broadcast=256)"},
-        "FRAME.address has addresses up to 256 in a type of up to 255",
-    ),
     ({'NAME = "relay-board"': 'NAME = ""'}, "NAME is empty, allowed is a text"),
-    ({'NAME = "relay-board"': "NAME = 5"}, "NAME is 5, allowed is a text"),
     ({'"Toggle"': '"On now"'}, "the name of instruction 3 is 'On now', allowed is one word"),
-    (read('"the level" / Byte, '), "is 'the level', allowed is one word"),
     ({'"sum" /': '"the sum" /', ID: f'"a b" / Byte, {ID}'}, "is 'a b', allowed is one word"),
     (
         {"TIMING =": "AT_RESTS = AllOf(on=0)\n\nTIMING ="},
@@ -82,7 +72,6 @@ WRONG: list[tuple[dict[str, str], str]] = [
         {"TIMING =": "STOPPED = AnyOf(on=0)\n\nTIMING ="},
         "nothing uses 'STOPPED'; did you mean AT_REST?",
     ),
-    ({"SILENT =": "SILNT ="}, "nothing uses 'SILNT'; did you mean SILENT?"),
     ({"POWER_ON =": "power_on ="}, "nothing uses 'power_on'; did you mean POWER_ON?"),
     (
         read('"text" / Float32b, '),
@@ -95,8 +84,6 @@ WRONG: list[tuple[dict[str, str], str]] = [
         )
         for kind in (
             'CString("utf8")',
-            'GreedyString("utf8")',
-            "NullTerminated(Byte)",
             "Optional(Byte)",
             "If(this.x, Byte)",
         )
@@ -108,10 +95,6 @@ WRONG: list[tuple[dict[str, str], str]] = [
     (
         {"effect=Sets(on=1)": "effect=Sets(on=5)"},
         "the value of on in On.effect is 5, allowed is 0 to 1",
-    ),
-    (
-        {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(on=9)"},
-        "the value of on in POWER_ON is 9, allowed is 0 to 1",
     ),
     (
         {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(onn=0)"},
@@ -141,11 +124,6 @@ ELSEWHERE: list[tuple[dict[str, str], str, str]] = [
         "FRAME =",
     ),
     (
-        {"Switch(this.id,": "Switch(this.sum.id,"},
-        "FRAME has Switch(this.sum.id, ...), allowed",
-        "FRAME =",
-    ),
-    (
         {ID: f'"length" / Length(Byte), {ID}'},
         "the data of FRAME must be written FixedSized(this.length, ...)",
         "FRAME =",
@@ -166,11 +144,6 @@ ELSEWHERE: list[tuple[dict[str, str], str, str]] = [
     (
         {"answer_longest=1000": "answer_longest=10"},
         "Timing.answer_longest is 10, allowed is at least Timing.answer_deadline, 100",
-        "TIMING =",
-    ),
-    (
-        {"truncation_shortest=5": "truncation_shortest=60"},
-        "Timing.truncation_timeout is 50, allowed is at least Timing.truncation_shortest, 60",
         "TIMING =",
     ),
     (

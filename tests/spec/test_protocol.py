@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import pickle
+from typing import Any
 
 import pytest
 
@@ -27,21 +28,6 @@ def without_led(text: str) -> str:
     return text[:start] + text[end:]
 
 
-# Facts that are read out of the grammar.
-
-
-def test_a_field_tells_where_it_lies_and_what_it_allows(protocol: Protocol) -> None:
-    (rgb,) = protocol.by_name["LED"].fields
-
-    assert (rgb.offset, rgb.size, rgb.low, rgb.high, rgb.bits) == (0, 1, 0, 7, "RGB")
-    assert rgb.parse(b"\x09") == 9
-    assert rgb.build(9) == b"\x09"
-
-
-def test_the_limits_of_the_state_come_from_fields_and_factors(protocol: Protocol) -> None:
-    assert protocol.limits == {"speed": (0, 255), "steering": (-255, 255), "led": (0, 7)}
-
-
 # A value among values.
 
 
@@ -51,16 +37,6 @@ def test_a_protocol_pickles_as_its_text(protocol: Protocol) -> None:
         assert again.origin == protocol.origin
         assert [judge(again, v.frame).response.code for v in FRAMES] == [v.code for v in FRAMES]
     assert len(pickle.dumps(protocol)) < 2 * len(protocol.source.encode())
-
-
-def test_two_protocols_are_equal_when_their_texts_are(protocol: Protocol, horn: Protocol) -> None:
-    same = load(protocol.source, "another-name.py")
-
-    assert same == protocol
-    assert hash(same) == hash(protocol)
-    assert same.sha256 == protocol.sha256
-    assert horn != protocol
-    assert horn.sha256 != protocol.sha256
 
 
 # Change the protocol in one place: instruction 9 "Horn", one byte 0 to 3.
@@ -168,6 +144,22 @@ def test_all_are_an_address_too() -> None:
     assert build(modbus, "WriteSingleRegister", {**values, "address": 0})[0] == 0
     with pytest.raises(ValueError, match="address is 248, allowed are 1 to 247, and 0 for all"):
         build(modbus, "WriteSingleRegister", {**values, "address": 248})
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "cells", "due"),
+    [
+        ("WriteMultipleRegisters", {"quantity": 3, "values": [4]}, "values", "3, not 1"),
+        ("WriteMultipleCoils", {"quantity": 9, "coils": "01"}, "coils", "2, not 1"),
+    ],
+)
+def test_a_count_that_is_not_that_of_its_values_is_refused(
+    name: str, values: dict[str, Any], cells: str, due: str
+) -> None:
+    modbus, asked = load_protocol("modbus-rtu"), {"address": 1, "start": 0, **values}
+    with pytest.raises(ValueError, match=f"so the length of {cells} must be {due}"):
+        build(modbus, name, asked)
+    assert judge(modbus, build(modbus, name, {**asked, "quantity": 1})).valid
 
 
 def test_nobody_is_meant_by_such_a_request(relay: Protocol) -> None:

@@ -226,18 +226,6 @@ def test_the_frames_are_those_found_byte_by_byte_with_the_times_of_their_kind(
             assert at_the_end or (timeout is not None and record.known == record.end + timeout)
 
 
-@given(data=st.binary(max_size=60), now=st.integers(0, 10**18))
-def test_a_chunk_gives_the_same_records_whole_and_byte_by_byte(data: bytes, now: int) -> None:
-    whole, cut = Framer(PROTOCOL, TIMEOUT), Framer(PROTOCOL, TIMEOUT)
-
-    together = list(whole.feed(data, now))
-    singly = [record for byte in data for record in cut.feed(bytes([byte]), now)]
-
-    assert singly == together
-    assert cut.held == whole.held
-    assert cut.deadline == whole.deadline
-
-
 @pytest.mark.parametrize("stream", STREAMS, ids=lambda s: f"{s.clause}: {s.title}")
 def test_the_documents_examples_fall_into_their_frames(stream: StreamVector) -> None:
     framer = Framer(PROTOCOL, TIMEOUT)

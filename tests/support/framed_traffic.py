@@ -74,6 +74,10 @@ def request_fields(random: Random, spec: InstructionSpec) -> dict[str, Any]:
     for name in ("size", "quantity", "read_quantity"):
         if name in values and not any(p.many and p.many.expression for p in spec.fields):
             values[name] = random.randint(1, 9)
+    memory = spec.writes
+    if memory and memory.count in values and not memory.blocks:  # the count is that of the cells
+        values[memory.value] = values[memory.value] or (b"\0" if memory.bits else (0,))
+        values[memory.count] = len(values[memory.value]) * (8 if memory.bits else 1)
     return values
 
 

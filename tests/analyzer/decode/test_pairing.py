@@ -5,16 +5,16 @@ from __future__ import annotations
 import pytest
 
 from bilprov.analyzer.decode.decoded_share import Checked, declared, fitting_check, near_miss
-from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
+from bilprov.analyzer.decode.pairing import MOST
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.checks import Crc, Sum
-from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
 from tests.support.decoding import MS, decoded, devices, hosts, kinds
+from tests.support.framed_traffic import FRAMED
 
 # What the host says (ms), what the device answers, and to which instruction after how long (ms).
 PAIRS: dict[str, tuple[list[tuple[int, str]], list[tuple[int, str]], list[tuple[int, int]]]] = {
@@ -67,16 +67,6 @@ def test_of_a_flood_of_instructions_at_one_time_the_oldest_are_given_up(protocol
 
 
 @pytest.mark.slow
-def test_of_a_flood_of_answers_at_one_time_the_oldest_are_given_up(protocol: Protocol) -> None:
-    session = Session(protocol)
-    session.feed(Chunk(0, "host", b"\x81"))  # an open frame, so that answers are held
-    records = [r for _ in range(MOST + 10) for r in session.feed(Chunk(0, "device", b"\x05"))]
-
-    assert len(devices(records)) == 10
-    assert len(devices(session.finish())) == MOST
-
-
-@pytest.mark.slow
 def test_a_flood_of_answers_ends_the_search_for_frames(protocol: Protocol) -> None:
     session = Session(protocol, attached=True)
     session.feed(host(b"\x20"))
@@ -96,25 +86,6 @@ def test_after_bytes_were_lost_an_answer_is_that_of_no_frame_before(protocol: Pr
 def host(data: bytes) -> Chunk:
     """Bytes of the host at time 0."""
     return Chunk(0, "host", data)
-
-
-# -- what waits, as a checkpoint has it ------------------------------------------------------------
-
-
-def waiting(protocol: Protocol, number: int, end: int, frame: bytes) -> Waiting:
-    return Waiting(number, end, end + 1000 * MS, judge(protocol, frame))
-
-
-def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
-    protocol: Protocol,
-) -> None:
-    frames = [b"\x20", b"\x11\x05", b"\x11", b"\x20", b"\x20"]
-    queue = [waiting(protocol, n, MS * (n > 3), frame) for n, frame in enumerate(frames)]
-
-    groups = waiting_frames(queue)
-
-    assert [group.frames for group in groups] == [b"\x20\x11\x05\x11", b"\x20", b"\x20"]
-    assert [group.end for group in groups] == [0, 0, MS]
 
 
 # -- near misses -----------------------------------------------------------------------------------
@@ -142,7 +113,6 @@ def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
         ("stk500v1", "30 21", "GetSync", "sync", "21 stands where 20 must be"),
         ("stk500v1", "74 0010 58 20", "ReadPage", "range", "memory is 88"),
         ("robot-car", "81 09", "LED", "range", "rgb is 9"),
-        ("robot-car", "90", "", "id", "no instruction has ID 9"),
     ],
 )
 def test_the_nearest_instruction_is_told_with_what_is_wrong(
@@ -163,6 +133,26 @@ def test_a_field_too_many_is_told_where_the_next_sync_stands_early() -> None:
     assert found is not None
     assert (found.name, found.obstacle) == ("Off", "length")
     assert found.reason.startswith("its check is right after 8 bytes, with 0 bytes of data")
+
+
+@pytest.mark.parametrize(
+    ("name", "narrow", "wide", "sent", "size"),
+    [
+        ("relay_board", "Byte, 1, 4", "BytesInteger(2), 1, 4", "5556000000 01 02 AE", 8),
+        ("roboclaw", "Byte, 0x80", "Int16ub, 0x80", "81 18 BB90", 4),
+    ],
+)
+def test_an_address_that_is_declared_too_wide_is_named(
+    name: str, narrow: str, wide: str, sent: str, size: int
+) -> None:
+    text = FRAMED[name].replace(f"Address({narrow}", f"Address({wide}")
+    text = text.replace("import Byte,", "import Byte, BytesInteger,")
+    found = near_miss(load(text), bytes.fromhex(sent))
+
+    assert found is not None
+    assert found.obstacle == "length"
+    assert found.reason.startswith(f"its check is right after {size} bytes, as if a part of FRAME")
+    assert found.reason.endswith("such as address")
 
 
 def test_a_valid_frame_is_no_near_miss() -> None:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import chain
 from random import Random
 
 import pytest
 
-from bilprov.analyzer.decode.batch import Records
-from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.simulated.device import SimulatedDevice
-from bilprov.captures.events import Events
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.replies import build_reply
 from tests.support.decoding import Event, decoded
-from tests.support.framed_traffic import FRAMED, Traffic, drawn_request, exchanges
+from tests.support.framed_traffic import FRAMED, drawn_request
 
 RELAYS = load(FRAMED["relay_board"])
 
@@ -78,26 +73,6 @@ def test_an_answer_to_an_older_request_does_not_undo_a_newer_one() -> None:
 
 def test_what_the_variable_cannot_be_is_not_taken_over() -> None:
     assert states(RELAYS, asked(RELAYS, "On", 7, 0)) == [1, 1]
-
-
-@pytest.mark.sample(10)
-@pytest.mark.parametrize("protocol", [RELAYS, FAN], ids=["number", "word"])
-@pytest.mark.parametrize("seed", range(12))
-def test_arrays_have_the_states_of_one_by_one(protocol: Protocol, seed: int) -> None:
-    how = Traffic(odd=0.03 * (seed % 3), pipelined=1 + seed % 3)
-    events = exchanges(protocol, Random(seed), 150, how)
-    one_by_one = Records(decoded(Session(protocol), events))
-    decoder = StreamDecoder(protocol)
-    cut = len(events) // 2
-    batches = [*decoder.decode(Events.of(events[:cut])), *decoder.decode(Events.of(events[cut:]))]
-    batches += decoder.finish()
-
-    found = [json_line(record) for batch in batches for record in batch.records()]
-    assert found == [json_line(record) for record in one_by_one.records()]
-    assert any(not isinstance(batch, Records) for batch in batches)
-    for side in ("hosts", "devices"):
-        columns = [getattr(batch, side).states["on"].tolist() for batch in batches]
-        assert [*chain(*columns)] == getattr(one_by_one, side).states["on"].tolist()
 
 
 @pytest.mark.parametrize("protocol", [RELAYS, FAN], ids=["number", "word"])
