@@ -145,6 +145,17 @@ def test_a_program_builds_a_request_from_the_header_alone(tmp_path: Path) -> Non
     assert told.decode() == build(protocol, "WriteSingleRegister", values).hex()
 
 
+def test_the_header_has_what_a_request_with_a_length_and_a_register_is_built_of() -> None:
+    text = c_header(framed("feetech.py"))
+    for constant in (
+        "FRAME_LENGTH_ALSO 2",
+        "FRAME_CHECK_SUM_COMPLEMENT 0x01",
+        "REGISTER_GOAL_POSITION 42",
+        "REGISTER_GOAL_POSITION_LITTLE_ENDIAN 1",
+    ):
+        assert f"#define FEETECH_STS3215_{constant}" in text
+
+
 ANY_CRC = r"""
 #include <stdio.h>
 

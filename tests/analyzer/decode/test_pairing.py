@@ -67,6 +67,16 @@ def test_of_a_flood_of_instructions_at_one_time_the_oldest_are_given_up(protocol
 
 
 @pytest.mark.slow
+def test_of_a_flood_of_answers_at_one_time_the_oldest_are_given_up(protocol: Protocol) -> None:
+    session = Session(protocol)
+    session.feed(Chunk(0, "host", b"\x81"))  # an open frame, so that answers are held
+    records = [r for _ in range(MOST + 10) for r in session.feed(Chunk(0, "device", b"\x05"))]
+
+    assert len(devices(records)) == 10
+    assert len(devices(session.finish())) == MOST
+
+
+@pytest.mark.slow
 def test_a_flood_of_answers_ends_the_search_for_frames(protocol: Protocol) -> None:
     session = Session(protocol, attached=True)
     session.feed(host(b"\x20"))
