@@ -7,18 +7,16 @@ The line is listened to for a moment, in which nothing is sent.
 from __future__ import annotations
 
 import errno
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from shlex import quote
 
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
+from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.finding import Finding, Grade, refused
 from bilprov.analyzer.taps.sources import Events, Source, Taps
 from bilprov.analyzer.transport.errors import (
-    NO_BRAILLE,
     LinkError,
     busy,
     denied,
@@ -27,11 +25,11 @@ from bilprov.analyzer.transport.errors import (
     path_in,
 )
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.machine import MODEM_MANAGER, Held, Machine, for_braille
+from bilprov.analyzer.transport.machine import MODEM_MANAGER, Held, Machine
 from bilprov.analyzer.transport.ports import open_port, paths_here
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Direction, Line
-from bilprov.captures.text import printable, quantity
+from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
 
 LATENCY_LIMIT = 4
@@ -94,14 +92,6 @@ def _holder(port: Subject) -> Finding:
     return Finding("holder", Grade.FINE, "nobody else holds it")
 
 
-def _pty(port: Subject) -> Finding | None:
-    if not port.machine.is_pty(port.name):
-        return None
-    server = f", served by {port.held.server}" if port.held.server else ""
-    sentence = f"a pseudo terminal{server}: it has no baud rate, no parity and no modem lines"
-    return Finding("pty", Grade.FINE, sentence)
-
-
 def _modem_manager(port: Subject) -> Finding | None:
     usb = port.machine.usb(port.name)
     if usb is None:
@@ -125,16 +115,6 @@ def _modem_manager(port: Subject) -> Finding | None:
     return Finding("ModemManager", Grade.ADVICE, sentence, command)
 
 
-def _brltty(port: Subject) -> Finding | None:
-    if not for_braille(port.machine.properties(port.name)):
-        return None
-    sentence = (
-        f"udev's rules take {port.name} for a Braille display, and brltty may take it away at any "
-        "moment; where nobody needs one, end it"
-    )
-    return Finding("brltty", Grade.ADVICE, sentence, NO_BRAILLE)
-
-
 def _latency_timer(port: Subject) -> Finding | None:
     milliseconds = port.machine.latency_timer(port.name)
     if milliseconds is None:
@@ -155,11 +135,9 @@ FIRST = (_there, _terminal)
 
 CHECKS = (
     *FIRST,
-    _pty,
     _permission,
     _holder,
     _modem_manager,
-    _brltty,
     _latency_timer,
 )
 
@@ -173,7 +151,7 @@ def _shared(port: Subject) -> Finding | None:
 
 
 # What is worth a word where a port was opened all the same.
-_IN_USE = (_shared, _modem_manager, _brltty, _latency_timer)
+_IN_USE = (_shared, _modem_manager, _latency_timer)
 
 
 def examined(port: Subject) -> Iterator[Finding]:
@@ -200,7 +178,6 @@ def notes(name: str, machine: Machine | None = None) -> list[str]:
     return [one.note(path) for one in findings if one and one.grade is Grade.ADVICE]
 
 
-_TEXT = re.compile(rb"[\t\r\n\x20-\x7e]{8,}")  # as boards print while they boot
 # What errors that a driver counts mean.
 _MEANS = {
     "framing": "another baud rate or other stop bits are on the line; find the rate, give --baud",
@@ -232,36 +209,18 @@ def heard(
     count = sum(map(len, data.values()))
     for event in events:
         if isinstance(event, Line) and event.event == "unplugged":
-            last = printable(data[event.tap].decode("latin-1").strip())
-            said = f"it sent {last!r}, then " if last else ""
-            yield Finding("line", Grade.BLOCKS, said + event.detail)
+            yield Finding("line", Grade.BLOCKS, event.detail)
     yield from _miscounted(events, count)
     if not count:
         why = "a device speaks only when it is asked" if len(names) == 1 else "does the host drive?"
         sentence = f"not a byte was heard in {seconds:.3g} s: {why}"
         yield Finding("traffic", Grade.UNSEEN, sentence)
         return
-    for side, told in data.items():
-        found = _TEXT.search(told)
-        if found and len(found[0]) * 2 > len(told) and not _is_traffic(protocol, told):
-            text = printable(found[0].decode("ascii").strip())
-            sentence = f"{names[side]} carries text, which is another protocol: {text!r}"
-            yield Finding("traffic", Grade.ADVICE, sentence)
-            return
     if len(names) > 1:
         yield _wired(protocol, names, events, data)
     else:
         sentence = f"{quantity(count, 'byte')} came in {seconds:.3g} s"
         yield Finding("traffic", Grade.FINE, sentence)
-
-
-def _is_traffic(protocol: Protocol, data: bytes) -> bool:
-    """Whether most of the bytes are valid frames, some of which look like text too."""
-    session = Session(protocol, heard=frozenset({"host"}))
-    records = [*session.feed(Chunk(0, "host", data)), *session.finish()]
-    frames = (record for record in records if isinstance(record, HostRecord))
-    valid = sum(len(one.data) for one in frames if one.judgement and one.judgement.valid)
-    return 2 * valid >= len(data)
 
 
 def _said(events: Sequence[Chunk | Line], side: str) -> bytes:

@@ -75,7 +75,7 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
         return LinkError(
             f"there is no {name}; brltty has taken the adapter {usb.identity} {usb.title} for a "
             "Braille display: where nobody needs one, end it and plug the adapter in again",
-            NO_BRAILLE,
+            "sudo systemctl mask --now brltty.service brltty-udev.service",  # udev starts it anew
         )
     if re.fullmatch(r"(tcp:)?[\w.-]*\w:\d+", name):
         address = name.removeprefix("tcp:")
@@ -127,10 +127,6 @@ def busy(name: str, held: Held, machine: Machine) -> LinkError:
     more = f" and {len(held.holders) - 1} more" if len(held.holders) > 1 else ""
     sentence = f"{name} is in use by another program, {holder}{more}; close it there, or end it"
     return LinkError(sentence, _ending(holder, name, machine))
-
-
-NO_BRAILLE = "sudo systemctl mask --now brltty.service brltty-udev.service"
-"""The command that ends brltty, which udev would start anew; both names are in use."""
 
 
 def _ending(holder: Process, name: str, machine: Machine) -> str:

@@ -11,7 +11,7 @@ import os
 import pwd
 import re
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,14 +40,13 @@ class Process:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """Who has a port open: `holders`, and the `server` at the other end of a pty.
+    """Who has a port open: `holders`, without the server at the other end of a pty.
 
     `own` if this process is one. `unseen` processes belong to other users, so that their open files
     cannot be seen: one of them may be a holder too.
     """
 
     holders: tuple[Process, ...] = ()
-    server: Process | None = None
     unseen: int = 0
     own: bool = False
 
@@ -133,15 +132,14 @@ class Machine:
                     holders[path].add(pid)
                 elif indexes and path.endswith("/ptmx"):
                     said = self._read(f"/proc/{pid}/fdinfo/{entry.name}")
-                    index = _value(said, "tty-index:")
-                    if index in indexes:
-                        servers[indexes[index]] = pid
+                    index = said.partition("tty-index:")[2].split()[:1]
+                    if index and index[0] in indexes:
+                        servers[indexes[index[0]]] = pid
         own, found = os.getpid(), {}
         for path in devices:
-            pids = holders[path] | self._lockers(path)
+            pids = holders[path]
             found[path] = Held(
                 tuple(self.process(pid) for pid in sorted(pids - {own, servers.get(path)})),
-                self.process(servers[path]) if path in servers else None,
                 len(unseen - pids),
                 own in pids,
             )
@@ -183,8 +181,10 @@ class Machine:
 
     def is_member(self, group: str) -> bool:
         """Whether this user is listed in a group; a session that began before is not in it yet."""
-        members = _value(self._read("/etc/group"), f"{group}:").rpartition(":")[2]
-        return _user(os.geteuid()) in members.split(",")
+        try:
+            return _user(os.geteuid()) in grp.getgrnam(group).gr_mem
+        except KeyError:  # a group without a name
+            return False
 
     def may_open(self, name: str) -> bool:
         """Whether this process may read and write the device."""
@@ -244,7 +244,8 @@ class Machine:
         with suppress(OSError):
             for folder in sorted(self.file("/sys/bus/usb/devices").iterdir()):
                 usb = _usb(folder)
-                if usb and for_braille(self._udev(_text(folder / "dev"))):
+                rules = self._udev(_text(folder / "dev")) if usb else {}
+                if usb and any(key.startswith("BRLTTY_") for key in rules):
                     found.append(usb)
         return found if found and self.running(BRLTTY) else []
 
@@ -264,25 +265,8 @@ class Machine:
                 if (pid := _number(entry.name)) is not None:
                     yield pid
 
-    def _lockers(self, path: str) -> set[int]:
-        """The processes that hold a lock (flock) on a device; anybody may see those."""
-        try:
-            found = self.file(path).stat()
-        except OSError:
-            return set()
-        where = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
-        locks = (line.split() for line in self._read("/proc/locks").splitlines())
-        held = (_number(lock[4]) for lock in locks if len(lock) > 5 and lock[5] == where)
-        # 0 and -1 stand for a process that this one cannot see, as from inside a container.
-        return {pid for pid in held if pid}
-
     def _read(self, path: str) -> str:
         return _text(self.file(path))
-
-
-def for_braille(properties: Mapping[str, str]) -> bool:
-    """Whether udev's rules hand a device with these properties to brltty."""
-    return any(key.startswith("BRLTTY_") for key in properties)
 
 
 def _usb(folder: Path) -> UsbDevice | None:
@@ -311,11 +295,6 @@ def _target(link: Path) -> str:
         return str(link.readlink())
     except OSError:
         return ""
-
-
-def _value(text: str, label: str) -> str:
-    lines: Iterable[str] = text.splitlines()
-    return next((line.removeprefix(label).strip() for line in lines if line.startswith(label)), "")
 
 
 def _user(number: int) -> str:

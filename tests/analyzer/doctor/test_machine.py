@@ -18,10 +18,6 @@ from tests.support.machines import FakeMachine
 
 # Programs that do something to a pty and wait.
 OPENS = "import os, sys; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print(flush=True)"
-LOCKS = (
-    "import fcntl, os, sys; fd = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)\n"
-    "fcntl.flock(fd, fcntl.LOCK_EX); print(flush=True)"
-)
 SERVES = "import os; master, slave = os.openpty(); print(os.ttyname(slave), flush=True)"
 # Who holds a pty, as somebody sees it who may look into nobody else's processes.
 AS_NOBODY = """
@@ -123,17 +119,15 @@ def test_a_program_that_has_a_pty_open_is_named() -> None:
 
 @pytest.mark.waits
 def test_the_program_at_the_other_end_of_a_pty_is_no_holder() -> None:
-    with program(SERVES) as (pid, name):
+    with program(SERVES) as (_, name):
         held = Machine().held(name)[name]
-        assert held.server is not None
-        assert held.server.pid == pid
         assert held.holders == ()
 
 
 @pytest.mark.waits
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
-def test_who_locks_a_port_is_seen_by_all_and_other_users_files_by_nobody() -> None:
-    with open_pty() as pty, program(LOCKS, pty.name) as (pid, _):
+def test_other_users_files_are_seen_by_nobody() -> None:
+    with open_pty() as pty, program(OPENS, pty.name):
         python = [sys.executable, "-c", AS_NOBODY, pty.name]
         child = subprocess.run(python, capture_output=True, text=True, check=True, cwd=ROOT)
-    assert child.stdout.split() == [str(pid), "True"]
+    assert child.stdout.split() == ["True"]
