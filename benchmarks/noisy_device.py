@@ -6,7 +6,7 @@ observations and power cycles are not affected.
 
 from __future__ import annotations
 
-from bilprov.analyzer.taps.relay import ImpairedDirection, LineFaults, Noise
+from bilprov.analyzer.taps.relay import ImpairedDirection, Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.dut.link import Device
 
@@ -22,9 +22,10 @@ class NoisyDevice:
         self, device: Device, noise: Noise, seed: int, delay: int = 0, jitter: int = 0
     ) -> None:
         self._device = device
-        faults = LineFaults(noise, delay, jitter)
-        self._inward = ImpairedDirection(faults, seed, "to the device")
-        self._outward = ImpairedDirection(faults, seed, "from the device")
+        self._inward, self._outward = (
+            ImpairedDirection(noise, seed, way, delay=delay, jitter=jitter)
+            for way in ("to the device", "from the device")
+        )
 
     @property
     def hurt(self) -> int:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from bilprov.captures.storage.messages import Contents
 
 DIGITS: Final = 5  # as many as dumpcap's, so that a listing is in order up to 99,999 parts
-_NOTES: Final = 20  # sentences about damage; further ones are only counted
 
 
 class Volume(NamedTuple):
@@ -106,8 +105,6 @@ def merged(volumes: Sequence[Volume]) -> Contents:
     for one in contents:
         counts.update(one.counts)
         sizes.update(one.sizes)
-    notes = list(_damage(volumes))
-    more = len(notes) - _NOTES
     return replace(
         first,
         size=sum(one.size for one in contents),
@@ -121,7 +118,7 @@ def merged(volumes: Sequence[Volume]) -> Contents:
         counts=dict(counts),
         sizes=dict(sizes),
         unfinished=any(one.unfinished for one in contents),
-        damage=(*notes[:_NOTES], *([f"{more} further places are damaged"] if more > 0 else ())),
+        damage=tuple(_damage(volumes)),
     )
 
 

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from bilprov.captures.storage.survey import Survey
 
 TOPICS_SHOWN = 10
-_FLIPPED = 2  # bits of the magic that may differ: other kinds of files differ in more
 
 Item = TypeVar("Item")
 _READ_AHEAD = 1 << 16  # bytes: a chunk of short messages is smaller, and takes ten small reads
@@ -575,8 +574,8 @@ def _unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
 def _magic_damage(path: Path, file: BufferedReader, size: int) -> str:
     """What is damaged of the first bytes of an MCAP file, "" for nothing.
 
-    Raises CaptureError for what is no MCAP file: neither do the first bytes look like its magic nor
-    is there a chunk with a correct checksum behind them.
+    Raises CaptureError for what is no MCAP file: without its magic, and without a chunk with a
+    correct checksum behind the first bytes.
     """
     from bilprov.captures.storage.recovery import WINDOW, RecordFile
 
@@ -587,8 +586,7 @@ def _magic_damage(path: Path, file: BufferedReader, size: int) -> str:
         return ""
     source = RecordFile(file, size)
     source.own = True  # only chunks with a checksum
-    flipped = int.from_bytes(front, "big") ^ int.from_bytes(MAGIC, "big")
-    if flipped.bit_count() > _FLIPPED and source.next_chunk(0, until=WINDOW) is None:
+    if source.next_chunk(0, until=WINDOW) is None:
         raise CaptureError(
             f"{printable(path)} is not MCAP (first bytes {front.hex(' ')}, MCAP has "
             f"{MAGIC.hex(' ')}): name an MCAP file"

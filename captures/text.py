@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
 
 
 class _Escapes(dict[int, str]):
@@ -46,21 +45,6 @@ def escape_json(data: bytes) -> bytes:
     if data.isascii() and b"\x7f" not in data:  # JSON itself escapes the rest
         return data
     return data.decode().translate(_IN_JSON).encode()
-
-
-def escape_all_controls(value: Any) -> Any:
-    """Apply `escape_controls` to every string in a value made of dicts and lists."""
-    if isinstance(value, str):
-        return escape_controls(value)
-    if isinstance(value, dict):
-        return {
-            escape_all_controls(key): escape_all_controls(inner) for key, inner in value.items()
-        }
-    return (
-        [escape_all_controls(inner) for inner in value]
-        if isinstance(value, list | tuple)
-        else value
-    )
 
 
 def quantity(count: int, noun: str, plural: str = "") -> str:

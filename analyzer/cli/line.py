@@ -11,7 +11,7 @@ import msgspec
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
 from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, note, only_for_ports
 from bilprov.analyzer.cli.settings import PortName
-from bilprov.analyzer.taps.relay import PTY, ImpairedDirection, LineFaults, Noise, join, open_end
+from bilprov.analyzer.taps.relay import PTY, ImpairedDirection, Noise, join, open_end
 from bilprov.analyzer.transport.port import PtyPair
 from bilprov.analyzer.transport.ports import same_line
 from bilprov.analyzer.transport.signals import Stopper
@@ -73,15 +73,14 @@ def line(options: ImpairedOptions) -> int:
     try:
         if a != PTY and same_line(a, b):  # to open it twice would only report that it is in use
             raise ValueError(f"both ends are {b}; a line joins two, so give another one")
-        faults = LineFaults(
-            Noise(options.flip, options.drop, options.double),
-            round(options.delay * MS),
-            round(options.jitter * MS),
-        )
+        noise = Noise(options.flip, options.drop, options.double)
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     opened = options.line.settings(protocol_in_use())
-    there, back = (ImpairedDirection(faults, options.seed, name) for name in ("A to B", "B to A"))
+    held = {"delay": round(options.delay * MS), "jitter": round(options.jitter * MS)}
+    there, back = (
+        ImpairedDirection(noise, options.seed, name, **held) for name in ("A to B", "B to A")
+    )
     with Stopper() as stopper, open_end(a, opened) as one, open_end(b, opened) as two:
         for end in (one, two):
             if isinstance(end, PtyPair):

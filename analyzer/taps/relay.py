@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from random import Random
 from typing import TypeAlias
 
@@ -24,14 +24,12 @@ from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.signals import Stopper
 
-LONGEST = 60_000_000_000  # ns that a byte may be held back
-
 
 @dataclass(frozen=True, slots=True)
 class Noise:
     """The probabilities (0 to 1) that a byte is flipped in one bit, dropped, or doubled.
 
-    Raises ValueError for a probability outside 0 to 1, and if together they exceed 1.
+    Raises ValueError if together they exceed 1.
     """
 
     flipped: float = 0.0
@@ -40,7 +38,7 @@ class Noise:
 
     def __post_init__(self) -> None:
         chances = (self.flipped, self.dropped, self.doubled)
-        if not (all(chance >= 0 for chance in chances) and sum(chances) <= 1):  # nor is nan
+        if sum(chances) > 1:
             raise ValueError(f"the rates are {chances}: each is 0 to 1, together at most 1")
 
     def impair(self, byte: int, chance: Random) -> tuple[str, bytes]:
@@ -55,34 +53,20 @@ class Noise:
         return "", bytes([byte])
 
 
-@dataclass(frozen=True, slots=True)
-class LineFaults:
-    """The faults of a line: noise and delays.
-
-    A byte is held back by `delay` ns plus 0 to `jitter` ns, evenly distributed. Raises ValueError
-    for times below 0 or, together, above 60 s.
-    """
-
-    noise: Noise = field(default_factory=Noise)
-    delay: int = 0
-    jitter: int = 0
-
-    def __post_init__(self) -> None:
-        if min(self.delay, self.jitter) < 0 or self.delay + self.jitter > LONGEST:
-            raise ValueError("delay and jitter are times from 0, together at most 60 s")
-
-
 class ImpairedDirection:
     """One direction of a faulty line; `name` ("A to B") is part of its random seed.
 
+    A byte is held back by `delay` ns plus 0 to `jitter` ns, evenly distributed.
     `came` counts the bytes that were put in; `dropped`, `flipped`, `doubled` and `delayed` count
     the affected ones. A byte that only waits behind a delayed one does not count as delayed.
     """
 
-    def __init__(self, faults: LineFaults, seed: int, name: str) -> None:
+    def __init__(
+        self, noise: Noise, seed: int, name: str, *, delay: int = 0, jitter: int = 0
+    ) -> None:
         self.name = name
         self.came = self.dropped = self.flipped = self.doubled = self.delayed = 0
-        self._faults = faults
+        self._noise, self._delay, self._jitter = noise, delay, jitter
         self._harm = Random(f"{seed} harm {name}")
         self._times = Random(f"{seed} times {name}")
         self._waiting: deque[tuple[int, bytes]] = deque()  # due time (ns) and bytes, in order
@@ -96,9 +80,9 @@ class ImpairedDirection:
         """Put in bytes that came at `now` (ns); `now` never goes back."""
         for byte in data:
             self.came += 1
-            harm, arriving = self._faults.noise.impair(byte, self._harm)
+            harm, arriving = self._noise.impair(byte, self._harm)
             self._times.random()  # once chose late bytes; with it a seed still means the same times
-            held = self._faults.delay + round(self._times.random() * self._faults.jitter)
+            held = self._delay + round(self._times.random() * self._jitter)
             if harm:
                 setattr(self, harm, getattr(self, harm) + 1)
             if arriving:
@@ -135,27 +119,21 @@ def open_end(name: str, settings: LineSettings) -> End:
 class _Way:
     """One way of the line: from one end through an impaired direction to the other end.
 
-    `lost` is set once the start failed and all of it was read; `deaf` once the target failed when
-    it was written to, whose last words may still be readable.
+    `lost` is set once the start failed and all of it was read.
     """
 
     def __init__(self, start: End, direction: ImpairedDirection, target: End) -> None:
         self.start = start
         self.direction = direction
         self.lost: LinkError | None = None
-        self.deaf: LinkError | None = None
-        self._target = target
-        self.out = Forward(self._write_some, f"nobody reads what goes from {direction.name}")
+        self.out = Forward(target.write_some, f"nobody reads what goes from {direction.name}")
 
-    def read(self, deaf: LinkError | None, now: int) -> None:
-        """Take in what the start has sent; `deaf` is why it takes nothing any more, if it does."""
+    def read(self, now: int) -> None:
+        """Take in what the start has sent."""
         try:
-            data = b"" if self.lost else self.start.read()
+            self.direction.put(b"" if self.lost else self.start.read(), now)
         except LinkError as error:
-            self.lost, data = error, b""
-        if not data:
-            self.lost = self.lost or deaf
-        self.direction.put(data, now)
+            self.lost = error
 
     def hand_on(self, now: int) -> str:
         """Forward what is due; return a sentence if the peer does not read, else "".
@@ -166,15 +144,6 @@ class _Way:
         if self.lost is not None and self.direction.deadline is None and not self.out.owed:
             raise self.lost
         return complaint
-
-    def _write_some(self, data: bytes) -> int:
-        """Write what the target takes now; for a lost one all bytes are dropped."""
-        if self.deaf is None:
-            try:
-                return self._target.write_some(data)
-            except LinkError as error:
-                self.deaf = error
-        return len(data)
 
 
 def join(
@@ -192,8 +161,8 @@ def join(
     """
     ways = _Way(ends[0], directions[0], ends[1]), _Way(ends[1], directions[1], ends[0])
     while not _stopped(ways, stop, time.monotonic_ns()):
-        for way, other in zip(ways, reversed(ways), strict=True):
-            way.read(other.deaf, time.monotonic_ns())
+        for way in ways:
+            way.read(time.monotonic_ns())
         for way in ways:
             if complaint := way.hand_on(time.monotonic_ns()):
                 note(complaint)
@@ -203,7 +172,7 @@ def _stopped(ways: Sequence[_Way], stop: Stopper, now: int) -> bool:
     """Wait until a way needs a turn; return True once `stop` is readable."""
     starts = [way.start for way in ways if way.lost is None]
     turns = [due for way in ways if (due := way.direction.deadline) is not None]
-    turns += [now + _RETRY for way in ways if way.out.owed or way.deaf is not None]
+    turns += [now + _RETRY for way in ways if way.out.owed]
     _, found = wait_readable(
         [start for start in starts if isinstance(start, Port)],
         max(0, min(turns) - now) / 1e9 if turns else None,

@@ -230,12 +230,10 @@ class Taps(Source):
     """Two passive taps, or one (with `device` None, for the host alone); they never write.
 
     If one is lost, the other is still listened to; `ended` is true once both are lost. `close`
-    closes the ports. Raises ValueError if both are the same line.
+    closes the ports.
     """
 
     def __init__(self, host: Port, device: Port | None) -> None:
-        if device is not None:
-            require_two_lines(host.name, device.name)
         super().__init__({"host": host} if device is None else {"host": host, "device": device})
         self.heard = frozenset(self._ports)
 
@@ -253,20 +251,6 @@ class Taps(Source):
                     answer = Chunk(said.t, "device", answer.data)
         if answer:
             events.append(answer)
-
-
-def open_taps(settings: LineSettings, host: str, device: str | None = None) -> Taps:
-    """Open the tap on `host`, and the one on `device` unless it is None.
-
-    Raises ValueError if both are the same line, LinkError for a port that cannot be opened.
-    """
-    if device is not None:
-        require_two_lines(host, device)
-    with ExitStack() as opened:
-        first = opened.enter_context(open_port(host, settings))
-        taps = Taps(first, None if device is None else open_port(device, settings))
-        opened.pop_all()
-    return taps
 
 
 class HalfDuplexTap(Source):
@@ -388,7 +372,15 @@ def opened_tap(ports: Ports, settings: LineSettings, protocol: Protocol, timeout
         raise ValueError(f"nothing to sniff: give {usages}")
     if len(asked) > 1:
         raise ValueError(f"give either {usages}, only one of them")
-    if host is not None:
-        return open_taps(settings, host, device)
-    port = open_port(asked[0], settings)
-    return Bridge(port) if bridge is not None else HalfDuplexTap(port, protocol, timeout)
+    if host is not None and device is not None:
+        require_two_lines(host, device)
+    with ExitStack() as opened:
+        port = opened.enter_context(open_port(asked[0], settings))
+        if bridge is not None:
+            source: Source = Bridge(port)
+        elif wire is not None:
+            source = HalfDuplexTap(port, protocol, timeout)
+        else:
+            source = Taps(port, None if device is None else open_port(device, settings))
+        opened.pop_all()
+    return source

@@ -22,16 +22,6 @@ from bilprov.captures.storage.records import CHUNK_BYTES, ChannelRecord, CutOff,
 SKIPPED: Final = -1
 """Opcode of a record that was skipped because it is larger than allowed."""
 
-UNPACKED_FREE: Final = 2 * CHUNK_BYTES
-UNPACKED_SHARE: Final = 1024
-"""All chunks of a file may unpack to UNPACKED_FREE bytes and this many times the file's size."""
-
-MESSAGES_FREE: Final = 500_000
-"""A file may have as many messages in chunks, and one more for every two bytes of its size."""
-
-LOOSE_RECORDS: Final = 65_536
-"""Records outside of chunks, other than messages and the index, that are read in a file."""
-
 HEAD_ROOM: Final = 64  # bytes before a chunk's packed data, more than enough
 WINDOW: Final = 1024 * 1024
 
@@ -99,9 +89,8 @@ class RecordFile:
     `own` is true if bilprov wrote the file: then records that bilprov never writes are rejected.
     `past_data` is true after the end of the data: before it, records of an index are rejected.
 
-    The work is bounded by the file's size: bytes unpacked, messages and loose records. Where a
-    hostile file would take more, that is damage, and after it no further chunk is found. No capture
-    of a line comes near: its messages take more than 4 bytes each, packed.
+    What is held of a file at once is bounded. The time is not: a hostile file may unpack to a
+    thousand times its size.
     """
 
     def __init__(self, file: BufferedReader, size: int) -> None:
@@ -111,9 +100,6 @@ class RecordFile:
         self._file = file
         # A false chunk front may cost 16 MiB of reading, and a hostile file has millions of them.
         self._patience = 4 * size + 4 * CHUNK_BYTES
-        self._unpacked = UNPACKED_FREE + UNPACKED_SHARE * size
-        self._messages = MESSAGES_FREE + size // 2
-        self._loose = LOOSE_RECORDS
         self._zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
         self._expected: int | None = None  # the sequence number of a file's next message
 
@@ -180,10 +166,6 @@ class RecordFile:
             before = first if self._expected is None else self._expected
             if self.own and (first - before) & 0xFFFF_FFFF >= 1 << 31:
                 raise Damaged("a chunk stands in the file a second time")
-        self._messages -= len(starts)
-        if self._messages < 0:
-            raise self._ended(f"more than {MESSAGES_FREE} messages, and more than one in 2 bytes")
-        if len(starts):
             self._expected = last + 1
         return Found(records.CHUNK, end, content, chunk.verified, "", starts, channels)
 
@@ -229,11 +211,6 @@ class RecordFile:
             offset += WINDOW
         return None
 
-    def _ended(self, why: str) -> Damaged:
-        """The error after which no further chunk is found: the work for this file is done."""
-        self._patience = 0
-        return Damaged(why)
-
     def _is_chunk(self, offset: int, compressed: bool) -> bool:
         try:
             found = self.record(offset)
@@ -254,10 +231,6 @@ class RecordFile:
                 raise Damaged(f"a chunk is larger than the {CHUNK_BYTES} bytes allowed")
             note = f"the chunk at byte {offset} holds {size} bytes, allowed are {CHUNK_BYTES}"
             return Found(SKIPPED, end, note=f"{note}: left out")
-        self._unpacked -= size
-        if self._unpacked < 0:
-            free = UNPACKED_FREE >> 20
-            raise self._ended(f"it unpacks to more than {free} MiB and {UNPACKED_SHARE} x its size")
         content = front + self._content(length - len(front))
         data = self._unpack(memoryview(content)[fields.start :], fields.compression, size)
         if len(data) != size:
@@ -299,10 +272,6 @@ class RecordFile:
         return Found(records.MESSAGE, end, content, starts=ONE)
 
     def _other(self, opcode: int, length: int, end: int, only: bool) -> Found:
-        if not self.past_data and opcode != records.MESSAGE_INDEX:
-            self._loose -= 1
-            if self._loose < 0:
-                raise self._ended(f"more than {LOOSE_RECORDS} records stand outside of the chunks")
         if opcode == records.FOOTER and end + len(records.MAGIC) > self.size:
             raise CutOff("the file ends before its last 8 bytes")
         if opcode == records.FOOTER and (

@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.captures.storage import records, recovery
+from bilprov.captures.storage import records
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.topics import TOPICS
 from bilprov.captures.writer import CaptureWriter
@@ -335,17 +335,6 @@ def test_limits_of_a_foreign_file_hold(tmp_path: Path) -> None:
         assert len(capture.contents.channels) == records.CHANNELS
 
 
-def test_a_map_of_more_strings_than_allowed_is_left_out() -> None:
-    def text(data: bytes) -> bytes:
-        return struct.pack("<I", len(data)) + data
-
-    pairs = b"".join(text(b"%d" % n) + text(b"") for n in range(records.PAIRS + 1))
-    with pytest.raises(records.Damaged, match="more than the 4096 strings allowed"):
-        records.metadata_record(text(b"m") + text(pairs))
-    fewer = pairs[: -len(text(b"%d" % records.PAIRS) + text(b""))]
-    assert len(records.metadata_record(text(b"m") + text(fewer))[1]) == records.PAIRS
-
-
 def test_a_chunk_above_the_limit_is_left_out_and_what_follows_is_read(tmp_path: Path) -> None:
     def fill(writer: Writer) -> None:
         host, _ = raw_topics(writer)
@@ -442,66 +431,7 @@ def test_a_chunk_of_empty_records_is_left_out_and_what_follows_is_read(
     assert "more than 4096 records that are not messages" in capture.damage[0]
 
 
-def foreign_front(small: Path) -> bytes:
-    """What stands before the first chunk, as if another program had written it."""
-    whole = small.read_bytes()
-    return whole[: chunk_offsets(whole)[0]].replace(b"bilprov 1", b"nothing 1")
-
-
-@pytest.mark.slow
-def test_a_file_with_more_messages_than_bytes_is_read_up_to_a_limit(
-    small: Path, tmp_path: Path
-) -> None:
-    # Each has half a million of the smallest messages; as foreign chunks they would all be valid.
-    message = struct.pack("<BQHIQQ", records.MESSAGE, 22, 1, 0, START, START)
-    large = whole_chunk(message * (records.CHUNK_BYTES // len(message)))
-    path = with_bytes(tmp_path / "u.mcap", foreign_front(small) + large * 5)
-
-    capture = open_capture(path)
-
-    assert "more than 500000 messages, and more than one in 2 bytes" in capture.damage[0]
-    most = recovery.MESSAGES_FREE + path.stat().st_size // 2
-    assert sum(capture.contents.counts.values()) <= most
-
-
-def test_a_file_that_unpacks_to_far_more_than_its_size_is_read_up_to_a_limit(
-    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recovery, "UNPACKED_SHARE", 100)
-    message = struct.pack("<BQHIQQ", records.MESSAGE, 22 + 60_000, 1, 0, START, START)
-    large = whole_chunk((message + bytes(60_000)) * 200)
-    path = with_bytes(tmp_path / "u.mcap", foreign_front(small) + large * 5)
-
-    capture = open_capture(path)
-
-    assert "unpacks to more than 32 MiB and 100 x its size" in capture.damage[0]
-    room = recovery.UNPACKED_FREE + recovery.UNPACKED_SHARE * path.stat().st_size
-    assert 0 < sum(capture.contents.sizes.values()) <= room
-
-
-def test_zeros_for_hours_are_read_whole(small: Path, tmp_path: Path) -> None:
-    path = tmp_path / "z.mcap"
-    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as capture:
-        for t in range(2_000):
-            capture.chunk(Chunk(t, "host", bytes(40_000)))
-
-    read = open_capture(path)
-
-    assert read.damage == ()
-    assert read.contents.sizes["/host/raw"] == 80_000_000 > 100 * path.stat().st_size
-
-
-def test_a_million_loose_channels_are_not_all_read(small: Path, tmp_path: Path) -> None:
-    empty = struct.pack("<HHIII", 9, 0, 0, 0, 0)
-    channel = struct.pack("<BQ", records.CHANNEL, len(empty)) + empty
-    data = foreign_front(small) + channel * (recovery.LOOSE_RECORDS + 1)
-
-    capture = open_capture(with_bytes(tmp_path / "c.mcap", data))
-
-    assert "more than 65536 records stand outside of the chunks" in capture.damage[0]
-
-
-@pytest.mark.parametrize("overwritten", [1, 8, 200, 512, *(-bit for bit in range(64))])
+@pytest.mark.parametrize("overwritten", [1, 8, 200, -1, -63])
 def test_the_first_bytes_may_be_damaged(small: Path, tmp_path: Path, overwritten: int) -> None:
     """So many are zeros, or a bit of the magic is flipped."""
     data, bit = bytearray(small.read_bytes()), max(0, -overwritten)

@@ -192,12 +192,6 @@ def test_two_taps_on_one_line_are_refused(host_line: PtyPair, tmp_path: Path) ->
     link.symlink_to(host_line.name)
     with pytest.raises(ValueError, match="a tap hears one direction, so give two"):
         require_two_lines(host_line.name, str(link))
-    with (
-        open_port("loop://") as one,
-        open_port("loop://") as other,
-        pytest.raises(ValueError, match="both tapped at loop://"),
-    ):
-        Taps(one, other)
     require_two_lines("socket://127.0.0.1:1", "socket://127.0.0.1:2")
 
 
