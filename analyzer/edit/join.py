@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
 from math import ceil, nan
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -39,7 +38,6 @@ from bilprov.captures.schemas import (
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
-SECOND = 1_000_000_000  # ns
 _OF_ONE = {topics.START_KEY, topics.HISTORY, topics.CUT_START, topics.CUT_END, topics.PART}
 Tap: TypeAlias = "Direction | Literal['']"
 
@@ -183,21 +181,15 @@ def _require_apart(sources: Sequence[_Source]) -> None:
         for late in sources[place + 1 :]:
             both = early.settings["heard"] & late.settings["heard"]
             if both and late.first < early.last and early.first < late.last:
-                raise CaptureError(_overlap(early, late, " and ".join(sorted(both, reverse=True))))
-
-
-def _overlap(early: _Source, late: _Source, sides: str) -> str:
-    name, other = printable(late.capture.path), printable(early.capture.path)
-    end = min(early.last, late.last)
-    words = (
-        f"{other} and {name} both hold the {sides} from {_clock(late.first)} to {_clock(end)}, and "
-        "every byte would be there twice: "
-    )
-    if late.last <= early.last:
-        return f"{words}leave out {name}"
-    start = ceil((early.last + 1 - late.capture.start) / 1000) / 1_000_000
-    return f"{words}cut the second first, bilprov capture cut {name} NEW.mcap --start {start:f}"
-
-
-def _clock(wall: int) -> str:
-    return datetime.fromtimestamp(wall / SECOND, UTC).strftime("%H:%M:%S.%f")[:-3] + " UTC"
+                name, other = printable(late.capture.path), printable(early.capture.path)
+                sides = " and ".join(sorted(both, reverse=True))
+                start = ceil((early.last + 1 - late.capture.start) / 1000) / 1_000_000
+                advice = (
+                    f"cut the second first, bilprov capture cut {name} NEW.mcap --start {start:f}"
+                )
+                if late.last <= early.last:
+                    advice = f"leave out {name}"
+                raise CaptureError(
+                    f"{other} and {name} both hold the {sides} at the same time, and every byte "
+                    f"would be there twice: {advice}"
+                )

@@ -124,7 +124,7 @@ def test_the_same_direction_at_the_same_time_is_refused_with_what_to_do(
     two = written(tmp_path / "b.mcap", protocol, events[8:], start=START + 300 * MS)
     inside = written(tmp_path / "c.mcap", protocol, events[2:5])
     said = joined(two, one, code=2)
-    assert "both hold the host and device from" in said
+    assert "both hold the host and device at the same time" in said
     assert said.count("\n") == 1
     options = said.rsplit("bilprov capture cut ", 1)[1].split()
     assert options[0] == str(two)
