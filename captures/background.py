@@ -55,7 +55,7 @@ class BackgroundWriter(Closing):
 
     A file that can no longer be written stops nothing else: `failure` says in one sentence what
     happened and what is kept, "" before, and what is handed over after it is dropped. Any other
-    error is wrong use, which every later call raises, `close` only if no call did.
+    error is wrong use, which every later call raises.
     """
 
     def __init__(self, writer: CaptureWriter) -> None:
@@ -75,7 +75,6 @@ class BackgroundWriter(Closing):
         self._full = False
         self._closing = False
         self._error: Exception | None = None
-        self._raised = False
         self._thread = Thread(target=self._run, name="capture writer", daemon=True)
         self._thread.start()
 
@@ -119,17 +118,14 @@ class BackgroundWriter(Closing):
         self._closing = True
         self._wake.set()
         self._thread.join()
-        if not self._raised:
-            self._check()
+        self._check()
 
     def _check(self) -> None:
         if self._error is not None:
-            self._raised = True
             raise self._error
 
     def _put(self, value: Chunk | topics.Written | _Next, t: int, size: int) -> None:
-        if self._error is not None:
-            self._check()
+        self._check()
         if self._closing:
             raise ValueError(f"the capture {printable(self.path)} is closed")
         if self.failure:

@@ -51,6 +51,7 @@ from bilprov.analyzer.transport.errors import SIM, LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, timeout_in_ns
 from bilprov.analyzer.transport.replug import opened_when_there
 from bilprov.analyzer.transport.signals import Stopper
+from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import said_of_parts
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
@@ -187,9 +188,12 @@ def sniff(options: SniffOptions) -> int:
                 Recorder(path, source.start_wall, metadata, rotation, shapes_of(protocol))
             )
         elif style == "live" and not quiet:
-            recorder = stack.enter_context(
-                Spool(source.start_wall, metadata, shapes=shapes_of(protocol))
-            )
+            try:
+                recorder = stack.enter_context(
+                    Spool(source.start_wall, metadata, shapes=shapes_of(protocol))
+                )
+            except CaptureError as error:
+                note(str(error))
         statistics = Statistics()
         judge = None
         if options.shown.judged:
@@ -323,7 +327,9 @@ def _listen(
                 due = pipeline.deadline
             if recorder and recorder.failure and not told:
                 told = True
-                tell(f"{recorder.failure}; listening goes on, without recording")
+                unsaved = isinstance(recorder, Spool)
+                why = "the session cannot be saved" if unsaved else recorder.failure
+                tell(f"{why}; listening goes on, without recording")
             if end is not None and now >= end:
                 break
             pause = LONGEST_WAIT

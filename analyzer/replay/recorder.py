@@ -21,7 +21,6 @@ from bilprov.analyzer.decode.session import SessionSettings
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
-from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path, part_paths, require_new
 from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Log, Resumption, Time
@@ -243,30 +242,27 @@ class Checkpoints:
         self._bytes = 0
         self._t = 0
 
-    def made(self, t: int, total: int, save: Callable[[], str | None]) -> Checkpoint | None:
+    def made(
+        self, t: int, total: int, save: Callable[[], str | None], *, begins: bool = False
+    ) -> Checkpoint | None:
         """The checkpoint at `t` (ns), after `total` raw bytes; None if none is due, or can be.
 
-        `save` gives the decoder's state as JSON text, or None if it cannot be told now.
+        `save` gives the decoder's state as JSON text, or None if it cannot be told now. One with
+        which a part `begins`, from which decoding it goes on, is always due.
         """
         fresh = total - self._bytes
-        if fresh < CHECKPOINT_BYTES and not (fresh and t - self._t >= CHECKPOINT_AFTER):
+        waited = fresh and t - self._t >= CHECKPOINT_AFTER
+        due = begins or waited or fresh >= CHECKPOINT_BYTES
+        state = save() if due else None
+        if state is None:
             return None
-        state = save()
-        return None if state is None else self._of(t, total, state)
-
-    def begun(self, t: int, total: int, save: Callable[[], str | None]) -> Checkpoint | None:
-        """The checkpoint with which a part begins, from which decoding it goes on; see `made`."""
-        state = save()
-        return None if state is None else self._of(t, total, state, resumes=True)
-
-    def _of(self, t: int, total: int, state: str, resumes: bool | None = None) -> Checkpoint | None:
         self._bytes, self._t = total, t
         fits = len(state) <= CHECKPOINT_STATE
-        return Checkpoint.of(t, self._grammar, state, resumes) if fits else None
+        return Checkpoint.of(t, self._grammar, state, begins or None) if fits else None
 
 
-class Recorder(Closing):
-    """Records a live session, in a thread behind the reader of the line (`BackgroundWriter`).
+class Recorder(BackgroundWriter):
+    """Records a live session, in a thread behind the reader of the line.
 
     The decoded topics stop while traffic is over 2,000 frames/s, and `/faults` says when
     (`Throttle`); the raw events are always written. A checkpoint is due every 64 KiB of raw bytes
@@ -275,12 +271,9 @@ class Recorder(Closing):
     states.
 
     With a `rotation` the session is kept in parts (`captures.parts` has their names), of which each
-    is a capture by itself. `paths` are those that are there, and `oldest` is the time from which on
-    they hold everything.
+    is a capture by itself.
 
-    A context manager that finishes the file. Only making the file raises CaptureError: one that can
-    no longer be written stops nothing else. `failure` then says what happened and what is kept, and
-    nothing more is recorded; it is "" before, and is final once the file is finished.
+    Only making the file raises CaptureError.
     """
 
     def __init__(
@@ -301,35 +294,10 @@ class Recorder(Closing):
         require_new(self._name)
         if rotation:
             path, metadata = part_path(self._name, 1), {**metadata, topics.PART: "1"}
-        self._writer = BackgroundWriter(RecordWriter(path, start_wall, metadata, shapes))
+        super().__init__(RecordWriter(path, start_wall, metadata, shapes))
         self._throttle = Throttle()
         self._state: State | None = None
         self._checkpoints = Checkpoints(metadata[topics.GRAMMAR_HASH])
-
-    @property
-    def failure(self) -> str:
-        """Why the file is no longer written, in one sentence; "" while it is."""
-        return self._writer.failure
-
-    @property
-    def waited_ns(self) -> int:
-        """How long the reader has waited in all for a file that was too slow."""
-        return self._writer.waited_ns
-
-    @property
-    def path(self) -> Path:
-        """The file that is written."""
-        return self._writer.path
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """The files that hold the recording, the newest last."""
-        return self._writer.paths
-
-    @property
-    def oldest(self) -> int:
-        """The time (ns) from which on everything is there."""
-        return self._writer.oldest
 
     def part_due(self, now: int) -> bool:
         """Whether the part is full at `now` (ns), so that `checkpoint` begins the next one.
@@ -339,22 +307,21 @@ class Recorder(Closing):
         if self._rotation is None or self._part_since is None or self.failure:
             return False
         size, age, _ = self._rotation
-        full = size is not None and self._writer.size >= size
+        full = size is not None and self.size >= size
         return full or (age is not None and now - self._part_since >= age)
 
     def events(self, events: Iterable[Chunk | Line]) -> None:
         """Write raw events, before they are decoded."""
         if self.failure:
             return
-        writer = self._writer
         for event in events:
             if self._part_since is None:
                 self._part_since = event.t
             if isinstance(event, Chunk):
-                writer.chunk(event)
+                self.chunk(event)
                 self.bytes += len(event.data)
             else:
-                writer.write(event, event.t)
+                self.write(event, event.t)
 
     def decoded(self, frames: int, now: int, records: Callable[[], Iterable[Record]]) -> None:
         """Write a decoded batch, which has so many host frames; `records` is called if it is due.
@@ -375,13 +342,11 @@ class Recorder(Closing):
         """
         if self.failure:
             return
-        if self.part_due(t):
+        begins = self.part_due(t)
+        if begins:
             self._begin_part(t)
-            made = self._checkpoints.begun(t, self.bytes, save)
-        else:
-            made = self._checkpoints.made(t, self.bytes, save)
-        if made:
-            self._writer.write(made, t)
+        if made := self._checkpoints.made(t, self.bytes, save, begins=begins):
+            self.write(made, t)
 
     def tick(self, now: int) -> None:
         """Let time pass to `now`."""
@@ -389,11 +354,7 @@ class Recorder(Closing):
 
     def finish(self) -> None:
         """Finish the file; further calls do nothing."""
-        self._writer.close()
-
-    def close(self) -> None:
-        """Finish the file; further calls do nothing."""
-        self.finish()
+        BackgroundWriter.close(self)
 
     def _begin_part(self, t: int) -> None:
         assert self._rotation is not None
@@ -406,17 +367,17 @@ class Recorder(Closing):
             topics.CUT_START: str(t),
             "attached": "yes",  # for decoders that cannot use the checkpoint
         }
-        self._writer.go_on_in(part_path(self._name, self._part), about, t, self._rotation.keep)
+        self.go_on_in(part_path(self._name, self._part), about, t, self._rotation.keep)
 
     def _count(self, frames: int, now: int) -> None:
         if not self.failure and (change := self._throttle.count(frames, now)):
             name, why = change
             self._state = None  # so that the first state is written when they resume
-            self._writer.write(Log(_wall(self._start + now), Severity.INFO, why, name), now)
+            self.write(Log(_wall(self._start + now), Severity.INFO, why, name), now)
 
     def _write(self, record: Record) -> None:
         for value, t in _values(record, self._state, self._start):
-            self._writer.write(value, t)
+            self.write(value, t)
         if isinstance(record, HostRecord):
             self._state = record.state
 
@@ -448,21 +409,11 @@ def new_name() -> str:
     return time.strftime("capture-%Y%m%d-%H%M%S.mcap", time.localtime())
 
 
-class _Nowhere(BackgroundWriter):
-    """Stands for a writer whose file could not be made: it has failed from the beginning on."""
-
-    def __init__(self, failure: str) -> None:
-        self.failure, self.waited_ns, self.oldest = failure, 0, 0
-
-    def close(self) -> None:
-        """Do nothing."""
-
-
 class Spool(Recorder):
     """Records into temporary files that are deleted at `close`.
 
-    At most about `most` bytes are kept. Nobody asked for these files, so they may fail from the
-    beginning on. After `finish` only `keep` and `close` are called.
+    At most about `most` bytes are kept. Raises CaptureError where they cannot be made. After
+    `finish` only `keep` and `close` are called.
     """
 
     def __init__(
@@ -472,22 +423,14 @@ class Spool(Recorder):
         most: int = MOST_BYTES,
         shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
         rotation = Rotation(size=most // PARTS, keep=PARTS)
         try:
             self._folder = tempfile.TemporaryDirectory(
                 prefix="bilprov-", ignore_cleanup_errors=True
             )
-            super().__init__(Path(self._folder.name, _NAME), start_wall, metadata, rotation, shapes)
-        except (CaptureError, OSError) as error:
-            self.bytes = 0
-            self._writer = _Nowhere(str(_why(error)))
-
-    @property
-    def failure(self) -> str:
-        """Why the session cannot be saved, in one sentence; "" while it can."""
-        why = self._writer.failure
-        return f"the session cannot be saved: {printable(why)}" if why else ""
+        except OSError as error:
+            raise CaptureError(f"the session cannot be saved: {error.strerror}") from error
+        super().__init__(Path(self._folder.name, _NAME), start_wall, metadata, rotation, shapes)
 
     def keep(self, path: Path) -> tuple[Path, ...]:
         """Keep the finished recording under a new name, in its parts if it has several; its files.
@@ -496,21 +439,22 @@ class Spool(Recorder):
         the temporary files stay, and the sentence says where.
         """
         if self.failure:
-            raise CaptureError(self.failure)
+            raise CaptureError(f"the session cannot be saved: {self.failure}")
         parts = part_paths(self._name)
         kept = [part_path(path, number) for number in parts] if max(parts) > 1 else [path]
         try:
             require_new(path)
             with ExitStack() as written:
                 for part, file in zip(parts.values(), kept, strict=True):
-                    self._copy(part, file)
-                    written.callback(file.unlink)
+                    with part.open("rb") as source, file.open("xb") as out:
+                        written.callback(file.unlink)
+                        shutil.copyfileobj(source, out, 1 << 20)
                 written.pop_all()
         except (CaptureError, OSError) as error:
             folder = Path(tempfile.mkdtemp(prefix="bilprov-kept-"))
             for part in self.paths:
                 shutil.move(part, folder)
-            why = printable(_why(error))
+            why = printable(error.strerror if isinstance(error, OSError) else error)
             raise CaptureError(
                 f"{printable(path)} was not written ({why}); the capture is in {folder}"
             ) from error
@@ -519,18 +463,4 @@ class Spool(Recorder):
     def close(self) -> None:
         """Delete the temporary files; further calls do nothing."""
         super().close()
-        if self._folder:
-            self._folder.cleanup()
-
-    @staticmethod
-    def _copy(part: Path, path: Path) -> None:
-        with part.open("rb") as source, path.open("xb") as file:
-            try:
-                shutil.copyfileobj(source, file, 1 << 20)
-            except BaseException:
-                path.unlink(missing_ok=True)
-                raise
-
-
-def _why(error: CaptureError | OSError) -> object:
-    return error.strerror if isinstance(error, OSError) else error
+        self._folder.cleanup()

@@ -148,7 +148,6 @@ def test_wrong_use_is_told_and_the_file_is_finished(tmp_path: Path) -> None:
     capture.chunk(Chunk(-START - 1, "host", b"y"))
     with pytest.raises(ValueError, match="log time is"):
         capture.close()
-    capture.close()
     assert [chunk.data for chunk in chunks(path)] == [b"x"]
     assert not open_capture(path).unfinished
 

@@ -255,7 +255,7 @@ def test_one_capture_may_carry_the_grammar_of_another(
 EVIL = "\nopen('witness', 'w')\n"
 
 
-@pytest.mark.parametrize("name", [*READERS, *COPIES])
+@pytest.mark.parametrize("name", ["judge", "stats of two", "export to CSV", "diff", *COPIES])
 def test_a_text_that_does_more_than_declare_is_not_run(
     file: Path, told: Callable[..., Path], name: str
 ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,6 @@ from bilprov.captures.schemas import MS, Chunk, Line, Resumption
 from bilprov.spec.protocol import Protocol
 from tests.support.attaching import Talk, attached
 from tests.support.captures import about
-from tests.support.commands import PATIENCE
 from tests.support.decoding import Event
 from tests.support.messages import messages
 from tests.support.robots import until
@@ -235,6 +233,14 @@ def test_an_idle_line_ends_the_part_with_its_traffic_and_makes_no_empty_ones(
     assert starts == [None, str(SECOND), str(61 * SECOND)]
 
 
+def written_out(recorder: Recorder, chunk: Chunk) -> None:
+    """Record a chunk, and wait until it is in the file."""
+    part = recorder.path
+    size = part.stat().st_size + len(chunk.data)
+    recorder.events([chunk])
+    until(lambda: part.stat().st_size >= size or recorder.path != part)
+
+
 @pytest.mark.waits
 def test_a_part_ends_soon_after_its_size(protocol: Protocol, tmp_path: Path) -> None:
     path, draw = tmp_path / "a.mcap", random.Random(1)
@@ -244,13 +250,7 @@ def test_a_part_ends_soon_after_its_size(protocol: Protocol, tmp_path: Path) -> 
         for t in range(24):
             data = draw.randbytes(10_000)
             said += data
-            recorder.events([Chunk(t * MS, "host", data)])
-            handed = recorder.path
-            give_up = time.monotonic() + PATIENCE
-            size = handed.stat().st_size
-            while handed.stat().st_size < size + len(data) and recorder.path == handed:
-                assert time.monotonic() < give_up
-                time.sleep(0.002)
+            written_out(recorder, Chunk(t * MS, "host", data))
             recorder.checkpoint(t * MS, lambda: None)
     files = list(part_paths(path).values())
     assert len(files) >= 3

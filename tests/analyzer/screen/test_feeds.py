@@ -92,7 +92,7 @@ def test_rows_go_that_a_spool_no_longer_has(
         (oldest,) = feed.recording.records([feed.recording.first])
         assert 0 < oldest.t <= spool.oldest  # all that can be saved can be seen
 
-        spool._writer.failure = "the disk is full"
+        spool.failure = "the disk is full"
         ScreenOutput(feed, Statistics(), spool).tick(0)
         assert not feed.keeps
 
