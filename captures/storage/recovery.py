@@ -101,7 +101,6 @@ class RecordFile:
         # A false chunk front may cost 16 MiB of reading, and a hostile file has millions of them.
         self._patience = 4 * size + 4 * CHUNK_BYTES
         self._zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
-        self._expected: int | None = None  # the sequence number of a file's next message
 
     def record(self, offset: int, only: Collection[int] | None = None) -> Found:
         """Read the record at `offset`, without its content if it is none of `only`.
@@ -149,7 +148,7 @@ class RecordFile:
                 return
 
     def _examined(self, chunk: Found) -> Found:
-        """The chunk with what is in it. Raises Damaged if it is inconsistent or a second copy."""
+        """The chunk with what is in it. Raises Damaged if it is inconsistent."""
         content = chunk.content
         if not content:
             return chunk
@@ -160,13 +159,6 @@ class RecordFile:
             for opcode, start, stop in others
             if opcode == records.CHANNEL
         ]
-        if len(starts):
-            first, last = _sequence(content, int(starts[0])), _sequence(content, int(starts[-1]))
-            # Two copies of a chunk are what a repair by a file system, or a careless tool, leaves.
-            before = first if self._expected is None else self._expected
-            if self.own and (first - before) & 0xFFFF_FFFF >= 1 << 31:
-                raise Damaged("a chunk stands in the file a second time")
-            self._expected = last + 1
         return Found(records.CHUNK, end, content, chunk.verified, "", starts, channels)
 
     def _index(self, offset: int, most: int) -> tuple[bytes, int]:
@@ -309,8 +301,3 @@ def read_footer(file: BufferedReader, size: int) -> bytes:
     last = file.read(tail)
     whole = last.startswith(begin) and last.endswith(records.MAGIC)
     return last if whole and size >= len(records.MAGIC) + tail else b""
-
-
-def _sequence(content: bytes, start: int) -> int:
-    number: int = records.MESSAGE_HEAD.unpack_from(content, start + records.RECORD_HEAD.size)[1]
-    return number

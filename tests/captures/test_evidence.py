@@ -70,21 +70,12 @@ def test_any_flipped_bit_is_told_by_a_checksum(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tail", [b"\0", b"x" * 100, b"\x89MCAP0\r\n"])
-def test_bytes_behind_the_end_are_told(small: Path, tmp_path: Path, tail: bytes) -> None:
-    path = tmp_path / "longer.mcap"
-    path.write_bytes(small.read_bytes() + tail)
-
-    with pytest.raises(CaptureError, match=TELLS):
-        recheck(str(path))
-
-
-@pytest.mark.slow
 def test_a_byte_left_out_or_put_in_is_told(small: Path, tmp_path: Path) -> None:
     content = small.read_bytes()
     path = tmp_path / "changed.mcap"
-    for at in range(0, len(content), 3989):
-        for changed in (content[:at] + content[at + 1 :], content[:at] + b"\0" + content[at:]):
+    for at in [*range(0, len(content), 3989), len(content)]:
+        left_out, put_in = content[:at] + content[at + 1 :], content[:at] + b"\0" + content[at:]
+        for changed in {left_out, put_in} - {content}:
             path.write_bytes(changed)
             with pytest.raises(CaptureError, match=TELLS):
                 recheck(str(path))

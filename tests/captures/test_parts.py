@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from bilprov.captures.parts import part_path, part_paths, said_of_parts
 from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.captures.writer import CaptureWriter
-from tests.support.commands import PATIENCE
+from tests.support.robots import until
 
 START = 1_790_000_000_000_000_000
 SECOND = 1_000_000_000
@@ -178,10 +177,8 @@ def test_evidence_is_one_file(tmp_path: Path) -> None:
 
 def until_there(capture: BackgroundWriter, number: int) -> None:
     """Wait until the part is written; files are made by the thread behind."""
-    give_up = time.monotonic() + PATIENCE
-    while not capture.failure and capture.path != part_path(capture.path.with_name("a"), number):
-        assert time.monotonic() < give_up
-        time.sleep(0.002)
+    part = part_path(capture.path.with_name("a"), number)
+    until(lambda: bool(capture.failure) or capture.path == part)
 
 
 def rotating(folder: Path) -> BackgroundWriter:

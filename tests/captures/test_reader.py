@@ -238,7 +238,7 @@ def test_foreign_writers_are_read_by_time(tmp_path: Path, options: dict[str, Any
     events = list(capture)
     assert capture.start == 1000
     assert not capture.unfinished
-    assert capture.damage == ("6 messages on /line cannot be decoded and are left out",)
+    assert capture.damage == ()  # what is no line event on /line is left out
     assert events.pop(1) == Line(1, "break")
     assert events == [
         Chunk(
@@ -458,5 +458,4 @@ def test_a_chunk_that_stands_twice_is_read_once(small: Path, tmp_path: Path, at:
 
     assert [m.sequence for m in messages(capture)] == list(range(24))
     assert not [event for event in capture if isinstance(event, Line) and event.event == "gap"]
-    assert "a chunk stands in the file a second time" in capture.damage[0]
-    assert sum(capture.contents.counts.values()) == 24
+    assert capture.damage == ("28 messages are there, the file's statistics count 24",)

@@ -379,21 +379,12 @@ def test_messages_hold_what_their_schema_requires_no_null_and_their_times_twice(
         assert (name in schema["required"]) == (f"{name}_ns" in schema["required"])
 
 
-def test_topics_encodings_and_schema_names_are_the_contract() -> None:
-    assert [(t.name, t.encoding, t.schema) for t in topics.TOPICS] == [
-        ("/host/raw", "application/octet-stream", ""),
-        ("/device/raw", "application/octet-stream", ""),
-        ("/host/instructions", "json", "bilprov.Instruction"),
-        ("/device/responses", "json", "bilprov.Response"),
-        ("/state", "json", "bilprov.State"),
-        ("/faults", "json", "foxglove.Log"),
-        ("/line", "json", "bilprov.Line"),
-        ("/conformance/cases", "json", "bilprov.CaseMark"),
-        ("/conformance/looks", "json", "bilprov.Look"),
-        ("/conformance/asks", "json", "bilprov.Asked"),
-        ("/checkpoint", "json", "bilprov.Checkpoint"),
+def test_topics_have_the_channels_that_they_always_had() -> None:
+    """A file that has lost its table is read by these; names and schemas stand in transcripts."""
+    assert [(topic.channel, topic.name.rpartition("/")[2]) for topic in topics.TOPICS] == [
+        *((1, "raw"), (2, "raw"), (3, "instructions"), (4, "responses"), (5, "state")),
+        *((6, "faults"), (7, "line"), (8, "cases"), (9, "looks"), (10, "asks"), (11, "checkpoint")),
     ]
-    assert [t.channel for t in topics.TOPICS] == list(range(1, 12))
 
 
 @pytest.mark.parametrize(
