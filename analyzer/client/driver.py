@@ -30,37 +30,28 @@ class Turns:
         self._lock = RLock()
         self._next = RLock()  # held by the one thread that is next
         self._owner: int | None = None
-        self._depth = 0
 
     @contextmanager
     def taken(self, patience: float = -1) -> Iterator[bool]:
         """Take the lock until the block ends; gives whether it was got in `patience` s."""
-        got = self._acquire(patience)
-        try:
-            yield got
-        finally:
-            if got:
-                self._release()
-
-    def _acquire(self, patience: float) -> bool:
         again = self._owner == get_ident()
-        if not again and not self._next.acquire(timeout=patience):
-            return False
+        got = again or self._next.acquire(timeout=patience)
+        if got:
+            try:
+                got = self._lock.acquire(timeout=patience)
+            finally:
+                if not again:
+                    self._next.release()
+        if not got:
+            yield False
+            return
+        self._owner = get_ident()
         try:
-            got = self._lock.acquire(timeout=patience)
+            yield True
         finally:
             if not again:
-                self._next.release()
-        if got:
-            self._owner = get_ident()
-            self._depth += 1
-        return got
-
-    def _release(self) -> None:
-        self._depth -= 1
-        if not self._depth:
-            self._owner = None
-        self._lock.release()
+                self._owner = None
+            self._lock.release()
 
 
 T = TypeVar("T")
@@ -263,11 +254,6 @@ class Driver(InstructionMethods):
         Any answer is returned, also a refusal. Raises ValueError for an instruction, a field or a
         value that the protocol does not have. Raises RobotError and LinkError as `send_bytes` does.
         """
-        if isinstance(name, bytes | bytearray):
-            raise TypeError(
-                f"send() takes the name of an instruction; send_bytes({bytes(name)!r}) sends bytes "
-                "as they are, and returns the answers in a tuple"
-            )
         return self._exchange(build(self.protocol, name, values))
 
     def send_bytes(self, data: bytes, answers: int = 1) -> tuple[Answer, ...]:

@@ -248,7 +248,7 @@ class ExecProbe(Probe):
                 stdout=subprocess.PIPE,
                 process_group=0,  # so that what the shell starts ends with it
             )
-        except (OSError, ValueError) as error:  # ValueError: a nul byte
+        except OSError as error:
             raise ProbeError(f"--probe exec: {error}") from error
 
     def fileno(self) -> int:

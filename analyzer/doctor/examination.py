@@ -284,11 +284,11 @@ def _fitting(protocol: Protocol, chunks: Sequence[Chunk]) -> tuple[float, int]:
     return sum(bool(one.agrees) for one in answers) / max(1, len(answers)), len(answers)
 
 
-def of_system(name: str, machine: Machine | None = None) -> Iterator[Finding]:
+def of_system(name: str) -> Iterator[Finding]:
     """Yield what the system says of the port of that name; nothing for a URL."""
     path = path_in(name)
     if path is not None:
-        yield from examined(subject(path, machine or Machine(), paths_here()))
+        yield from examined(subject(path, Machine(), paths_here()))
 
 
 def of_line(

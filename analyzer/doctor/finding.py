@@ -74,21 +74,18 @@ _STYLES = {
 
 def title(name: str, machine: Machine | None = None) -> str:
     """The name of a port with what the system knows of its device: a title, ids, its driver."""
-    machine = machine or Machine()
-    path = path_in(name)
+    machine, path = machine or Machine(), path_in(name)
     if not path or Path(path).is_file():
         return name or "''"
     device = machine.device(path)
     usb = machine.usb(path)
     driver = machine.driver(path)
     leads = device != path and machine.file(device).exists()
-    says = [f"leads to {device}" if leads else "", usb.title if usb else ""]
-    says += [
-        f"USB {usb.identity}" if usb else "",
-        f"serial {usb.serial}" if usb and usb.serial else "",
-    ]
-    says += [f"driver {driver}" if driver else ""]
-    known = ", ".join(part for part in says if part)
+    says = [f"leads to {device}"] if leads else []
+    if usb:
+        says += [usb.title, f"USB {usb.identity}", usb.serial and f"serial {usb.serial}"]
+    says += [driver and f"driver {driver}"]
+    known = ", ".join(filter(None, says))
     return f"{name}: {known}" if known else name
 
 

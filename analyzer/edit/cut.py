@@ -190,11 +190,6 @@ def new_capture(
             finally:
                 if not writer.failed:
                     writer.close()
-    except FileExistsError as error:
-        raise CaptureError(
-            f"{printable(out)} was created by another program meanwhile and is kept: name "
-            "another file"
-        ) from error
     except ValueError as error:
         raise CaptureError(f"{printable(out)} cannot be written: {error}") from error
     except CaptureError as error:

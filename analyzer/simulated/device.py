@@ -119,15 +119,14 @@ class _Device:
 class SimulatedDevice:
     """The devices at all addresses of a line, each of which conforms. Times are integers in ns.
 
-    Where frames have no address there is one device. `latency` (ns) is the time to each answer.
+    Where frames have no address there is one device.
     What is sent to all is done by every device, and answered by none.
     """
 
     lossless = True
 
-    def __init__(self, protocol: Protocol, latency: int = 0) -> None:
+    def __init__(self, protocol: Protocol) -> None:
         self.protocol = protocol
-        self._latency = latency
         self.power_cycle(0)
 
     def power_cycle(self, now: int) -> None:
@@ -189,7 +188,7 @@ class SimulatedDevice:
         except OverflowError:  # more is asked for than the length of an answer can count
             return
         if answer:
-            self._answers.append((known + self._latency, answer))
+            self._answers.append((known, answer))
 
     def _meant(self, judgement: Judgement) -> Iterator[tuple[_Device, dict[str, Any]]]:
         """The devices that a frame is for, and the fields for each; those unaddressed are one."""

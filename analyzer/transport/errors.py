@@ -149,23 +149,18 @@ _EXPLAINED: dict[int, Callable[[str, Sequence[str], Machine], LinkError]] = {
 
 
 def opening_failed(
-    name: str,
-    error: BaseException,
-    settings: str,
-    ports_here: Sequence[str],
-    machine: Machine | None = None,
+    name: str, error: BaseException, settings: str, ports_here: Sequence[str]
 ) -> LinkError:
     """Return a LinkError that says why `name` could not be opened.
 
     `settings` is the line as text, like `115200 8N1`; `ports_here` are the paths that could be
-    opened instead; `machine` is asked for more. pyserial often drops the error number, so the whole
-    chain of causes is searched.
+    opened instead. pyserial often drops the error number, so the whole chain of causes is searched.
     """
     chain = list(_causes(error))
     number = _number(chain)
     path = path_in(name)
     if number in _EXPLAINED and path is not None:
-        return _EXPLAINED[number](path, ports_here, machine or Machine())
+        return _EXPLAINED[number](path, ports_here, Machine())
     if number in (errno.EIO, errno.EAGAIN) and "://" in name and not _is_wrapped_path(name):
         number = errno.EHOSTUNREACH
     if number is None and isinstance(chain[-1], TimeoutError):
@@ -173,14 +168,8 @@ def opening_failed(
     sentence = _OPENING.get(number or 0)
     if sentence is None:
         return LinkError(f"{name} cannot be opened: {_reason(chain[-1])}; see `bilprov ports`")
-    parts = urlsplit(name) if "://" in name else None
-    return LinkError(
-        sentence.format(
-            name=name,
-            settings=settings,
-            address=parts.netloc if parts else name,
-        )
-    )
+    address = urlsplit(name).netloc if "://" in name else name
+    return LinkError(sentence.format(name=name, settings=settings, address=address))
 
 
 def link_lost(name: str, error: BaseException) -> LinkError:

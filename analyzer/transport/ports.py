@@ -122,9 +122,9 @@ class PortInfo:
     unseen: int = 0
 
 
-def list_ports(machine: Machine | None = None) -> list[PortInfo]:
+def list_ports() -> list[PortInfo]:
     """Return the serial ports of this machine, sorted by path; ptys and URLs are not among them."""
-    machine = machine or Machine()
+    machine = Machine()
     found = {port.device: port for port in serial_list_ports.comports()}
     paths = [path for path in found if not machine.no_hardware(path)]
     held = machine.held(*paths) if paths else {}

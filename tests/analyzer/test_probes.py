@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bilprov.analyzer.client.operations import Ended, Observation, Observe
+from bilprov.analyzer.client.operations import Ended, Observe
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.probes import (
     ExecProbe,
@@ -58,20 +58,16 @@ def look_of(probe: Probe) -> Look:
     ("line", "look"),
     [
         ('{"moving": true}', CarLook(7, True)),
-        ('{"moving": false}', CarLook(7, False)),
         ('{"moving": null}', CarLook(7, None)),
         ("{}", CarLook(7, None)),
         ('{"moving": true, "battery": 7.2, "moods": [1]}', CarLook(7, True)),
-        ('{"moving": true, "motion": "forward"}', CarLook(7, True, motion="forward")),
         (
-            '{"moving": true, "speed": 200.0, "steering": -3.6, "led": 5}',
-            CarLook(7, True, speed=200, steering=-4, led=5),
+            '{"moving": true, "motion": "forward", "speed": 200.0, "steering": -3.6, "led": 5}',
+            CarLook(7, True, motion="forward", speed=200, steering=-4, led=5),
         ),
         # A wheel that turns slowly still turns.
         ('{"moving": true, "left": 0.2, "right": -0.2}', CarLook(7, True, left=1, right=-1)),
-        ('{"moving": false, "left": 0, "right": 0.0}', CarLook(7, False, left=0, right=0)),
-        ('{"moving": false, "speed": null, "motion": null}', CarLook(7, False)),
-        ('{"moving": true}\r', CarLook(7, True)),
+        ('{"moving": false, "left": 0.0, "motion": null}\r', CarLook(7, False, left=0)),
     ],
 )
 def test_a_line_of_json_is_a_look(line: str, look: Look) -> None:
@@ -98,12 +94,10 @@ def test_what_is_not_such_a_line_is_refused_in_one_sentence(line: str) -> None:
 @pytest.mark.parametrize(
     "answer",
     [
-        b'{"moving": true, "motion": "\xff"}\n',
-        b'{"mood": ' + b"[" * 60_000 + b"\n",
         b'{"moving": true, "left": 123456789012345678901234567890}\n',
         b"{" + b" " * (1 << 20) + b"}\n",
     ],
-    ids=["not UTF-8", "nested", "huge number", "a line of 1 MB"],
+    ids=["huge number", "a line of 1 MB"],
 )
 def test_the_run_ends_as_an_error_and_keeps_its_report_and_recording(
     tmp_path: Path, answer: bytes
@@ -217,7 +211,6 @@ def observed(protocol: Protocol, pty: str, answer: bytes | None) -> object:
     [
         (b"", "hung up"),
         (b"yes\n", "not a line of JSON"),
-        (b"\n", "not a line of JSON"),
         (None, "did not answer in 1 s"),
     ],
 )
@@ -230,13 +223,6 @@ def test_a_probe_that_fails_ends_the_run_but_not_the_line(
     assert ended.value.error
     assert ended.value.line_works
     assert "\n" not in str(ended.value)
-
-
-def test_a_look_that_knows_nothing_comes_through_the_link(protocol: Protocol, pty: str) -> None:
-    seen = observed(protocol, pty, b'{"moving": null}\n')
-
-    assert isinstance(seen, Observation)
-    assert seen.look.moving is None
 
 
 @pytest.mark.parametrize("patience", [0.02, 0.05])
@@ -271,17 +257,11 @@ def test_a_probe_that_stays_silent_is_given_up_at_its_own_limit(pty: str, patien
     [
         ("exit 0", False),
         ("echo moving; exit 0", False),
-        ("echo moving; exit 1", True),
-        ("echo it is moving now; exit 1", True),
+        (r"printf 'it is moving \377\300\0'; exit 1", True),
         ("exit 1", None),
-        ("echo stopped; exit 1", None),
         ("echo moving >&2; exit 1", None),
         ("echo moving; exit 2", None),
-        ("exit 3", None),
         ("kill -9 $$", None),
-        (r"printf 'moving \377\300\0'; exit 1", True),
-        (r"printf '\377\376'; exit 1", None),
-        (r"printf '\377\376'; exit 0", False),
         ("head -c 1000000 /dev/zero; exit 1", None),
     ],
 )
@@ -299,11 +279,6 @@ def test_a_command_that_cannot_be_run_is_said_so(tmp_path: Path) -> None:
     for shell in ("/nowhere/probe 2>/dev/null", f"{unreadable} 2>/dev/null"):
         with pytest.raises(ProbeError, match="cannot be run"):
             look_of(ExecProbe(shell))
-
-
-def test_a_command_with_a_nul_byte_is_refused() -> None:
-    with pytest.raises(ProbeError, match="--probe exec"):
-        ExecProbe("exit 0\0").ask()
 
 
 def test_a_command_that_is_given_up_is_ended() -> None:
@@ -328,29 +303,6 @@ def test_none_is_no_probe(protocol: Protocol, pty: str) -> None:
 # -- ask ------------------------------------------------------------------------------------------
 
 QUESTION = re.compile(rb"Does the robot move now\? \[.*?\] ")
-
-
-def test_what_a_person_types_that_is_no_text_is_no_known_answer() -> None:
-    """The terminal is this test: it is asked once, in a process that has it as its own."""
-    ask = (
-        "from bilprov.analyzer.client.probes import AskProbe; probe = AskProbe(); probe.ask(); "
-        "print(probe.take(7).moving, probe.take(7).moving)"
-    )
-    with open_pty() as terminal:
-        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
-        process = subprocess.Popen(
-            [sys.executable, "-c", ask],
-            env=os.environ | {"PYTHONIOENCODING": "utf-8:strict"},  # as in most locales
-            stdin=slave,
-            stderr=slave,
-            stdout=subprocess.PIPE,
-            cwd=ROOT,
-        )
-        os.close(slave)
-        os.write(terminal.master, b"\xff\ny\n")
-        out, _ = process.communicate(timeout=PATIENCE)
-
-    assert out == b"None True\n"
 
 
 def test_a_person_who_answers_is_a_probe() -> None:

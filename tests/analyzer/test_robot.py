@@ -183,7 +183,6 @@ def test_a_robot_that_takes_its_time_is_driven_all_the_same(grammar_text: str) -
         (lambda r: r.stop(1), TypeError, r"stop\(\).*: too many positional arguments"),
         (lambda r: r.speed(sped=1), TypeError, r"speed\(speed: int\)"),
         (lambda r: r.send("Hoot"), ValueError, "there is no instruction 'Hoot'"),
-        (lambda r: r.send(b"\x81\x09"), TypeError, r"send_bytes\(b'\\x81\\t'\) sends bytes"),
     ],
 )
 def test_what_is_wrong_is_said_and_not_sent(

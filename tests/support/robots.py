@@ -350,8 +350,10 @@ def at_rest(device: Simulator) -> bool:
 
 
 @contextmanager
-def served_here(device: Any, *, pty: bool = False) -> Iterator[tuple[str, str]]:
-    """Serve a device of this process, with its probe; gives the port's and the probe's names."""
+def serving(
+    device: Any, *, pty: bool = False, listen: str | None = None, probe: str | None = None
+) -> Iterator[list[str]]:
+    """Serve a device of this process; gives the lines that are announced."""
     lines: list[str] = []
     ready = threading.Semaphore(0)
 
@@ -360,25 +362,26 @@ def served_here(device: Any, *, pty: bool = False) -> Iterator[tuple[str, str]]:
         ready.release()
 
     with Stopper() as stopper:
+        given = {"pty": pty, "listen": listen, "probe_listen": probe}
         thread = threading.Thread(
-            target=serve,
-            args=(device,),
-            kwargs={
-                "pty": pty,
-                "listen": None if pty else "127.0.0.1:0",
-                "probe_listen": "127.0.0.1:0",
-                "announce": announce,
-                "stop": stopper,
-            },
+            target=serve, args=(device,), kwargs=given | {"announce": announce, "stop": stopper}
         )
         thread.start()
         try:
-            for _ in range(2):
+            for _ in filter(None, given.values()):
                 assert ready.acquire(timeout=PATIENCE)
-            yield lines[0], lines[1].removeprefix("probe ")
+            yield lines
         finally:
             stopper.stop()
             thread.join(PATIENCE)
+
+
+@contextmanager
+def served_here(device: Any, *, pty: bool = False) -> Iterator[tuple[str, str]]:
+    """Serve a device of this process, with its probe; gives the port's and the probe's names."""
+    listen = None if pty else "127.0.0.1:0"
+    with serving(device, pty=pty, listen=listen, probe="127.0.0.1:0") as (port, probe):
+        yield port, probe.removeprefix("probe ")
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import select
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bilprov.analyzer.transport.port import Port
+from bilprov.analyzer.transport.port import Port, PtyPair
 from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer
@@ -72,6 +73,15 @@ def running(*arguments: str) -> Iterator[Running]:
         command.process.wait()
         command.stdout.close()
         command.stderr.close()
+
+
+def master_gives(pty: PtyPair, count: int) -> bytes:
+    """So many bytes that were written to a pty."""
+    data = b""
+    while len(data) < count:
+        select.select([pty.master], [], [])
+        data += pty.read()
+    return data
 
 
 def read_from(port: Port, count: int) -> bytes:

@@ -17,8 +17,7 @@ import bilprov
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
-from bilprov.analyzer.taps.simulated_drive import SimulatedDrive, drive
-from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.taps.simulated_drive import drive
 from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk
@@ -213,12 +212,6 @@ def test_the_host_stops_soon_after_it_has_set_the_robot_moving(protocol: Protoco
         longest = max(longest, moving)
 
     assert 1 < longest < 8
-
-
-def test_what_does_not_drive_is_called_by_its_noun() -> None:
-    modbus = load_protocol("modbus-rtu")
-
-    assert SimulatedDrive(modbus, line_settings(modbus)).names == {"simulated": modbus.device}
 
 
 @pytest.mark.waits

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import socket
@@ -16,8 +15,7 @@ import pytest
 
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from tests.support.commands import command
-from tests.support.firmware import AVR, built
-from tests.support.robots import PATIENCE, emulate, judged_exit, simulate, unwell
+from tests.support.robots import PATIENCE, simulate, unwell
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
@@ -108,20 +106,8 @@ def behind_socat(device: str, folder: Path) -> Iterator[str]:
         yield str(path)
 
 
-@contextmanager
-def behind_a_pty_pair(device: str, folder: Path) -> Iterator[str]:
-    """The device joined by `bilprov line` to one pty of a pair that socat made."""
-    near, far = folder / "near", folder / "far"
-    ends = f"PTY,rawer,link={near}", f"PTY,rawer,link={far}"
-    both = tool_running(tool("socat"), *ends, ready=lambda: near.exists() and far.exists())
-    with both, running("lab", "line", device, str(far), "--delay", "1ms") as line:
-        assert b"are joined" in line.stderr.readline()
-        yield str(near)
-        assert line.process.poll() is None
-
-
 Behind = Callable[[str, Path], AbstractContextManager[str]]
-LINES: list[Behind] = [behind_raw_tcp, behind_rfc2217, behind_socat, behind_a_pty_pair]
+LINES: list[Behind] = [behind_raw_tcp, behind_rfc2217, behind_socat]
 lines = pytest.mark.parametrize("behind", LINES, ids=lambda line: line.__name__)
 
 
@@ -133,23 +119,6 @@ def test_the_reference_conforms_behind_it(behind: Behind, tmp_path: Path) -> Non
         only = ["--only", "valid/Speed/255", "--truncation-timeout", "50"]
         result = command("conform", url, "--probe", served.probe, "--yes", "--json", "-", *only)
     assert unwell(result) == {"power-on/Forward": "skipped"}
-
-
-@AVR
-@pytest.mark.sample(1)
-@lines
-@pytest.mark.parametrize(
-    ("switches", "ends"), [("", 0), ("-DBUG_STOP_KEEPS_PWM", 1)], ids=["clean", "bug"]
-)
-def test_a_board_conforms_behind_it_unless_it_has_a_bug(
-    behind: Behind, switches: str, ends: int, tmp_path: Path
-) -> None:
-    with emulate(built(switches)) as served, behind(served.port, tmp_path) as url:
-        few = [word for glob in ("valid/*", "bad-data/*") for word in ("--only", glob)]
-        smoke = ["--level", "smoke", *few, "--fail-fast", "--json", "-"]
-        result = command("conform", url, "--probe", served.probe, "--yes", *smoke)
-    report = json.loads(result.stdout)
-    assert judged_exit(result.returncode, report) == ends, (result.stdout + result.stderr).decode()
 
 
 @lines

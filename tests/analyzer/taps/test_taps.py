@@ -29,6 +29,7 @@ from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS, Chunk, Line
+from tests.support.wires import master_gives, read_from
 
 pytestmark = pytest.mark.waits
 
@@ -99,6 +100,9 @@ def test_taps_hear_every_byte_of_both_sides_and_never_write(
     events = poll_until(taps, 256, 256)
     assert heard(events, "host") == heard(events, "device") == ALL
     assert not lines(events)
+    assert taps.heard == {"host", "device"}
+    assert (taps.attached, taps.one_clock, taps.served) == (True, False, "")
+    assert taps.names == {"host": host_line.name, "device": device_line.name}
     taps.close()
     assert host_line.read() == device_line.read() == b""
 
@@ -336,20 +340,13 @@ def test_a_peer_that_has_gone_is_said_with_its_own_sentence() -> None:
 def test_a_bridge_passes_and_records_every_byte_both_ways(
     bridge: Bridge, host: Port, device_line: PtyPair
 ) -> None:
+    assert (bridge.attached, bridge.one_clock) == (False, True)
     host.write(ALL)
     assert heard(poll_until(bridge, host=256), "host") == ALL
-    got = b""
-    while len(got) < 256:
-        select.select([device_line.master], [], [])
-        got += device_line.read()
-    assert got == ALL
+    assert master_gives(device_line, 256) == ALL
     device_line.write_some(ALL)
     assert heard(poll_until(bridge, device=256), "device") == ALL
-    got = b""
-    while len(got) < 256:
-        visible(host)
-        got += host.read()
-    assert got == ALL
+    assert read_from(host, 256) == ALL
 
 
 def test_host_programs_may_come_and_go(bridge: Bridge, device_line: PtyPair) -> None:
@@ -427,25 +424,8 @@ def test_closing_a_source_closes_its_ports(bridge: Bridge, device_line: PtyPair)
         open_port(bridge.served)
 
 
-# what each says of itself
-
-
-def test_taps_hear_traffic_that_went_on_before(
-    taps: Taps, host_line: PtyPair, device_line: PtyPair
-) -> None:
-    assert taps.heard == {"host", "device"}
-    assert (taps.attached, taps.one_clock, taps.served) == (True, False, "")
-    assert taps.names == {"host": host_line.name, "device": device_line.name}
-
-
 def test_one_tap_alone_hears_the_host(host_line: PtyPair) -> None:
     with Taps(open_port(host_line.name), None) as alone:
         assert alone.heard == {"host"}
         host_line.write_some(ALL)
         assert heard(poll_until(alone, 256), "host") == ALL
-
-
-def test_a_bridge_hears_both_sides_from_the_first_byte_on_with_one_clock(bridge: Bridge) -> None:
-    assert bridge.heard == {"host", "device"}
-    assert (bridge.attached, bridge.one_clock) == (False, True)
-    assert bridge.names["pty"] == bridge.served

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import signal
 import socket
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
+from typing import NamedTuple
 
 import pytest
 
@@ -20,7 +20,7 @@ from bilprov.analyzer.transport.server import (
     serve,
 )
 from bilprov.analyzer.transport.signals import Stopper
-from tests.support.robots import PATIENCE
+from tests.support.robots import PATIENCE, serving
 from tests.support.wires import read_from, running
 
 pytestmark = pytest.mark.waits
@@ -66,38 +66,13 @@ class Restless(Echo):
         return time.monotonic_ns() + 1_000_000
 
 
-class Served:
-    """A device that is served in a thread of its own: the lines and the sentences that it prints.
+class Served(NamedTuple):
+    """The lines that are announced of a device that is served."""
 
-    `listen` and `probe` are addresses; without them it is served on a pty alone.
-    """
-
-    def __init__(self, device: Echo, *, pty: bool, listen: str | None, probe: str | None) -> None:
-        self.lines: list[str] = []
-        self.stopper = Stopper()
-        ready = threading.Semaphore(0)
-
-        def announce(line: str) -> None:
-            self.lines.append(line)
-            ready.release()
-
-        self.thread = threading.Thread(
-            target=serve,
-            args=(device,),
-            kwargs={
-                "pty": pty,
-                "listen": listen,
-                "probe_listen": probe,
-                "announce": announce,
-                "stop": self.stopper,
-            },
-        )
-        self.thread.start()
-        for _ in filter(None, (pty, listen, probe)):
-            ready.acquire()
+    lines: list[str]
 
     def connected(self, line: int = -1) -> socket.socket:
-        """A connection to the address in a line that was announced, which is the probe's."""
+        """A connection to the address in a line, which is the probe's unless another is named."""
         address = self.lines[line].removeprefix("socket://").removeprefix("probe tcp:")
         return socket.create_connection(parse_address(address), timeout=PATIENCE)
 
@@ -108,17 +83,7 @@ Start = Callable[..., Served]
 @pytest.fixture
 def served() -> Iterator[Start]:
     with ExitStack() as stack:
-
-        def start(
-            device: Echo, *, pty: bool = False, listen: str | None = None, probe: str | None = None
-        ) -> Served:
-            room = Served(device, pty=pty, listen=listen, probe=probe)
-            stack.callback(room.stopper.close)
-            stack.callback(room.thread.join)
-            stack.callback(room.stopper.stop)
-            return room
-
-        yield start
+        yield lambda device, **given: Served(stack.enter_context(serving(device, **given)))
 
 
 def until_closed(peer: socket.socket) -> bytes:
