@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
-from bilprov.conformance.causes.exchanges import Bag, Exchange
+from bilprov.conformance.causes.exchanges import ANSWER, Bag, Exchange
 from bilprov.conformance.causes.features import Feature, Rule, matches
 from bilprov.conformance.causes.learner import Learner, Table
-from bilprov.conformance.causes.relations import Effect, Relation, relations
+from bilprov.conformance.causes.relations import Effect, Relation, relations, resuming
 
 _EFFECTS, _RULES = 12, 4
 """Different deviations that are explained, those seen most, and rules for each of them, at most."""
 _LITERALS = 4
 """Conditions of one rule for everything that went wrong; with more it describes two causes."""
+_FEW_LEFT = 0.1
+"""The share of the deviations of an effect that one rule for it and others may leave out."""
 _FEW, _FEW_SHARE = 4, 0.15
 """Cases, and their share of the widest cause's, that may be what another cause brings about."""
 _THIN = 5
@@ -63,7 +65,7 @@ class Cause:
 
 def find_causes(
     features: Sequence[Feature],
-    exchanges: Iterable[Exchange],
+    exchanges: Sequence[Exchange],
     bags: Iterable[Bag],
     failed: Container[str],
 ) -> list[Cause]:
@@ -76,15 +78,17 @@ def find_causes(
     for effect in sorted(effects, key=lambda effect: -effect.evidence):
         simplest = sorted(causes, key=lambda cause: _cost(cause.rule))
         if not any(_joined(table, cause, effect) for cause in simplest):
-            causes += _causes(table, effect)
-    return _without_leftovers(causes)
+            causes += _causes(table, effect, _resumed(effect, clean))
+    last = max((e.start for e in exchanges if e.codes), default=0)
+    return _without_leftovers(causes, last)
 
 
-def _without_leftovers(causes: Sequence[Cause]) -> list[Cause]:
+def _without_leftovers(causes: Sequence[Cause], last: int) -> list[Cause]:
     """The causes, without those of a few deviations that another one has brought about.
 
     That is so where a frame before them in the same case is one at which the other cause shows.
-    Beside others a long condition for a few cases is none either: it fits them by chance.
+    Beside others a long condition for a few cases is none either: it fits them by chance. But what
+    came after the `last` frame that was answered has ended the run.
     """
     kept: list[Cause] = []
     for cause in sorted(causes, key=lambda cause: -len(cause.cases)):
@@ -93,7 +97,8 @@ def _without_leftovers(causes: Sequence[Cause]) -> list[Cause]:
         back = _BACK if len(cause.cases) <= few else 0
         brought_about = [(bag, other) for bag in bags if (other := _brought_about(bag, kept, back))]
         if len(brought_about) < len(bags):
-            if not kept or _cost(cause.rule) < _THIN * len(cause.cases):
+            ended = any(bag.exchanges[0].start > last for bag in bags)
+            if not kept or ended or _cost(cause.rule) < _THIN * len(cause.cases):
                 kept.append(cause)
             continue
         for bag, other in brought_about:
@@ -157,6 +162,9 @@ def _joined(table: Table, cause: Cause, effect: Effect) -> bool:
     rule = _one_rule(table, both)
     if rule is None or _cost(rule) > _cost(cause.rule) + 1:
         return False
+    taken, left = _parted(rule, effect)
+    if len(left) > _FEW_LEFT * len(taken):
+        return False
     cause.rule, cause.effects = rule, both
     return True
 
@@ -176,8 +184,17 @@ def _cost(rule: Rule) -> int:
 
 
 def _explains(rule: Rule, effect: Effect) -> bool:
-    taken = all(any(matches(rule, e) for e in group) for group in effect.groups)
-    return taken and not any(matches(rule, e) for e in effect.against)
+    _, left = _parted(rule, effect)
+    return not left and not any(matches(rule, e) for e in effect.against)
+
+
+def _parted(rule: Rule, effect: Effect) -> tuple[list[Bag], list[Bag]]:
+    """The deviations of an effect that a rule takes in, and the others."""
+    taken: list[Bag] = []
+    left: list[Bag] = []
+    for bag, group in zip(effect.bags, effect.groups, strict=True):
+        (taken if any(matches(rule, e) for e in group) else left).append(bag)
+    return taken, left
 
 
 def _one_rule(table: Table, effects: Sequence[Effect]) -> Rule | None:
@@ -193,22 +210,27 @@ def _one_rule(table: Table, effects: Sequence[Effect]) -> Rule | None:
     return None
 
 
-def _causes(table: Table, effect: Effect) -> list[Cause]:
-    """The causes of one effect: one where one rule explains it, else as few as cover it."""
-    for likely in (effect.at_setters(), effect):
+def _resumed(effect: Effect, clean: Sequence[Exchange]) -> list[Effect]:
+    """The effect as one of frames that bring back what was there before the fault before them."""
+    relation = resuming(effect.relation.facet, effect.relation.how)
+    if relation.facet == ANSWER or not all(map(relation.explains, effect.bags)):
+        return []
+    return [Effect(relation, effect.bags, _against(relation, effect.bags, clean))]
+
+
+def _causes(table: Table, effect: Effect, others: Iterable[Effect]) -> list[Cause]:
+    """The causes of one effect: one where one rule explains it, else as few as cover it.
+
+    The same rule may explain it as one of `others`.
+    """
+    for likely in (effect.at_setters(), effect, *others):
         rule = _one_rule(table, [likely])
         if rule is not None:
             return [Cause(rule, [likely])]
-    causes, left = [], list(effect.bags)
+    causes = []
     for rule in Learner(table, TIERS[-2], effect.groups, effect.against).rules(_RULES):
-        whole = Effect(effect.relation, left, effect.against)
-        taken = [
-            bag
-            for bag, group in zip(left, whole.groups, strict=True)
-            if any(matches(rule, e) for e in group)
-        ]
+        taken, left = _parted(rule, effect)
         if taken:
-            causes.append(Cause(rule, [Effect(effect.relation, taken, effect.against)]))
-        explained = set(map(id, taken))
-        left = [bag for bag in left if id(bag) not in explained]
+            causes.append(Cause(rule, [replace(effect, bags=taken)]))
+        effect = replace(effect, bags=left)
     return causes

@@ -23,9 +23,13 @@ from bilprov.spec.codec import Judgement, judge
 from bilprov.spec.motion import MOTIONS, Moment, Wheels, visible_motion
 from bilprov.spec.open_points import open_after
 
-ANSWER, MOTION = "answer", "motion"
+ANSWER, MOTION, WHEELS = "answer", "motion", "wheels"
 """The facets besides the values that are set; no variable has these names but the kind of motion.
+
+Where a motion is right, so are the wheels if no later frame has changed how they turn.
 """
+ASTRAY = "turning a wheel wrongly"
+"""What is seen of a motion in the right direction with wrong wheels."""
 FRAMES, FAULTS, VALID, TRUNCATED, STOPPING = "frames", "faults", "valid", "truncated", "stopping"
 ROTATION, MOVING = Moment.ROTATION.value, "moving"
 IN_A_ROW = "two faults in a row"
@@ -467,7 +471,7 @@ class Exchanges:
     ) -> None:
         since = max(burst[-1].end, answers[-1][0] if answers else 0)
         facets = self._shown(looks[-1][1])
-        speed = self._car.drive(self._expected.state).speed
+        speed, wheels = self._car.drive(self._expected.state).speed, self._wheels(self._expected)
         different = {id(look): look for _, look in looks}  # the trace keeps equal ones once
         deviating = {key: self._deviating(look) for key, look in different.items()}
         found = [deviating[id(look)] for _, look in looks]
@@ -492,11 +496,16 @@ class Exchanges:
                 changed = wrong[0] and facet != MOTION  # too late, or as late as it may
                 for exchange in () if guilty or changed else candidates:
                     exchange.right.add(facet)
+                    if facet == MOTION and self._wheels(exchange.after) == wheels:
+                        exchange.right.add(WHEELS)
                 continue
             for exchange in candidates:
                 exchange.deviations[facet] = deviation
             self.bags.append(Bag(deviation, tuple(candidates)))
         self._resynchronise(looks[-1][1])
+
+    def _wheels(self, expected: ExpectedState) -> tuple[int, int]:
+        return self._car.wheels(expected.state, self._model.protocol.full_steering)
 
     def _visible(self, facet: str, burst: list[Exchange]) -> tuple[Exchange, ...]:
         """The frames of which a look shows what they made of a facet: no later one changes it."""
@@ -528,7 +537,7 @@ class Exchanges:
         reported = replace(self._expected, state=self._expected.state.but(**own))
         if any(name in self._of_motion for name, _, _ in differences(self._model, reported, look)):
             due, seen = visible_motion(reported.state), seen_motion(self._car, look)
-            found[MOTION] = due, seen if seen != due else "turning a wheel wrongly"
+            found[MOTION] = due, seen if seen != due else ASTRAY
         return found
 
     def _may_show_in(self, exchange: Exchange) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from bilprov.analyzer.client.operations import Procedure, followed, listen, power_cycle
@@ -18,11 +19,10 @@ from bilprov.conformance.causes.exchanges import (
     Timing,
 )
 from bilprov.conformance.causes.features import Literal, Rule, features, matches
-from bilprov.conformance.causes.relations import Effect
+from bilprov.conformance.causes.relations import RESUMES, Effect
 from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, shown_in
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.oracle.judge import code_words, deviation
-from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import Cause, Verdict, WireEvent
 from bilprov.conformance.runner.homing import home_after
 from bilprov.conformance.runner.listeners.wire_log import WireLog
@@ -43,7 +43,7 @@ _WHILE = 10_000_000_000
 
 
 @dataclass(slots=True)
-class _Explanation:
+class Explanation:
     """A cause, lines to try, and whether the first shows it (None where it was not tried).
 
     `deviation` is the one that it then showed.
@@ -60,41 +60,28 @@ class Explainer:
     """Explains a run's failures from its trace; `byte_time` is a byte's time on the line (ns)."""
 
     def __init__(self, run: Run, trace: Trace, byte_time: int) -> None:
-        self._run = run
+        self.run = run
         self._trace = trace
         self._byte_time = byte_time
-        self._explanations: list[_Explanation] | None = None
         self.exchanges: Exchanges | None = None
-
-    @property
-    def found(self) -> list[Found]:
-        """The causes as they were found, the worst first."""
-        return [explanation.found for explanation in self._explained_once()]
-
-    @property
-    def lines(self) -> list[Line]:
-        """The line of each of these causes."""
-        return [explanation.lines[0] for explanation in self._explained_once()]
-
-    @property
-    def model(self) -> Model:
-        """The model of a conforming device, with this device's choices."""
-        return self._run.model
 
     @property
     def timing(self) -> Timing:
         """The times of the line."""
-        return Timing(self._run.waiting.timeout, self._byte_time, self._run.timers.longest)
+        return Timing(self.run.waiting.timeout, self._byte_time, self.run.timers.longest)
 
     def try_again(self) -> Procedure[None]:
         """Try the line of each of the first causes again.
 
-        The device was just switched on where that can be done; it is always homed first.
+        The device was just switched on where that can be done, and else homed. One that does not
+        answer any more is not tried, unless it can be switched on again.
         """
-        begun = self._trace.now
-        for explanation in [] if self._run.gave_up else self._explained_once()[:_TRIED]:
+        begun, run = self._trace.now, self.run
+        if run.gave_up and not run.config.power:
+            return
+        for explanation in self.explanations[:_TRIED]:
             for line in explanation.lines:
-                if line.unhomed and not self._run.config.power:
+                if line.unhomed and not run.config.power:
                     continue
                 if self._trace.now - begun > _WHILE:
                     return
@@ -106,7 +93,7 @@ class Explainer:
                 except GaveUp:
                     return
 
-    def _halve(self, explanation: _Explanation, begun: int) -> Procedure[None]:
+    def _halve(self, explanation: Explanation, begun: int) -> Procedure[None]:
         """Keep the last part of a long line that still shows the cause."""
         line = explanation.lines[0]
         while line.frames > _SHORT and not line.together and self._trace.now - begun < _WHILE:
@@ -114,15 +101,14 @@ class Explainer:
                 return
             line = line.half
 
-    def _shows(self, explanation: _Explanation, line: Line) -> Procedure[bool]:
+    def _shows(self, explanation: Explanation, line: Line) -> Procedure[bool]:
         """Switch the device on or bring it to rest, and send the line; return whether it shows.
 
         A line that does becomes that of the explanation.
         """
-        run, trace, log, found = self._run, Trace(), WireLog(), explanation.found
+        run, trace, log, found = self.run, Trace(), WireLog(), explanation.found
         if run.config.power:
-            yield from followed(power_cycle(), trace)
-            yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
+            yield from followed(self._switch_on(), trace)
         if not line.unhomed:
             yield from followed(self._home(), trace)
         trace.begin("")
@@ -136,25 +122,32 @@ class Explainer:
             explanation.log = log.of("")
         return shown is not None
 
+    def _switch_on(self) -> Procedure[None]:
+        """Switch the device off and on, and wait until it has booted."""
+        yield from power_cycle()
+        yield from listen(None, 2 * (self.run.profile.boot or 0) + self.run.timers.settle)
+
     def _home(self) -> Procedure[None]:
-        """Home the device; what it sends late is no result of the run any more."""
-        homed = yield from home_after(self._run, None)
-        if homed.stopped:
+        """Home the device; what it sends late is no result of the run any more.
+
+        One that does not answer may still move: it is switched off where that can be done.
+        """
+        homed = yield from home_after(self.run, None)
+        if isinstance(homed.stopped, GaveUp) and self.run.config.power:
+            yield from self._switch_on()
+        elif homed.stopped:
             raise homed.stopped
 
     def causes(self) -> tuple[Cause, ...]:
         """Return the causes of the run's failures, those that keep the device moving first."""
-        failed = {r.id: r.clause for r in self._run.results if r.verdict is Verdict.FAIL}
-        judged = sum(r.verdict is not Verdict.SKIPPED for r in self._run.results)
-        return tuple(self._cause(one, failed, judged) for one in self._explained_once())
+        failed = {r.id: r.clause for r in self.run.results if r.verdict is Verdict.FAIL}
+        judged = sum(r.verdict is not Verdict.SKIPPED for r in self.run.results)
+        return tuple(self._cause(one, failed, judged) for one in self.explanations)
 
-    def _explained_once(self) -> list[_Explanation]:
-        if self._explanations is None:
-            self._explanations = list(self._explained())
-        return self._explanations
-
-    def _explained(self) -> Sequence[_Explanation]:
-        run = self._run
+    @cached_property
+    def explanations(self) -> list[Explanation]:
+        """The causes as they were found, the worst first, each with its line."""
+        run = self.run
         failed = {r.id for r in run.results if r.verdict is Verdict.FAIL}
         if not failed:
             return []
@@ -165,9 +158,9 @@ class Explainer:
         found = [cause for cause in found if not failed.isdisjoint(cause.cases)]
         found.sort(key=lambda cause: (_rank(cause), -len(cause.cases)))
         finder = Finder(run.model, self.timing)
-        return [_Explanation(cause, finder.lines(cause)) for cause in found]
+        return [Explanation(cause, finder.lines(cause)) for cause in found]
 
-    def _cause(self, explanation: _Explanation, failed: dict[str, str], judged: int) -> Cause:
+    def _cause(self, explanation: Explanation, failed: dict[str, str], judged: int) -> Cause:
         found, shown = explanation.found, explanation.shown
         taken = found.cases
         cases = tuple(ident for ident in failed if ident in taken)
@@ -175,8 +168,8 @@ class Explainer:
             e.case for effect in found.effects for e in effect.against if matches(found.rule, e)
         }
         others = len(right - taken)
-        when, what = condition(found.rule), deviations(self._run.protocol, found.effects)
-        clauses, safety = [failed[ident] for ident in cases], self._run.protocol.clauses.safety
+        when, what = condition(found.rule), deviations(self.run.protocol, found.effects)
+        clauses, safety = [failed[ident] for ident in cases], self.run.protocol.clauses.safety
         met = len(cases) + others
         sure = f"{len(cases):,} of {quantity(met, 'case')}, and none of {judged - met:,} others"
         return Cause(
@@ -189,7 +182,7 @@ class Explainer:
             send=explanation.lines[0].words,
             tried=shown is not None,
             log=explanation.log,
-            shown=_shown(self._run.protocol, explanation.deviation),
+            shown=_shown(self.run.protocol, explanation.deviation),
         )
 
 
@@ -243,8 +236,7 @@ def _ranges(literals: Sequence[Literal]) -> Iterator[str]:
         if operator == "to" and low:
             continue
         if operator == "from" and high:
-            feature = literal.feature
-            yield feature.words.format(f"{literal.value} to {high.value}{feature.unit}")
+            yield literal.feature.words.format(f"{literal.value} to {high.value}")
         else:
             yield _literal(literal)
 
@@ -267,7 +259,7 @@ def _literal(literal: Literal) -> str:
         words = words.replace(plural, plural[:-1], 1)
     kinds = value if operator == "in" else (value,)
     value = " or ".join("a truncated frame" if kind == TRUNCATED else str(kind) for kind in kinds)
-    return words.format(f"{value}{literal.feature.unit}{_BESIDE.get(operator, '')}")
+    return words.format(f"{value}{_BESIDE.get(operator, '')}")
 
 
 def deviations(protocol: Protocol, effects: Sequence[Effect]) -> str:
@@ -293,6 +285,8 @@ def _effect(protocol: Protocol, effect: Effect) -> str:
         expected = {bag.deviation.expected for bag in effect.bags}
         if relation.how == "late":
             return _LATE_STOP if expected == {effect.bags[0].still} else "moves late"
+        if effect.keeps_moving and relation.words == RESUMES:
+            return "moves again as before the fault"
         if effect.keeps_moving:
             return "moves again by itself" if late else _NO_STOP
         seen = {str(bag.deviation.seen) for bag in effect.bags}

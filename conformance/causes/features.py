@@ -19,6 +19,7 @@ from bilprov.conformance.causes.exchanges import (
     TRUNCATED,
     VALID,
     Exchange,
+    value_of,
 )
 from bilprov.spec.motion import MOTIONS
 from bilprov.spec.protocol import Protocol
@@ -35,7 +36,7 @@ class Feature:
     `of` gives its value: a word, a number, or None where the exchange has none. `cost` ranks
     features that explain equally well: the lower is named. `bits` is how many bits of a number may
     matter each for itself, `counts` whether every n-th may matter. `words` has `{}` where the value
-    and its `unit` stand; a `subject` names the frame itself.
+    stands; a `subject` names the frame itself.
     """
 
     name: str
@@ -45,7 +46,6 @@ class Feature:
     bits: int = 0
     counts: bool = False
     subject: bool = False
-    unit: str = ""
 
 
 def features(protocol: Protocol) -> tuple[Feature, ...]:
@@ -121,6 +121,8 @@ def _of_states(protocol: Protocol) -> Iterator[Feature]:
     for name, spec in protocol.variables.items():
         bits = 0 if spec.words else 8
         yield Feature(f"{name} before", _before(name), f"while {name} is {{}}", 2, bits)
+        side = " to either side" if spec.low < 0 else ""
+        yield Feature(f"{name} after", _after(name), f"then with {name} {{}}{side}", 3)
     yield Feature("moving before", _moved, "while it {}", 2)
 
 
@@ -128,6 +130,14 @@ def _before(name: str) -> Of:
     def of(exchange: Exchange) -> Value:
         known = name not in exchange.before.unknown
         return getattr(exchange.before.state, name) if known else None
+
+    return of
+
+
+def _after(name: str) -> Of:
+    def of(exchange: Exchange) -> Value:
+        value = value_of(name, exchange.after)
+        return abs(value) if isinstance(value, int) else value
 
     return of
 
@@ -143,13 +153,12 @@ def _of_delivery() -> Iterator[Feature]:
     yield Feature("sent ahead", lambda e: "sent ahead" if e.ahead else "not sent ahead", "{}", 2)
     yield Feature("ahead", lambda e: e.ahead, "with {} frames before it not answered yet", 3)
     yield Feature("split", lambda e: "sent in pieces" if e.pauses else "sent in one piece", "{}", 2)
-    yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} inside", 5, unit=" ms")
+    yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} ms inside", 5)
     yield Feature(
         "gap",
         lambda e: None if e.gap is None else e.gap // MS,
-        "{} after the frame before",
+        "{} ms after the frame before",
         5,
-        unit=" ms",
     )
 
 

@@ -12,12 +12,15 @@ from dataclasses import dataclass, replace
 
 from bilprov.conformance.causes.exchanges import (
     ANSWER,
+    ASTRAY,
     MOTION,
+    WHEELS,
     Bag,
     Exchange,
     value_of,
 )
 
+RESUMES = "is again what it was before the fault"
 Value = int | str | None
 Predict = Callable[[Exchange], Value]
 
@@ -26,13 +29,15 @@ Predict = Callable[[Exchange], Value]
 class Relation:
     """What goes wrong in one facet, in words, and the value that it predicts for an exchange.
 
-    `how` is that of the deviations. Where `predict` is None the value can be any.
+    `how` is that of the deviations. Where `predict` is None the value can be any. `seen` is the
+    value where it is always the same.
     """
 
     facet: str
     how: str
     words: str
     predict: Predict | None = None
+    seen: Value = None
 
     def explains(self, bag: Bag) -> bool:
         """Return whether a bag's deviation is of this kind."""
@@ -47,7 +52,8 @@ class Relation:
 
         `watched` is how long (ns) it takes to show.
         """
-        if self.facet not in exchange.right or exchange.watched < watched:
+        facet = WHEELS if self.seen == ASTRAY else self.facet
+        if facet not in exchange.right or exchange.watched < watched:
             return False
         return self.differs(exchange)
 
@@ -167,12 +173,23 @@ def _of_values(facet: str, how: str, bags: Sequence[Bag]) -> list[Relation]:
     found = [Relation(facet, how, "stays as it was", before)]
     seen = Counter(bag.deviation.seen for bag in bags).most_common(3)
     if facet == MOTION:
-        found += [Relation(facet, how, f"is {v}", _moving_as(v)) for v, _ in seen]
+        found += [Relation(facet, how, f"is {v}", _moving_as(v), v) for v, _ in seen]
         return [*found, *_instead(facet, how, bags)]
     found += [Relation(facet, how, f"is {value}", lambda e, v=value: v) for value, _ in seen]  # type: ignore[misc]
     return found + [
         Relation(facet, how, words, _changed(facet, change)) for words, change in _changes(bags)
     ]
+
+
+def resuming(facet: str, how: str) -> Relation:
+    """The relation of a value that comes back from before the faults right before a frame."""
+
+    def earlier(exchange: Exchange) -> Value:
+        while exchange.previous and exchange.previous.step.faulty:
+            exchange = exchange.previous
+        return value_of(facet, exchange.before)
+
+    return Relation(facet, how, RESUMES, earlier)
 
 
 def _changed(facet: str, change: Callable[[int], int]) -> Predict:

@@ -40,6 +40,8 @@ _COUNTED = 400
 """Frames that only count, or came before it in the run, at most."""
 _SETTLED = 20 * MS
 """How long (ns) a device has for a change after its last answer, before it is looked at again."""
+_SILENT = 3
+"""Frames without an answer, one after the other, until each next one is waited for only shortly."""
 _DELIVERY = {"ahead", "sent ahead", "split", "pause", "gap"}
 """Features that only frames sent by their times, and not by their answers, show..."""
 _USUAL = {"sent in one piece", "not sent ahead"}
@@ -100,13 +102,14 @@ def shown_by(line: Line, timing: Timing, watched: int = 0, *, looks: bool) -> Pr
 
     The last look comes `watched` ns after the last answer: what changes by itself needs time.
     """
-    patience = timing.longest + timing.timeout
+    patience, silent = timing.longest + timing.timeout, 0
     for pause, data in line.chunks:
         if pause:
             yield from listen(None, pause)
         yield from send(data)
         if not line.together:
-            yield from listen(1, patience)
+            heard = yield from listen(1, patience if silent < _SILENT else timing.timeout)
+            silent = 0 if heard.answers else silent + 1
     if line.together:
         yield from listen(line.frames, patience)
     if looks:

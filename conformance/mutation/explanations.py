@@ -124,7 +124,8 @@ def explained(protocol: Protocol, names: Sequence[str], level: str, seed: int) -
     target = device_target(protocol, Simulator(protocol, fault))
     report = run_suite(target, options, logged=False, explainer=explainer)
     label, failed = " and ".join(names), report.counts["fail"]
-    found, exchanges = held[0].found, held[0].exchanges
+    found = [explanation.found for explanation in held[0].explanations]
+    exchanges = held[0].exchanges
     if not found or exchanges is None:
         return Explained(label, failed, unexplained=report.unexplained)
     first = found if len(names) == 1 else found[:_FIRST]
@@ -204,8 +205,9 @@ def _over(exchange: Exchange, exchanges: Exchanges) -> int:
 
 def _shows_on(protocol: Protocol, fault: Fault, explainer: Explainer) -> bool:
     """Whether the first cause's line shows it on a fresh device."""
-    cause, line, device = explainer.found[0], explainer.lines[0], Simulator(protocol, fault)
-    sent = exchanged(line, explainer.timing, explainer.model, device, cause.watched)
+    first, device = explainer.explanations[0], Simulator(protocol, fault)
+    cause, line = first.found, first.lines[0]
+    sent = exchanged(line, explainer.timing, explainer.run.model, device, cause.watched)
     return shown_in(cause, line, sent) is not None
 
 

@@ -79,6 +79,9 @@ NAMED = [
     ("no-stop-at-the-fault-after-a-truncation", "stop", "does not stop",
      "with the last fault also the last truncated frame"),
     ("answers-fault-again-after-15-ms", "answer", "answers more than once", "a faulty frame"),
+    ("runs-on-after-fault-in-a-burst", "stop", "moves again as before the fault",
+     "a frame that leaves its motion, sent ahead"),
+    ("random:84.88", "state", "is turning a wheel wrongly", "steering 248 or more to either side"),
     ("mixture:R-rotate-steering=reset-and-drives-straight:by-frame", "state",
      "steering stays as it was", "at one in 2 of the moving frames"),
 ]  # fmt: skip
@@ -295,6 +298,19 @@ def test_what_keeps_it_moving_joins_only_what_the_same_frames_cause(protocol: Pr
     assert [cause.when for cause in causes] == found
 
 
+def test_one_cause_names_no_rare_deviation_that_its_rule_leaves_out(protocol: Protocol) -> None:
+    rare = find_fault(protocol, "mixture:R-stop-speed=zeroed:by-frame")
+    report = report_of(protocol, both(find_fault(protocol, "double-answer-to-faults"), rare))
+    assert [cause.when.partition(",")[0] for cause in report.causes] == ["a faulty frame", "Stop"]
+
+
+def test_that_it_answers_no_more_is_a_cause_beside_others(protocol: Protocol) -> None:
+    bank = fault_bank(protocol)
+    report = report_of(protocol, both(bank["right-bit-4-lost"], bank["sticks-after-50-faults"]))
+    assert [cause.axis for cause in report.causes] == ["answer", "state"]
+    assert report.unexplained == 0
+
+
 def test_a_failure_behind_a_frame_that_was_not_observed_is_no_other_cause(
     protocol: Protocol,
 ) -> None:
@@ -314,7 +330,14 @@ def test_a_fault_acts_where_something_changes_by_it(protocol: Protocol, name: st
 
 @pytest.mark.sample(1)
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["every-100th-fault-missed", "no-stop-after-100-faults"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "every-100th-fault-missed",
+        "no-stop-after-100-faults",
+        "sticks-after-50-faults",
+    ],
+)
 def test_what_a_cause_counts_is_in_its_line(protocol: Protocol, name: str) -> None:
     found = explained(protocol, [name], "smoke", 1)
     assert (found.causes, found.named, found.shown) == (1, 1, True)
