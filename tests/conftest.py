@@ -38,7 +38,7 @@ Drive = Callable[[Protocol, Iterable[bytes]], list[tuple[int, RobotState]]]
 # No test asserts a wall-clock time. What Hypothesis draws is the same in every run, so that a run
 # fails for what was changed; with --whole it is another each time.
 in_any_time = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("sample", in_any_time, max_examples=40, derandomize=True)
+settings.register_profile("sample", in_any_time, max_examples=25, derandomize=True)
 settings.register_profile("whole", in_any_time, max_examples=60)
 
 # The tests follow no settings, and change no state, of whoever runs them.

@@ -8,10 +8,8 @@ import signal
 import subprocess
 import sys
 import threading
-import tomllib
 from collections.abc import Callable
 from contextlib import closing
-from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,6 +35,9 @@ HEAVY = {
 }
 # Modules and packages that a command does not use.
 UNUSED = {
+    "--help": HEAVY,
+    "--version": HEAVY,
+    "encode --help": HEAVY - {"msgspec"},
     "decode 2111": HEAVY - {"construct", "msgspec"} | {"zstandard", "lz4", "difflib"},
     "decode 2111 --filter faulty": HEAVY - {"construct", "msgspec", "numpy"}
     | {"zstandard", "lz4", "difflib"},
@@ -82,14 +83,7 @@ def loaded(*arguments: str) -> set[str]:
     return set(names) | {name.split(".")[0] for name in names}
 
 
-@pytest.mark.parametrize(
-    ("line", "allowed"), [("--help", set()), ("--version", set()), ("encode --help", {"msgspec"})]
-)
-def test_help_and_version_load_nothing_heavy(line: str, allowed: set[str]) -> None:
-    assert loaded(*line.split()) & HEAVY <= allowed
-
-
-@pytest.mark.sample(5)
+@pytest.mark.sample(6)
 @pytest.mark.waits
 @pytest.mark.parametrize("line", UNUSED)
 def test_a_command_loads_nothing_that_it_does_not_use(line: str) -> None:
@@ -119,17 +113,6 @@ def test_importing_the_library_loads_nothing_heavy() -> None:
 def test_a_narrow_locale_is_no_reason_to_fail(variable: dict[str, str]) -> None:
     result = process("spec", "show", env=variable)
     assert (result.returncode, result.stderr) == (0, b"")
-
-
-def test_an_installation_gets_the_version_that_the_command_shows() -> None:
-    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    module, _, attribute = declared["tool"]["setuptools"]["dynamic"]["version"]["attr"].rpartition(
-        "."
-    )
-
-    assert declared["project"]["dynamic"] == ["version"]
-    shown = command("--version").stdout.decode()
-    assert shown == f"bilprov {getattr(import_module(module), attribute)}\n"
 
 
 Failing = Callable[[BaseException], Done]
@@ -210,12 +193,6 @@ def test_a_signal_in_the_middle_ends_quietly_with_130(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
     assert (process.returncode, out, err) == (130, b"", b"")
-
-
-@pytest.mark.parametrize("name", front_door.COMMANDS)
-def test_every_subcommand_is_where_the_table_says(name: str) -> None:
-    found, _ = command_named(name)
-    assert found.name == name.rpartition(" ")[2]
 
 
 @pytest.mark.parametrize("name", front_door.COMMANDS)
@@ -364,11 +341,8 @@ def test_a_grammar_of_the_kit_is_known_by_its_name(name: str) -> None:
         ("lab", "learn", "sim"),
     ],
 )
-@pytest.mark.parametrize("grammar", ["modbus-rtu", "stk500v1", "dynamixel1"])
-def test_what_is_for_the_family_of_the_car_refuses_others(
-    grammar: str, words: tuple[str, ...]
-) -> None:
-    result = command(*words, "--grammar", grammar)
+def test_what_is_for_the_family_of_the_car_refuses_others(words: tuple[str, ...]) -> None:
+    result = command(*words, "--grammar", "modbus-rtu")
 
     assert (result.returncode, result.stdout) == (2, b"")
     assert b"is for the robot car and its family" in result.stderr

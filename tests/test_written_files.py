@@ -84,7 +84,7 @@ def limited(size: int) -> Callable[[], None]:
     return partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.waits
 @pytest.mark.parametrize("name", REPORTS | CAPTURES)
 def test_a_file_that_grows_too_large_is_named_and_nothing_is_left_of_it(

@@ -1,6 +1,6 @@
 """For every grammar that the loader accepts the simulator conforms, or the loader refuses it.
 
-The grammars are drawn by seed: 5 of them in each run, a thousand with --whole. All that
+The grammars are drawn by seed: 3 of them in each run, a thousand with --whole. All that
 load must conform; only those that declare what the kit cannot hold are refused.
 """
 
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 
 Value = int | Motion | tuple[str, int]
 
-CHUNK = 5
+CHUNK = 3
 CHUNKS = [range(start, start + CHUNK) for start in range(0, 1000, CHUNK)]
 
 

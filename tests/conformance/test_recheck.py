@@ -53,7 +53,7 @@ FAMILIES = {fault.family: name for name, fault in BANK.items()}
 FEW_OF_EACH = sorted({*FAMILIES.values(), *list(BANK)[::20]})
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FEW_OF_EACH)
 def test_a_faulty_device_comes_out_as_faulty_as_it_was(
@@ -66,7 +66,7 @@ def test_a_faulty_device_comes_out_as_faulty_as_it_was(
 
 
 @pytest.mark.slow
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("options", "fault", "code"),
     [
@@ -255,7 +255,7 @@ def test_a_forged_verdict_is_not_trusted(faulty: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("path", "value"),
     [
@@ -441,7 +441,7 @@ def test_options_may_be_anything(faulty: Path, options: dict[str, Any]) -> None:
         assert recheck(str(with_run(faulty, options=options))).exit == 1
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "values",

@@ -334,7 +334,7 @@ def test_a_number_that_lua_cannot_hold_is_shown_as_bytes(grammar_text: str, tmp_
     assert [*row.values()] == ["0000000000000005", ""]  # and the speed is not known
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "protocol",
     [

@@ -107,7 +107,7 @@ def test_another_split_of_the_header_is_followed(grammar_text: str) -> None:
     assert synchroniser.first_frame(0.99) == 1
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.slow
 @pytest.mark.parametrize("timers", [False, True], ids=["one-clock", "usb"])
 @pytest.mark.parametrize(

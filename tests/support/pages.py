@@ -177,7 +177,7 @@ class Reader:
         """Run a step's command; gives its exit status and all that it printed."""
         line = self._here(step.command)
         if _IN_REAL_TIME.match(step.command):
-            line += " --level smoke --only 'link/*'"
+            line += " --level smoke --only 'link/*' --truncation-timeout 50"
         with tempfile.TemporaryFile("w+", encoding="utf-8") as output:
             process = subprocess.Popen(
                 ["bash", "-o", "pipefail", "-c", line],

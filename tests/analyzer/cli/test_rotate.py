@@ -200,6 +200,7 @@ READING = [
 ]
 
 
+@pytest.mark.sample(8)
 @pytest.mark.parametrize("line", READING)
 def test_a_command_over_parts_does_what_it_does_over_one_file(
     both: tuple[Path, Path], tmp_path: Path, line: str

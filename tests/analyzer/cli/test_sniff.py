@@ -242,7 +242,7 @@ def test_what_is_waited_for_may_never_come(tmp_path: Path) -> None:
     assert (code, out, err) == (0, b"", b"")
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("fault", "form", "words"),
     [

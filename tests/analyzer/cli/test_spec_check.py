@@ -158,7 +158,7 @@ READERS = (
 )
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("grammar", FRAMED)
 def test_no_command_fails_at_a_damaged_capture(tmp_path: Path, grammar: str) -> None:
     (tmp_path / "grammar.py").write_text(FRAMED[grammar], encoding="utf-8")

@@ -69,7 +69,7 @@ def stamped(random: Random, events: list[Event]) -> list[Event]:
     return sorted(moved, key=lambda event: event.t)
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("seed", range(70))
 @pytest.mark.parametrize("name", [*SHIPPED, None])
 def test_odd_traffic_is_that_of_a_session(name: str | None, seed: int) -> None:

@@ -139,6 +139,7 @@ def test_streams_are_aligned_with_no_more_edits_than_were_made(
         assert sum(not (first and second) for first, second in pairs) <= made
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("missing", [RUN, 300, FAR // 2, FAR - 2 * RUN])
 def test_what_follows_many_missing_frames_is_aligned_again(missing: int) -> None:
     draw = Random(missing)

@@ -78,7 +78,7 @@ def asked_for(protocol: Protocol, column: Column, value: Any) -> str:
     return f"{column.name} == {value!r}"
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 def test_every_column_and_each_of_its_values_can_be_asked_for(any_protocol: Protocol) -> None:
     several = bytes_fields(any_protocol)
     columns = [

@@ -138,6 +138,7 @@ def test_keys_move_through_the_rows(
     operated(screen, steps)
 
 
+@pytest.mark.sample(4)
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
@@ -297,6 +298,7 @@ async def type_ahead(screen: Browser, pilot: Pilot[Any], *keys: str) -> None:
     await pilot.pause()
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("text", ["sequence == 3", "faulty", "not quiet", "q"])
 def test_keys_typed_ahead_behind_the_slash_are_the_filter(screen: Browser, text: str) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
@@ -597,7 +599,7 @@ def test_a_long_filter_can_be_stopped(protocol: Protocol) -> None:
     operated(screen, steps)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("size", [*SIZES, (39, 9), (20, 5), (10, 2), (1, 1)])
 def test_nothing_overlaps_at_any_size(protocol: Protocol, size: tuple[int, int]) -> None:
     screen = browser(protocol, decoded(protocol, drive()))

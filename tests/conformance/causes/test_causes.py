@@ -91,7 +91,7 @@ def report_of(protocol: Protocol, fault: Fault) -> Report:
     return conform(Simulator(protocol, fault), grammar=protocol, options=SMOKE)
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "axis", "what", "when"), NAMED, ids=[row[0] for row in NAMED])
 def test_one_cause_names_what_goes_wrong_and_when(

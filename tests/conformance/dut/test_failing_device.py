@@ -137,7 +137,7 @@ def test_one_that_floods_fails_and_is_not_listened_to_for_ever(protocol: Protoco
     assert most < 64 << 20
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.06, *(n / 10 for n in range(1, 10)), 0.96])
 def test_one_that_reboots_ends_by_itself_and_keeps_what_was_judged(

@@ -286,7 +286,7 @@ def test_the_line_to_try_it_again_is_copied(failing: Report, show: Open, place: 
 
 
 @needs_chromium
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("evil", EVIL)
 def test_hostile_text_does_not_run(protocol: Protocol, show: Open, evil: str) -> None:
     report = hostile(protocol, evil)

@@ -64,7 +64,7 @@ def reported(folder: Path) -> Done:
     return command(*FAULTY, *files, XDG_STATE_HOME=str(folder / "state"))
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("events", "file"),
     [

@@ -37,7 +37,7 @@ def test_what_is_met_once_fails_and_says_so(protocol: Protocol) -> None:
     assert "flaky" not in failed.reason
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("declared", "code"), [(None, 3), (False, 3), ("yes", 3), (1, 3), (True, 1)]
 )

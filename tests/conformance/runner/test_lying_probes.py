@@ -148,7 +148,7 @@ FAULTY = (
 )
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("brief", [False, True], ids=["all facets", "moving only"])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", GOOD)
@@ -162,7 +162,7 @@ def test_no_good_robot_fails(protocol: Protocol, lie: str, name: str, seed: int,
     assert report.exit in (0, 3)
 
 
-@pytest.mark.sample(3)
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", FAULTY)
 @pytest.mark.parametrize("lie", LIES)
@@ -170,7 +170,7 @@ def test_no_faulty_robot_passes(protocol: Protocol, lie: str, name: str, seed: i
     assert seen_through(protocol, find_fault(protocol, name), LIES[lie], seed).exit in (1, 3)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("name", FAULTY)
 def test_through_an_honest_probe_rare_faults_fail_too(protocol: Protocol, name: str):
     assert seen_through(protocol, find_fault(protocol, name), honest).exit == 1
