@@ -12,8 +12,6 @@ from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
-    Observation,
-    Observe,
     Operation,
     PowerCycle,
     Received,
@@ -21,7 +19,6 @@ from bilprov.analyzer.client.operations import (
     Send,
 )
 from bilprov.analyzer.taps.relay import Noise
-from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.recheck import recheck
@@ -66,24 +63,15 @@ def test_a_run_over_a_probe_that_became_slow_ends_in_order(protocol: Protocol) -
 
     assert (report.exit, report.ended_by) == (3, "time")
     told = re.fullmatch(
-        r"about 6 s were announced and (\d+) s have passed \(\d+ s waiting for answers, (\d+) s "
-        r"observations \(200 ms each\), \d+ s silences, 0 s delays of this computer\); "
+        r"about 6 s were announced and (\d+) s have passed; "
         "--patient continues however long it takes",
         report.ended,
     )
     assert told, report.ended
     assert 65 < int(told[1]) < 75  # a case longer, at most
-    assert int(told[2]) > 0.8 * int(told[1])
     assert report.counts["inconclusive"] > 10
     assert report.counts["fail"] == 0
     assert robot.simulator.look(robot.link.now).moving is False
-
-
-@pytest.mark.slow
-def test_a_robot_that_failed_before_the_time_was_over_does_not_conform(protocol: Protocol) -> None:
-    report = Robot(protocol, look=200 * MS, fault="ok-to-unknown-id").judged()
-
-    assert (report.exit, report.ended_by) == (1, "time")
 
 
 @pytest.mark.slow
@@ -185,30 +173,8 @@ def followed(limit: TimeLimit, *done: tuple[Operation, Reply]) -> str:
     return ""
 
 
-def seen(asked: int, now: int) -> Observation:
-    return Observation(asked * SECOND, now * SECOND, CarLook(now * SECOND, moving=False))
-
-
 def heard(now: int) -> Received:
     return Received((), now * SECOND)
-
-
-def test_the_parts_of_the_time_are_told_apart() -> None:
-    told = followed(
-        TimeLimit(30.0),
-        (Send(b""), 1000 * SECOND),
-        (Listen(1, SECOND), heard(1040)),
-        (Listen(None, 10 * SECOND), heard(1060)),  # 10 s late
-        (Observe(), seen(1065, 1070)),  # 5 s late
-        (Observe(), seen(1070, 1073)),
-        (Listen(None, 30 * SECOND), heard(1101)),
-    )
-
-    assert told == (
-        "time: about 30 s were announced and 101 s have passed (40 s waiting for answers, 8 s "
-        "observations (4000 ms each), 38 s silences, 15 s delays of this computer); "
-        "--patient continues however long it takes"
-    )
 
 
 @pytest.mark.parametrize(
