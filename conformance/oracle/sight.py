@@ -57,15 +57,11 @@ def facets_set(protocol: Protocol, frame_effects: Iterable[FrameEffect]) -> list
 
 @dataclass(slots=True)
 class _Gap:
-    """The looks that did not show a facet: the first, the case it was in, how many.
-
-    `over` if a later look showed it.
-    """
+    """The looks that did not show a facet: the first, the case it was in, how many."""
 
     first: int
     case: str
     looks: int = 0
-    over: bool = False
 
 
 class Sight:
@@ -103,14 +99,10 @@ class Sight:
             missing -= {self._protocol.car.by, "wheels"}  # known of a robot that stands still
         self.shown |= shown
         self.missed += bool(missing)
-        for facet in self._gaps.keys() & shown:
-            self._gaps[facet].over = True
         if missing:
             self._missing.setdefault(self._case, set()).update(missing)
-            for facet in missing:
-                gap = self._gaps.setdefault(facet, _Gap(self.looks, self._case))
-                gap.looks += 1
-                gap.over = False
+        for facet in missing:
+            self._gaps.setdefault(facet, _Gap(self.looks, self._case)).looks += 1
 
     def judged(self, result: CaseResult) -> CaseResult:
         """The final result of a case, in which nothing passes that its looks did not show."""
@@ -142,16 +134,10 @@ class Sight:
             if gap is None:
                 continue
             where = f"first in case {gap.case}" if gap.case else "first between two cases"
-            if gap.over:
-                yield (
-                    f"In {gap.looks:,} of {self.looks:,} observations the probe did not report "
-                    f"{words} ({where}, observation {gap.first:,})"
-                )
-            else:
-                yield (
-                    f"From observation {gap.first:,} of {self.looks:,} on the probe did not report "
-                    f"{words} ({where})"
-                )
+            yield (
+                f"In {gap.looks:,} of {self.looks:,} observations the probe did not report "
+                f"{words} ({where}, observation {gap.first:,})"
+            )
         by, limits = self._protocol.car.by, self._protocol.limits
         settable = {name for name in self._protocol.settings if name in limits}
         if untold(self._protocol, [by], self.shown):

@@ -400,26 +400,6 @@ def test_a_grammar_that_does_more_than_declare_is_not_run(
 
 
 @pytest.mark.slow
-def test_a_grammar_that_is_given_is_used_instead(
-    tmp_path: Path, horn: Protocol, horn_text: str
-) -> None:
-    code = load(f"{horn_text}\nlen('more than declarations')\n", "horn.py")
-    run, grammar = tmp_path / "run.mcap", tmp_path / "horn.py"
-    recorded(run, code, "valid/Horn/*", device=Simulator(code))
-    grammar.write_text(code.source, encoding="utf-8")
-
-    refused = command("recheck", str(run))
-    judged = command("--grammar", str(grammar), "recheck", str(run))
-    other = command("--grammar", "spec/grammar.py", "recheck", str(run))
-
-    assert (refused.returncode, judged.returncode) == (2, 0)
-    assert "give the grammar's file with --grammar FILE.py" in sentence(refused)
-    assert judged.stdout.startswith(b"the same: ")
-    assert other.returncode == 2
-    assert "no case matches" in sentence(other)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("content", [b"{}", b"[" * 100_000], ids=["empty", "deep"])
 def test_what_the_run_rests_on_may_be_anything(
     faulty: Path, tmp_path: Path, content: bytes

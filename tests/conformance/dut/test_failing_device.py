@@ -300,9 +300,3 @@ def test_the_method_is_named(protocol: Protocol, broken: dict[str, Any], words: 
 
     assert str(raised.value).startswith(words)
     assert str(raised.value).isprintable()
-
-
-def test_a_device_that_keeps_to_it_is_judged_as_ever(protocol: Protocol) -> None:
-    device: Any = Own(protocol)
-
-    assert conform(device, grammar=protocol, options=FEW).exit == 0

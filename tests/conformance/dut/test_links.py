@@ -78,36 +78,11 @@ def test_bytes_take_their_time_on_the_wire(protocol: Protocol) -> None:
     assert heard.now == 3 * BYTE_TIME
 
 
-def test_listening_ends_with_the_last_answer_that_is_waited_for(protocol: Protocol) -> None:
-    link = VirtualLink(Simulator(protocol, latency=30 * MS), BYTE_TIME)
-    link.do(Send(b"\0"))
-
-    heard = heard_of(link, 1, LONG)
-
-    assert heard == Received(((BYTE_TIME + 30 * MS, 0),), BYTE_TIME + 30 * MS)
-
-
 def test_listening_for_ever_ends_with_the_patience(protocol: Protocol) -> None:
     link = VirtualLink(Simulator(protocol), BYTE_TIME)
 
     assert heard_of(link, None, 7 * MS) == Received((), 7 * MS)
     assert heard_of(link, 1, 7 * MS) == Received((), 14 * MS)
-
-
-def test_what_is_there_is_heard_without_waiting(protocol: Protocol) -> None:
-    device = Simulator(protocol)
-    device.answer(5, 0)
-    link = VirtualLink(device, BYTE_TIME)
-
-    assert heard_of(link, None, 0) == Received(((0, 5),), 0)
-
-
-def test_what_was_heard_is_not_heard_again(protocol: Protocol) -> None:
-    link = VirtualLink(Simulator(protocol), BYTE_TIME)
-    link.do(Send(bytes(2)))
-
-    assert len(heard_of(link, None, MS).answers) == 2
-    assert heard_of(link, None, MS).answers == ()
 
 
 def test_a_time_out_happens_at_its_own_time_in_the_middle_of_a_wait(protocol: Protocol) -> None:
@@ -135,21 +110,6 @@ def test_a_look_shows_the_robot_as_it_is_then(protocol: Protocol) -> None:
     assert isinstance(after, Observation)
     assert (before.look.moving, after.look.moving) == (True, False)
     assert before.asked == before.now == before.look.t == 4 * BYTE_TIME
-
-
-def test_the_tap_hears_everything_in_order(protocol: Protocol) -> None:
-    tap = Noted()
-    link = VirtualLink(Simulator(protocol), BYTE_TIME, tap)
-
-    link.do(Send(b"\x20"))
-    link.do(Observe())
-    link.do(Listen(None, MS))
-
-    assert tap.notes == [
-        ("sent", b"\x20", 0),
-        ("received", b"\0", BYTE_TIME),
-        ("looked", False, BYTE_TIME),
-    ]
 
 
 def test_a_device_whose_deadline_does_not_advance_is_wrong_use(protocol: Protocol) -> None:
@@ -188,14 +148,6 @@ def talk(times: int) -> Procedure[list[int | str]]:
         except Ended as ended:
             got.append(str(ended))
     return got
-
-
-def test_a_script_gets_the_reply_to_each_ask_and_its_value_comes_out() -> None:
-    assert drive(talk(3), Echo(), lambda: False) == [1, 2, 3]
-
-
-def test_a_link_that_ends_is_told_to_the_script_where_it_asked() -> None:
-    assert drive(talk(3), Echo(ends_at=1), lambda: False) == [1, "gone", "gone"]
 
 
 def test_an_interrupt_is_told_once_and_before_the_next_ask_is_done() -> None:

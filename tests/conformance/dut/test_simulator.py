@@ -118,14 +118,6 @@ def test_bytes_that_come_after_the_deadline_begin_a_new_frame(protocol: Protocol
     assert device.advance(10 * TIMEOUT) == bytes([4, 0])
 
 
-def test_at_rest_nothing_is_due(protocol: Protocol) -> None:
-    device = Simulator(protocol)
-
-    assert device.deadline() is None
-    assert device.advance(10**12) == b""
-    assert shown(device) == RobotState("stopped", 0, 0, 0, False)
-
-
 @given(data=st.binary(max_size=60), cuts=st.lists(st.integers(0, 60), max_size=8))
 def test_how_bytes_are_cut_into_chunks_changes_nothing(
     protocol: Protocol, data: bytes, cuts: list[int]

@@ -33,7 +33,6 @@ from bilprov.spec.readings import POINTS
 from tests.support.faults import answers_with, late, made, reacting, sets, when
 from tests.support.robots import MS, CountingLink, new_run
 from tests.support.walking import at_frame
-from tests.vectors import READING_IDS
 
 PASS, INFORMATIONAL, NON_STRICT = Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT
 INCONCLUSIVE, FAIL = Verdict.INCONCLUSIVE, Verdict.FAIL
@@ -205,13 +204,6 @@ def test_with_pipelining_no_nothing_is_sent_ahead(protocol: Protocol) -> None:
 
     assert max(result.verdict for result in found.values()) is PASS
     assert not {i for i in found if i.startswith(("reading/pipelining", "reading/drain"))}
-
-
-def test_each_probe_names_its_reading(protocol: Protocol) -> None:
-    for case in reading_cases(protocol):
-        assert case.reading in READING_IDS, case.id
-    for point in POINTS.values():
-        assert point.reading in READING_IDS
 
 
 def test_who_cannot_look_probes_the_answers_alone(protocol: Protocol) -> None:

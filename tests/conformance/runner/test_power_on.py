@@ -18,7 +18,6 @@ from bilprov.spec.protocol import Protocol
 from tests.support.robots import (
     CountingLink,
     Hidden,
-    Notes,
     cases_of,
     new_run,
     simulated,
@@ -178,15 +177,6 @@ def test_one_code_among_the_first_answers_is_a_device_to_be_judged(protocol: Pro
     assert any(result.verdict is Verdict.FAIL for result in runner.run.results)
 
 
-def test_a_code_that_comes_after_the_first_answers_does_not_count(protocol: Protocol) -> None:
-    other = Other(protocol, b"\xff")
-    on_a_port(other, protocol)
-    last = other.said - protocol.longest_frame - 1  # before the stops that home it
-    runner = on_a_port(Other(protocol, b"\xff" * last + b"\x00" + b"\xff" * 99), protocol)
-
-    assert "none of the first 40 answers" in runner.unusable
-
-
 def test_a_device_object_is_judged_whatever_it_answers(protocol: Protocol) -> None:
     report = conform(Other(protocol, b"0"), grammar=protocol, options=FEW)
 
@@ -208,10 +198,3 @@ def test_a_slow_device_that_takes_too_long_is_told_so_and_no_group_left_out_pass
     alone = [r for r in left_out if group(r.id) not in judged]
     assert {r.verdict for r in alone} == {Verdict.INCONCLUSIVE}
     assert {r.verdict for r in left_out if r not in alone} == {Verdict.SKIPPED}
-
-
-def test_nothing_is_told_of_a_device_that_answers_in_time(protocol: Protocol) -> None:
-    notes = Notes()
-    conform(Simulator(protocol), grammar=protocol, options=FEW, listener=notes)
-
-    assert notes.told == []

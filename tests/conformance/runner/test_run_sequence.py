@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from bilprov.analyzer.client.operations import Listen, Observation, Operation, Received, Send
-from bilprov.captures.schemas import Look
+from bilprov.analyzer.client.operations import Listen, Observation, Operation, Received
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Fault, React, Simulator, answers
@@ -109,18 +107,6 @@ def test_in_a_burst_the_frame_that_was_answered_wrongly_is_named(
 
     assert found.wrong.burst == 1
     assert found.wrong.step.frame == bytes.fromhex(frames[place])
-
-
-def test_a_walk_ends_at_its_first_mismatch(protocol: Protocol) -> None:
-    case = hand_made(protocol, "30", "60", "70", setup=DRIVES)
-
-    link = run_over_device(protocol, at_frame("60", answers_with(1)), case).link
-
-    sent = [operation.data for operation in link.operations if isinstance(operation, Send)]
-
-    at = sent.index(b"\x81\x07")  # after the motions were seen
-    after = [frame for frame in sent[at:] if len(frame) < 16]
-    assert after == [bytes.fromhex(frame) for frame in ("81 07", "20", "30", "60")]
 
 
 def test_without_looks_a_burst_is_not_looked_at(protocol: Protocol) -> None:
@@ -412,34 +398,6 @@ def test_a_device_that_stops_late_is_judged_in_parts(protocol: Protocol) -> None
     assert found.result.axes["stop"].verdict is NON_STRICT
     assert found.result.axes["stop"].reading == "R-stop-latency"
     assert found.trial.expected.state.motion == Motion.ROTATE_RIGHT
-
-
-class Lagging(Simulator):
-    """Its probe tells what was so long ago."""
-
-    def __init__(self, protocol: Protocol, lag: int, fault: Fault | None = None) -> None:
-        self._past: deque[tuple[int, Look]] = deque()
-        self._lag = lag * MS
-        super().__init__(protocol, fault)
-
-    def receive(self, data: bytes, now: int) -> None:
-        self._past.append((now, super().look(now)))
-        super().receive(data, now)
-
-    def look(self, now: int) -> Look:
-        past = [look for t, look in self._past if t > now - self._lag]
-        return past[0] if past else super().look(now)
-
-
-def test_a_stop_that_is_seen_late_is_not_in_time_unless_the_link_lags_so(
-    protocol: Protocol,
-) -> None:
-    case = hand_made(protocol, "92 00 00", setup=DRIVES)
-
-    found = run_once(Lagging(protocol, 60), protocol, case)
-
-    assert found.result.axes["stop"].verdict is NON_STRICT
-    assert found.result.axes["stop"].reading == "R-stop-latency"
 
 
 # -- left alone -----------------------------------------------------------------------------------

@@ -34,19 +34,6 @@ def measured(protocol: Protocol, fault: Fault) -> tuple[Run, CaseResult]:
     return run, next(result for result in run.results if result.id == "timing/truncation-timeout")
 
 
-@pytest.mark.parametrize(
-    ("round_trip", "jitter", "settle"), [(None, 0, 2), (0.1, 0.2, 1), (1, 0.5, 1.5), (1, 8, 2)]
-)
-def test_what_is_under_way_is_waited_for_no_longer_than_the_line_asks_for(
-    protocol: Protocol, round_trip: float | None, jitter: float, settle: float
-) -> None:
-    run = new_run(protocol, timers=Timers(settle=2 * MS))
-    run.profile.round_trip = None if round_trip is None else int(round_trip * MS)
-    run.profile.jitter = int(jitter * MS)
-
-    assert run.waiting.settle == settle * MS
-
-
 def test_a_short_time_out_that_only_the_stop_shows_is_not_taken_for_a_longer_one(
     protocol: Protocol,
 ) -> None:

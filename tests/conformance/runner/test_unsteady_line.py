@@ -190,38 +190,6 @@ def test_a_device_that_stands_still_now_and_then_does_not_fail(
 # -- bytes that are changed, lost or doubled -------------------------------------------------------
 
 
-def test_both_directions_are_noisy_and_counted(protocol: Protocol) -> None:
-    device = NoisyDevice(Simulator(protocol), Noise(dropped=1.0), 1)
-    device.receive(b"\x00", 0)
-    assert device.advance(10_000_000) == b""
-    assert device.hurt == 1
-
-    class Talker(Simulator):
-        def advance(self, now: int) -> bytes:
-            return b"\x00"
-
-    device = NoisyDevice(Talker(protocol), Noise(doubled=1.0), 1)
-    assert device.advance(0) == b"\x00\x00"
-    assert device.hurt == 1
-
-
-def test_a_delay_holds_each_byte_up_in_both_directions(protocol: Protocol) -> None:
-    device = NoisyDevice(Simulator(protocol), Noise(), 1, delay=5_000_000)
-    device.receive(b"\x11", 0)
-    device.receive(b"\x7f", 1_000_000)
-
-    got = []
-    while (due := device.deadline()) is not None and due < 40_000_000:
-        got += [(due, code) for code in device.advance(due)]
-
-    (only,) = got
-    assert only[0] >= 11_000_000  # 5 ms there after the last byte, and 5 ms back
-    assert only[1] == 0
-    device.receive(b"\x20", 20_000_000)
-    assert not device.look(24_999_999).moving
-    assert device.look(25_000_001).moving
-
-
 def test_the_same_seed_is_the_same_run(protocol: Protocol) -> None:
     def run(seed: int) -> list[tuple[str, Verdict]]:
         device = NoisyDevice(Simulator(protocol), Noise(flipped=1e-3), seed)
