@@ -201,8 +201,10 @@ def suite_steps(
         for listener in everyone:
             listener.begin(ident)
 
+    judged: dict[str, CaseResult] = {}
+
     def end(result: CaseResult) -> None:
-        result = log.attached(result)
+        judged[result.id] = result = log.attached(result)
         for listener in everyone:
             listener.end(result)
 
@@ -212,7 +214,7 @@ def suite_steps(
 
     def interrupted() -> bool | str:
         why = target.interrupted()
-        for listener in everyone:
+        for listener in listeners:
             if listener.broken and not why:
                 why = str(listener.broken)
         if why:
@@ -255,7 +257,7 @@ def suite_steps(
         yield from steps(runner.execute(), link, interrupted)
         report = make_report(
             grammar,
-            [log.attached(result) for result in run.results],
+            [judged[result.id] for result in run.results],
             cases,
             run.profile,
             options,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import msgspec
@@ -37,14 +36,16 @@ class Trace(RunListener):
         self.events: list[Event] = []
         self.now = 0
         self._look: Look | None = None
+        self._facets: tuple[object, ...] = ()
 
     def done(self, operation: Operation | None, reply: Reply | Ended) -> None:
         """Keep one operation; a look that shows what the last one showed shares its memory."""
         self.now = reply if isinstance(reply, int) else getattr(reply, "now", self.now)
         if isinstance(reply, Observation):
-            if self._look is None or _facets(self._look) != _facets(reply.look):
-                self._look = reply.look
-            reply = replace(reply, look=self._look)
+            facets = msgspec.structs.astuple(reply.look)[1:]
+            if self._look is None or facets != self._facets:
+                self._look, self._facets = reply.look, facets
+            reply = Observation(reply.asked, reply.now, self._look)
         self.events.append(Done(operation, reply))
 
     def begin(self, ident: str) -> None:
@@ -54,7 +55,3 @@ class Trace(RunListener):
     def end(self, result: CaseResult) -> None:
         """A case is final."""
         self.events.append(Mark(result.id, over=True))
-
-
-def _facets(look: Look) -> tuple[object, ...]:
-    return msgspec.structs.astuple(look)[1:]

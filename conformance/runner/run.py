@@ -37,26 +37,16 @@ _NOISE = 2e-3  # of frames: an instruction and its answer, each doubled once in 
 
 
 class StrayAnswers:
-    """Collects stray and missing answers, and has `Run.conclude` publish a case for them.
+    """Collects stray and missing answers of a run, and has it publish a case for them.
 
     A single stray or lost byte may be noise on the line: inconclusive. A flood or repeated stray
-    answers are the device's failure, and so is a device that stops answering; on a `lossless` line
-    so is every one. `frames` tells how many frames were answered so far: the more there were, the
-    more of them noise may have doubled.
+    answers are the device's failure, and so is a device that stops answering; on a lossless line
+    so is every one. The more answers came so far, the more of them noise may have doubled.
     """
 
-    def __init__(
-        self,
-        protocol: Protocol,
-        conclude: Callable[..., None],
-        *,
-        lossless: bool = False,
-        frames: Callable[[], int] = lambda: 0,
-    ) -> None:
-        self._frames = frames
-        self._protocol = protocol
-        self._lossless = lossless
-        self._conclude = conclude
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._lossless = run.config.lossless
         self._strays: list[tuple[Answers, str]] = []
         self._stray = False
         self._lost = 0
@@ -65,7 +55,7 @@ class StrayAnswers:
         """Record answers, as (time in ns, code), that no instruction asked for."""
         came = tuple(answers)
         self._strays.append((came, reason))
-        many = len(self._strays) >= _SEVERAL + _NOISE * self._frames()
+        many = len(self._strays) >= _SEVERAL + _NOISE * self._run.answers
         if self._lossless or many or len(came) >= _STRAYS:
             self._end_strays(Verdict.FAIL)
 
@@ -95,9 +85,9 @@ class StrayAnswers:
                 self._silence(Verdict.INCONCLUSIVE, f"flaky: {reason}")
 
     def _silence(self, verdict: Verdict, reason: str) -> None:
-        case = case_of_the_run(self._protocol, "line/lost")
+        case = case_of_the_run(self._run.protocol, "line/lost")
         axis = Axis(verdict, "each instruction answered once", "no answer", reason)
-        self._conclude(case, {"answer": axis}, certain=True)
+        self._run.conclude(case, {"answer": axis}, certain=True)
 
     def _end_strays(self, verdict: Verdict) -> None:
         if self._stray:
@@ -110,10 +100,10 @@ class StrayAnswers:
         if verdict is not Verdict.FAIL:
             times = "once" if len(self._strays) == 1 else f"{len(self._strays)} times"
             reason = f"flaky, only {times} in the run: {reason}"
-        words = answer_words(self._protocol, tuple(code for _, code in came))
+        words = answer_words(self._run.protocol, tuple(code for _, code in came))
         axis = Axis(verdict, "no answer", words, reason, "R-unsolicited")
-        case = case_of_the_run(self._protocol, "line/unsolicited")
-        self._conclude(case, {"answer": axis}, came, came[0][0])
+        case = case_of_the_run(self._run.protocol, "line/unsolicited")
+        self._run.conclude(case, {"answer": axis}, came, came[0][0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,12 +253,7 @@ class Run:
         self.limit = TimeLimit(config.announced)
         self.followed: set[str] = set()
         self.results: list[CaseResult] = []
-        self.strays = StrayAnswers(
-            config.protocol,
-            self.conclude,
-            lossless=config.lossless,
-            frames=lambda: self.answers,
-        )
+        self.strays = StrayAnswers(self)
         sees = config.observability
         self._trusted = not sees.foreign
         self.looks = Looks(confirmed=sees.foreign and not sees.costly)

@@ -28,9 +28,9 @@ from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict, exit_code
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.retry import LONGEST_MINIMISED, Confirmed, confirm
-from bilprov.conformance.runner.run import Run, StrayAnswers
+from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import answers_with, drives_on, faulty, made, reacting, when
 from tests.support.robots import (
@@ -399,22 +399,8 @@ def test_on_a_line_that_was_flaky_before_more_failures_are_needed(protocol: Prot
 # -- stray answers ---------------------------------------------------------------------------------
 
 
-class Told:
-    """Stray answers, and what was published of them: ids, verdicts and reasons."""
-
-    def __init__(self, protocol: Protocol) -> None:
-        self.results: list[tuple[str, Verdict]] = []
-        self.reasons: list[str] = []
-        self.state = StrayAnswers(protocol, self._conclude)
-
-    def _conclude(self, case: Case, axes: dict[str, Axis], *_: object, **__: object) -> None:
-        self.results.append((case.id, axes["answer"].verdict))
-        self.reasons.append(axes["answer"].reason)
-
-
-@pytest.fixture
-def told(protocol: Protocol) -> Told:
-    return Told(protocol)
+def told(run: Run) -> list[tuple[str, Verdict]]:
+    return [(result.id, result.verdict) for result in run.results]
 
 
 @pytest.mark.parametrize(
@@ -432,30 +418,32 @@ def told(protocol: Protocol) -> Told:
     ],
 )
 def test_three_bytes_at_once_or_five_in_all_are_the_devices_and_fewer_may_be_the_lines(
-    told: Told,
+    protocol: Protocol,
     unasked: list[int],
     missing: list[int],
     keeps_all: bool,
     results: list[tuple[str, Verdict]],
     words: str,
 ) -> None:
+    run = new_run(protocol)
     for count in unasked:
-        told.state.unexpected([(number, 0) for number in range(count)], "came")
+        run.strays.unexpected([(number, 0) for number in range(count)], "came")
     for count in missing:
-        told.state.missing(count)
+        run.strays.missing(count)
     # What may be the line's is not told before the run is over: more may come.
-    assert told.results == [one for one in results if one[1] is FAIL]
+    assert told(run) == [one for one in results if one[1] is FAIL]
 
-    told.state.close(keeps_all=keeps_all)
+    run.strays.close(keeps_all=keeps_all)
 
-    assert told.results == results
-    assert all(words in reason for reason in told.reasons)
+    assert told(run) == results
+    assert all(words in result.reason for result in run.results)
 
 
-def test_a_device_that_stopped_answering_fails_and_that_is_all(told: Told) -> None:
-    told.state.missing(3)
-    told.state.silent("the device stopped answering")
-    told.state.close(keeps_all=True)
+def test_a_device_that_stopped_answering_fails_and_that_is_all(protocol: Protocol) -> None:
+    run = new_run(protocol)
+    run.strays.missing(3)
+    run.strays.silent("the device stopped answering")
+    run.strays.close(keeps_all=True)
 
-    assert told.results == [("line/lost", FAIL)]
-    assert told.reasons == ["the device stopped answering"]
+    assert told(run) == [("line/lost", FAIL)]
+    assert run.results[0].reason == "the device stopped answering"
