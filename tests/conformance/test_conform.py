@@ -6,24 +6,20 @@ import json
 import os
 import select
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from bilprov.analyzer.api import read_capture
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
 from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.conformance.api import Options, conform, planned, run_suite, select_cases
-from bilprov.conformance.cases.levels import CONDITIONAL_CASES
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
@@ -31,7 +27,6 @@ from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.commands import command, process
-from tests.support.messages import messages
 from tests.support.reports import timeless
 from tests.support.robots import (
     PATIENCE,
@@ -84,23 +79,6 @@ def test_the_report_is_pure_json_on_standard_output() -> None:
         assert {entry.kind for entry in case.log} >= ({"sent", "received"} if case.sent else set())
 
 
-def test_the_command_that_reproduces_a_case_does_so(tmp_path: Path) -> None:
-    file = tmp_path / "report.json"
-    arguments = ["conform", "sim", "--fault", "accepts-led-bit-3", "--only", "bad-data/LED/1?"]
-    command(*arguments, "--seed", "7", "--json", str(file))
-    failed = [case for case in report_of(file.read_bytes()).cases if case.verdict == "fail"]
-    words = failed[0].reproduce.replace("'", "").split()
-    assert words[0] == "bilprov"
-    if "--fault" not in words:
-        words += ["--fault", "accepts-led-bit-3"]
-
-    again = command(*words[1:], "--json", "-")
-
-    (found,) = [case for case in report_of(again.stdout).cases if case.verdict == "fail"]
-    assert found.id == failed[0].id
-    assert found.sent == failed[0].sent
-
-
 # -- choosing cases -------------------------------------------------------------------------------
 
 
@@ -112,15 +90,6 @@ OPENING = [
 
 
 # -- wrong use ------------------------------------------------------------------------------------
-
-
-def test_a_busy_address_is_one_sentence() -> None:
-    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
-        address = f"127.0.0.1:{taken.getsockname()[1]}"
-        result = command("simulate", "--listen", address)
-
-    assert result.returncode == 2
-    assert "in use" in sentence(result)
 
 
 @pytest.mark.parametrize("pty", [True, False])
@@ -207,33 +176,6 @@ def test_the_seed_is_reported_and_makes_the_run_the_same_again() -> None:
     assert report_of(runs[0]).seed == 9
     assert timeless(runs[0]) == timeless(runs[1])
     assert timeless(runs[0]) != timeless(runs[2])
-
-
-# -- recordings -----------------------------------------------------------------------------------
-
-
-def test_a_run_is_recorded_with_its_cases_and_looks_and_decodes_again(tmp_path: Path) -> None:
-    file, report_file = tmp_path / "run.mcap", tmp_path / "run.json"
-
-    result = command(
-        *("conform", "sim", *FEW, "--fault", "no-stop-on-unknown-id"),
-        *("--record", str(file), "--json", str(report_file)),
-    )
-
-    assert result.returncode == 1
-    report = report_of(report_file.read_bytes())
-    marks: list[Any] = list(messages(open_capture(file), {"/conformance/cases"}))
-    ended = {m.value["id"]: m.value["verdict"] for m in marks if m.value["phase"] == "end"}
-    assert ended == {case.id: case.verdict for case in report.cases}
-    begun = [m.value["id"] for m in marks if m.value["phase"] == "begin"]
-    assert len(begun) == len(set(begun))
-    assert set(ended) - set(begun) <= set(CONDITIONAL_CASES)  # nothing is sent for these
-    records = list(read_capture(file))
-    frames = b"".join(bytes.fromhex(r.value.hex) for r in records if isinstance(r, HostRecord))
-    assert all(bytes.fromhex("".join(case.sent)) in frames for case in report.cases)
-    answered = [r for r in records if isinstance(r, DeviceRecord)]
-    assert len(answered) == sum(isinstance(r, HostRecord) for r in records)
-    assert all(r.value.agrees for r in answered)
 
 
 # -- ends -----------------------------------------------------------------------------------------
@@ -326,27 +268,6 @@ def test_a_run_that_nohup_started_goes_on_without_its_terminal() -> None:
     assert code == report.exit != 1
     assert report.counts["pass"] > 10
     assert "interrupted" not in out
-
-
-# -- simulate -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("number", "pty"), [(signal.SIGINT, True), (signal.SIGTERM, False), (signal.SIGHUP, True)]
-)
-def test_the_simulator_serves_until_it_is_told_to_stop(number: signal.Signals, pty: bool) -> None:
-    with simulate(pty=pty) as robot:
-        assert robot.port.startswith("/dev/" if pty else "socket://127.0.0.1:")
-        assert robot.probe.startswith("tcp:127.0.0.1:")
-        assert robot.state() == {
-            "moving": False,
-            "motion": "stopped",
-            **dict.fromkeys(("speed", "steering", "led", "left", "right"), 0),
-        }
-        robot.process.send_signal(number)
-        out, err = robot.process.communicate(timeout=PATIENCE)
-
-    assert (robot.process.returncode, out, err) == (0, "", "")
 
 
 def test_a_recording_that_the_disk_cannot_take_ends_the_run_with_the_robot_at_rest(

@@ -12,7 +12,6 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from bilprov.analyzer.client import probes
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
@@ -262,15 +261,9 @@ WRONG = [
     (("--robot-port", "sim", "--robot-grammar", "none.py"), "none.py"),
     (("--robot-port", "/dev/no-such-port"), "/dev/no-such-port"),
     (("--robot-port", "sim", "--robot-baud", "0"), "baud is 0"),
-    (("--robot-port", "sim", "--robot-level", "huge"), "allowed are smoke, standard, deep"),
     (("--robot-port", "sim", "--robot-allow", "x=1"), "'x=1' cannot be allowed"),
-    (("--robot-level", "deep"), "--robot-level needs --robot-port"),
-    (("--robot-allow", "led-id=9"), "--robot-allow needs --robot-port"),
     (("--robot-port", "sim", "--setup-plan"), "no set-up to show"),
-    (("--robot-port", "sim", "--robot-probe", "none"), "brings its own probe"),
-    (("--robot-port", "emulator:simavr:none.elf"), "there is no firmware none.elf"),
     (("--robot-port", f"emulator:simavr:{__file__}"), "is not an ELF file"),
-    (("--robot-port", f"emulator:simavr:{__file__}", "--robot-probe", "ask"), "brings its own"),
     (("-p", "xdist", "--robot-port", "sim", "-n", "2"), "one port takes one process"),
 ]
 
@@ -463,14 +456,6 @@ def test_a_run_that_is_interrupted_leaves_the_robot_at_rest(
     assert "unused-id/15/15" not in rest
     assert "KeyboardInterrupt" in rest
     assert moving is False
-
-
-def test_the_help_names_each_kind_of_probe_that_needs_no_person(run: pytest.Pytester) -> None:
-    *forms, last = (kind.form for kind in probes.PROBES if not kind.asks)
-
-    told = " ".join(text(pytested(run, "--help")).split())
-
-    assert f"What sees a stop: {', '.join(forms)} or {last}; sim and emulators" in told
 
 
 # -- what it costs --------------------------------------------------------------------------------
