@@ -110,11 +110,19 @@ def bytes_names(protocol: Protocol) -> frozenset[str]:
 
 
 def find(protocol: Protocol, name: str) -> Field | None:
-    """The field of that name, in any case; None if there is none."""
+    """The field of that name, in any case; None if there is none.
+
+    What is spelled like a value is one: beside the field `speed`, `Speed` is an instruction.
+    """
     fields = fields_of(protocol)
-    if name in fields:
-        return fields[name]
+    if name in fields or name in _spelled(protocol):
+        return fields.get(name)
     return _by_folded(protocol).get(folded(name))
+
+
+@lru_cache(maxsize=8)
+def _spelled(protocol: Protocol) -> frozenset[str]:
+    return frozenset(word for each in fields_of(protocol).values() for word in each.words)
 
 
 @lru_cache(maxsize=8)

@@ -522,8 +522,8 @@ def _operand(rows: Columns, operand: tree.Operand) -> Column:
             return _constant(value)
         case tree.Name(key=key, place=place):
             return rows[key] if place is None else _item(rows[key], place)
-        case tree.Bits(left=left, right=right):
-            return _bits(_operand(rows, left), _operand(rows, right))
+        case tree.Bits(left=left, mask=mask):
+            return _bits(_operand(rows, left), mask)
 
 
 def _constant(value: float | str | bytes | frozenset[str]) -> Column:
@@ -544,16 +544,12 @@ def _item(column: Column, place: int) -> Column:
     return Numbers(value, column.size > place)
 
 
-def _bits(left: Column, right: Column) -> Numbers:
-    if not (isinstance(left, Numbers) and isinstance(right, Numbers)):
+def _bits(column: Column, mask: int) -> Numbers:
+    if not isinstance(column, Numbers):
         return NOTHING
-    return Numbers(_whole(left) & _whole(right), _both(left.present, right.present))
-
-
-def _whole(column: Numbers) -> NDArray[Any]:
-    """Whole numbers as an array whose bits can be joined with those of any other."""
     value = np.asarray(column.value)
-    return value if value.dtype == object else value.astype(np.int64)
+    whole = value if value.dtype == object else value.astype(np.int64)
+    return Numbers(whole & mask, column.present)
 
 
 def _both(left: Mask | None, right: Mask | None) -> Mask | None:

@@ -66,7 +66,7 @@ _TOKEN = re.compile(
     | (?P<number> [-+]? (?: 0[xX][\da-fA-F_]+ | 0[bB][01_]+
                           | (?: \d[\d_]* (?:\.\d+)? | \.\d+ ) (?: [eE][-+]?\d+ )? ) )
                   (?: (?P<unit> [^\W\d]\w* ) | \s+ (?P<apart> us|µs|μs|ms|s ) \b )?
-    | (?P<quoted> '(?:[^'\\]|\\.)*' | "(?:[^"\\]|\\.)*" )
+    | (?P<quoted> '[^']*' | "[^"]*" )
     | (?P<word>   [^\W\d]\w* (?: \.[^\W\d]\w* )* )
     | (?P<end>    $ )
     | (?P<wrong>  [^\w\s(){}\[\],'\"]+ | . )
@@ -75,7 +75,6 @@ _TOKEN = re.compile(
 )
 _OCTETS = re.compile(r"(?:0[xX])?(?:[\da-fA-F]{2})+(?:(?:\s+|[:-])(?:[\da-fA-F]{2})+)*(?!\w)")
 _HEX = re.compile(r"[\da-fA-F]{2}")
-_ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 
 _INSTEAD = {"=": "==", "is": "==", "eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">"}
 _INSTEAD |= {"ge": ">=", "|": "||", "matches": "contains"}
@@ -103,20 +102,6 @@ def instead_of(piece: str) -> str:
     """The end of a sentence about another language's sign or word for one; empty for all else."""
     meant = _INSTEAD.get(piece.lower())
     return f"is not a sign here, did you mean {meant}?" if meant else ""
-
-
-def unquoted(token: Part) -> Part:
-    """The text of a token in quotes; a backslash goes before a quote or a backslash.
-
-    Raises FilterError for any other escape, which would not be what it looks like.
-    """
-    inner = token.text[1:-1]
-    for escape in _ESCAPE.finditer(inner):
-        if escape[1] not in "\\'\"":
-            at = token.start + 1 + escape.start()
-            why = "means nothing here; a backslash goes before a quote or a backslash"
-            raise FilterError(f"{printable(escape[0])!r} {why}", at, at + 2)
-    return token._replace(text=_ESCAPE.sub(r"\1", inner))
 
 
 def octets_at(text: str, token: Part) -> Part:
@@ -296,7 +281,7 @@ class _Parser:
         if self._are_bytes(left, token) and not among:
             return self._octets(token)
         part = self._primary(sign, left)
-        while self._taken("&"):
+        if self._taken("&"):
             self._reach(True, part, "&")
             part = _around("bits", [part, self._primary("&", part)])
         return self._ranged(part, sign, left) if among else part
@@ -357,7 +342,7 @@ class _Parser:
         if token.kind in ("number", "moment"):
             return token
         if token.kind == "quoted":
-            return unquoted(token)
+            return token._replace(text=token.text[1:-1])
         if token.text == "(":
             return self._bracketed(token, sign, left)
         if token.kind:
@@ -401,13 +386,11 @@ class _Parser:
         elif instead_of(piece):
             why = f"{piece!r} {instead_of(piece)}"
         elif token.text == "&":
-            why = "'&' is for the bits of numbers, did you mean and?"
+            why = "'&' is for one name and its bits, like rgb & 4: did you mean and?"
         elif token.text == "..":
             why = "a range follows in, like t in 1s..2s"
         elif part and part.kind in ("compared", "and", "or", "not"):
-            unit = token.kind == "word" and self._text[: token.start].rstrip()[-1:].isdigit()
-            no_unit = ", which is not a unit (us, ms, s)" if unit else ""
-            why = f"'and' or 'or' is missing before {piece!r}{no_unit}"
+            why = f"'and' or 'or' is missing before {piece!r}"
         else:
             why = f"a sign like == or in, or else and, or, is missing before {piece!r}"
         raise FilterError(why, token.start, token.end)

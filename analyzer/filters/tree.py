@@ -28,10 +28,10 @@ class Name(NamedTuple):
 
 
 class Bits(NamedTuple):
-    """The bits that two whole numbers both have."""
+    """The bits that a whole number of the row has of a mask."""
 
-    left: Operand
-    right: Operand
+    left: Name
+    mask: int
 
 
 Operand: TypeAlias = Constant | Name | Bits

@@ -6,13 +6,12 @@ A value that the name can never have is a mistake, and so is a unit that does no
 from __future__ import annotations
 
 import math
-import re
 import time
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple, NoReturn
 
-from bilprov.analyzer.filters.fields import Field, Kind, Value, fields_of, find, folded
+from bilprov.analyzer.filters.fields import Field, Kind, Value, fields_of, find
 from bilprov.analyzer.filters.syntax import FilterError, Part, octets_of
 from bilprov.captures.text import near, printable
 from bilprov.spec.protocol import Protocol
@@ -21,13 +20,6 @@ SECOND = 1_000_000_000  # ns
 DAY = 86_400 * SECOND  # ns
 STEP = 900 * SECOND
 """Ns between the moments at which a time zone may change its offset: all do at a quarter."""
-
-_WRITTEN = re.compile(
-    r"(?:(?P<day>\d{4}-\d\d-\d\d)[T ]?)?"
-    r"(?:(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:\.(?P<part>\d{1,9}))?)?)?"
-    r"(?P<zone>Z|[+-]\d\d:?\d\d)?",
-    re.ASCII,
-)
 
 
 class Instant(NamedTuple):
@@ -40,27 +32,21 @@ class Instant(NamedTuple):
 def instant(text: str) -> Instant | None:
     """The moment that is written as `14:03:20`, `2026-11-22 14:03:20` or `2026-11-22`.
 
-    Minutes are enough, a fraction of a second has up to nine digits. A date is local, unless `Z` or
-    an offset like `+02:00` stands behind it. None for what is no moment.
+    Minutes are enough, and microseconds count. A date is local, unless `Z` or an offset like
+    `+02:00` stands behind it. None for what is no moment.
     """
-    match = _WRITTEN.fullmatch(text)
-    if match is None or not (match["day"] or match["hour"]):
-        return None
-    hour, minute, second = (int(match[name] or 0) for name in ("hour", "minute", "second"))
-    rest = int((match["part"] or "").ljust(9, "0"))
-    if hour > 23 or minute > 59 or second > 59:
-        return None
-    if match["day"] is None:
-        ns = (hour * 3600 + minute * 60 + second) * SECOND + rest
-        return None if match["zone"] else Instant(True, ns)
     from datetime import datetime
+    from datetime import time as clock
 
-    clock = f"{hour:02d}:{minute:02d}:{second:02d}"
     try:
-        since = datetime.fromisoformat(f"{match['day']}T{clock}{match['zone'] or ''}").timestamp()
+        if "-" in text[:5]:
+            since = datetime.fromisoformat(text).timestamp()
+            return Instant(False, round(since * 1e6) * 1000)
+        at = clock.fromisoformat(f"0{text}" if text[1:2] == ":" else text)
     except (ValueError, OverflowError, OSError):
         return None
-    return Instant(False, int(since) * SECOND + rest)
+    seconds = (at.hour * 60 + at.minute) * 60 + at.second
+    return None if at.tzinfo else Instant(True, seconds * SECOND + at.microsecond * 1000)
 
 
 @lru_cache(maxsize=4096)
@@ -114,10 +100,6 @@ def word(protocol: Protocol, part: Part, field: Field) -> Value:
     if part.kind not in TEXTS or not field.words:
         refuse_kind(protocol, part, field)
     meant = near(part.text, field.words)
-    others = owners(protocol, part.text)
-    if others and not meant:
-        known_of = " and ".join(others[:2])
-        refuse_part(part, f"is a value of {known_of} and not of {field.name}, so they never meet")
     hint = f"did you mean {meant}?" if meant else f"there are {listed(field)}"
     return refuse_part(part, f"is not a value of {field.name} in this grammar: {hint}")
 
@@ -125,11 +107,9 @@ def word(protocol: Protocol, part: Part, field: Field) -> Value:
 def _instant(part: Part) -> Instant:
     """The moment that a part stands for. Raises FilterError."""
     found = instant(part.text) if part.kind in ("moment", "quoted") else None
-    if found is not None:
-        return found
-    if part.kind == "number":
+    if found is None:
         refuse_part(part, "is not a time of day like 14:03:20; seconds since the start are t")
-    return refuse_part(part, "is not a time: write 14:03:20 or 2026-11-22 14:03:20")
+    return found
 
 
 def require_possible(field: Field, sign: str, number: float, part: Part) -> None:
@@ -137,28 +117,23 @@ def require_possible(field: Field, sign: str, number: float, part: Part) -> None
     low = -math.inf if field.low is None else field.low
     high = math.inf if field.high is None else field.high
     possible = {
+        "!=": True,
         "<": number > low,
         "<=": number >= low,
         ">": number < high,
         ">=": number <= high,
     }
-    if not possible.get(sign, low <= number <= high):
+    reached = low <= number <= high and (field.kind is not Kind.NUMBER or isinstance(number, int))
+    if not possible.get(sign, reached):
         reach = f"{field.low} or more" if field.high is None else f"{field.low} to {field.high}"
-        compared = f"{field.name} {sign} {shown(part)}"
-        refuse(part, f"{field.name} is {reach}, so {compared} never holds")
+        of = "a whole number" if field.low is None else reach
+        refuse(part, f"{field.name} is {of}, so {field.name} {sign} {shown(part)} never holds")
 
 
 def owners(protocol: Protocol, text: str) -> list[str]:
     """The names of which a word is a value, `name` first."""
     fields = sorted(fields_of(protocol).values(), key=lambda field: field.name != "name")
     return [field.name for field in fields if field.value_of(text) is not None]
-
-
-def only_a_value(protocol: Protocol, part: Part) -> bool:
-    """Whether a word is spelled like a value, and like a name of the row in another case only."""
-    if part.kind != "word" or part.text in fields_of(protocol):
-        return False
-    return any(part.text in field.words for field in fields_of(protocol).values())
 
 
 def whole_number(part: Part) -> int | None:
@@ -178,11 +153,11 @@ def _measured(part: Part, field: Field) -> float:
     power = UNITS.get(unit.text)
     if power is None:
         refuse_part(unit, "is not a unit of time; there are us, ms and s")
-    mantissa, _, exponent = part.text.lower().replace("_", "").partition("e")
-    if isinstance(plain, int):
-        mantissa, exponent = str(plain), ""
+    from decimal import Decimal
+
     # Read as one number: the nearest to it, as a row's time is the nearest to its nanoseconds.
-    return float(f"{mantissa}e{int(exponent or 0) + power}")
+    written = plain if isinstance(plain, int) else part.text.replace("_", "")
+    return float(Decimal(written).scaleb(power))
 
 
 def _number(part: Part) -> float:
@@ -225,14 +200,10 @@ def refuse_kind(protocol: Protocol, part: Part, field: Field) -> NoReturn:
 
 def refuse_unknown(protocol: Protocol, part: Part) -> NoReturn:
     """Refuse a word that is no name, and no value that fits. Raises FilterError."""
-    known = find(protocol, part.text)
+    fields, known = fields_of(protocol), find(protocol, part.text)
     if known is not None:
         refuse_part(part, f"is {kind_of(known)}, which does not fit here")
-    if folded(part.text) in UNITS:
-        refuse_part(part, "is a unit, which follows a number, like 20ms")
-    fields = fields_of(protocol)
-    known_of = owners(protocol, part.text)
-    if known_of:
+    if known_of := owners(protocol, part.text):
         refuse_part(part, f"is a value of {known_of[0]}, which does not fit here")
     meant = near(part.text, [*fields, *(w for field in fields.values() for w in field.words)])
     names = dict.fromkeys(name if "." not in name else f"{name.split('.')[0]}.*" for name in fields)
