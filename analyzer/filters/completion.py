@@ -22,18 +22,8 @@ class Completion(NamedTuple):
     says: str = ""
 
 
-# What was begun and can be gone on with: text in quotes, a word, a number, a sign.
-_BEGUN = re.compile(
-    r"""(?P<quoted> (?P<quote>['"]) (?P<inside>[^'"]*))
-      | (?P<word> (?: (?<![\w.]) | (?<=\.\.) ) [^\W\d][\w.]*)
-      | (?P<number> (?: (?<![\w.]) | (?<=\.\.) ) [-+]? (?: \d+(?:\.\d+)? | \.\d+)
-                    (?P<unit> [umµμs]*))
-      | (?P<sign> [=!|&])
-    """,
-    re.VERBOSE,
-)
+_BEGUN = re.compile(r"(?:(?<![\w.'\"])|(?<=\.\.))[^\W\d][\w.]*$")  # a word at the end
 _QUOTES = re.compile(r"'[^']*'|\"[^\"]*\"")
-_UNITS = {"us": "microseconds", "ms": "milliseconds", "s": "seconds"}
 _SIGNS = {
     "in": "is one of {1, 2} or 1..2",
     "contains": "has it inside",
@@ -48,41 +38,25 @@ def completions(text: str, cursor: int, protocol: Protocol) -> list[Completion]:
     kind may come, as behind `speed >`.
     """
     text = text[:cursor]
-    begun = _begun(text)
-    start = begun.start() if begun else len(text)
-    octets = bytes_names(protocol)
-    place = place_at_end(text[:start], octets)
-    if begun and begun["sign"] and place_at_end(text, octets):
-        begun, start, place = None, len(text), place_at_end(text, octets)
+    start = _begun(text)
+    place, same = place_at_end(text[:start], bytes_names(protocol)), folded(text[start:])
     if place is None:
         return []
-    if begun and begun["number"]:
-        unit, plain = begun["unit"], begun[0].removesuffix(begun["unit"])
-        units = [pair for pair in _units(place, protocol) if pair[0].startswith(unit)]
-        return [Completion(plain + found, start, says) for found, says in units]
-    quote, typed = _typed(begun)
-    same = folded(typed)
     # What joins needs a blank before it, what closes does not.
     blank = " " if not place.wanted and text[start - 1 : start].strip() else ""
     return [
-        Completion(f"{quote}{word}{quote}" if quote else _written(word, blank), start, says)
-        for word, says in _words(place, protocol, same, in_quotes=bool(quote))
+        Completion(_written(word, blank), start, says)
+        for word, says in _words(place, protocol, same)
         if folded(word).startswith(same)
     ]
 
 
-def _begun(text: str) -> re.Match[str] | None:
-    """What was begun at the end of a text, None if nothing was."""
+def _begun(text: str) -> int:
+    """Where the word begins that the text ends with; its end if that is none."""
     # Blanked out, what stands in quotes has neither quotes nor words, and the same length.
     blank = _QUOTES.sub(lambda quoted: "." * len(quoted[0]), text)
-    return next((found for found in _BEGUN.finditer(blank) if found.end() == len(text)), None)
-
-
-def _typed(begun: re.Match[str] | None) -> tuple[str, str]:
-    """The quote before what was begun, and what of it was typed."""
-    if begun is None:
-        return "", ""
-    return (begun["quote"], begun["inside"]) if begun["quoted"] else ("", begun[0])
+    begun = _BEGUN.search(blank)
+    return begun.start() if begun else len(text)
 
 
 def _written(word: str, blank: str) -> str:
@@ -92,23 +66,12 @@ def _written(word: str, blank: str) -> str:
     return word if word in (",", *CLOSING.values()) else blank + word
 
 
-def _units(place: Place, protocol: Protocol) -> Iterator[tuple[str, str]]:
-    """The units of a number at a place, each with what it says."""
-    field = _field(place.left, protocol)
-    if place.wanted and field is not None and field.kind is Kind.SECONDS:
-        yield from _UNITS.items()
-
-
-def _words(
-    place: Place, protocol: Protocol, typed: str, *, in_quotes: bool
-) -> Iterator[tuple[str, str]]:
+def _words(place: Place, protocol: Protocol, typed: str) -> Iterator[tuple[str, str]]:
     """The words that may stand at a place, each with what it says."""
     field = _field(place.left, protocol)
     if place.wanted and place.left is not None:
         if field is not None:
             yield from _values(field, place)
-    elif in_quotes:
-        return
     elif place.wanted:
         yield from _names(protocol, typed)
     elif place.listed:
