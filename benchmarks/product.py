@@ -17,7 +17,7 @@ from benchmarks.ceiling import MOTIONS, Judged
 from benchmarks.commands import bilprov_words
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.output.outputs import NoOutput, Shown
+from bilprov.analyzer.output.outputs import Output, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
@@ -101,7 +101,7 @@ def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], objec
     decoder = StreamDecoder(protocol, skew=0)
     statistics = Statistics()
     with Recorder(path, time.time_ns(), metadata(protocol)) as recorder:
-        shown = Shown(NoOutput())
+        shown = Shown(Output())
         pipeline = Pipeline(decoder, statistics, shown, recorder, patience=BATCH)
         pipeline.events([Line(0, "open")])
 

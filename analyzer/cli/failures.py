@@ -6,7 +6,6 @@ A Ctrl-C that the interpreter would ignore is sent again, so that it is reported
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import re
 import signal
@@ -63,9 +62,6 @@ def report(error: BaseException) -> int:
         say(str(error))
     elif isinstance(error, MemoryError):
         say("memory ran out: close other programs, raise its limit (ulimit -v), or ask for less")
-    elif isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
-        what = f"{error.filename} cannot be opened, because " if error.filename else ""
-        say(f"{what}too many files are open: close some, or raise the limit (ulimit -n)")
     elif isinstance(error, OSError) and error.strerror:  # a full disk
         say(f"{error.filename}: {error.strerror}" if error.filename else error.strerror)
     else:

@@ -14,7 +14,6 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import asked_here, flag, group, option, refuse
-from bilprov.analyzer.cli.settings import naming_file
 from bilprov.spec.errors import one_line
 
 if TYPE_CHECKING:
@@ -171,9 +170,8 @@ class RowOptions(msgspec.Struct, frozen=True):
                     "t in seconds since the start"
                 )
             return RowStyle()
-        with naming_file("columns"):
-            known = columns_of(protocol)
-            chosen = None if self.columns is None else chosen_columns(self.columns, known)
+        known = columns_of(protocol)
+        chosen = None if self.columns is None else chosen_columns(self.columns, known)
         if asked_here("time_style") and chosen and TIME not in chosen:
             raise click.UsageError(
                 f"--time {self.time_style} is how the column time is written: name it in --columns "
@@ -214,7 +212,7 @@ class ShownOptions(msgspec.Struct, frozen=True):
     )
     rows: RowOptions = group(RowOptions)
     count: int | None = option(type=click.IntRange(1), help="End after so many frames were shown.")
-    plain: bool = flag("Text lines on a terminal too: the same as --format lines.")
+    plain: bool = flag("Text lines on a terminal too, unless --format is given.")
     judged: bool = flag(
         "Judge the device by the traffic; coverage and violations are shown at the end.", "--judge"
     )
@@ -222,21 +220,14 @@ class ShownOptions(msgspec.Struct, frozen=True):
     def style(self, in_lines: str = "") -> Format:
         """The format that was chosen; `in_lines` is an option that does not go with the screen.
 
-        Raises UsageError for --plain or such an option with another format, or where there is no
-        terminal for a screen.
+        Raises UsageError where a screen is asked for and cannot be.
         """
         from bilprov.analyzer.output.outputs import has_terminal
 
-        if in_lines and self.format == "live":
-            raise click.UsageError(f"{in_lines} is shown in lines: leave out --format live")
-        if self.plain and self.format not in (None, "lines"):
+        if self.format == "live" and (in_lines or not has_terminal()):
             raise click.UsageError(
-                f"--plain is --format lines: give it or --format {self.format}, not both"
-            )
-        if self.format == "live" and not has_terminal():
-            raise click.UsageError(
-                "--format live needs a terminal to show a screen on and to take keys from; for a "
-                "pipe use --format lines"
+                "--format live needs a terminal to show a screen on and to take keys from; it does "
+                "not go with --to or --judge: use --format lines"
             )
         return self.format or ("lines" if self.plain or in_lines or not has_terminal() else "live")
 
@@ -257,8 +248,7 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
         return None
     from bilprov.analyzer.filters.filter import compile_filter
 
-    with naming_file("expression"):
-        return compile_filter(expression, protocol)
+    return compile_filter(expression, protocol)
 
 
 def note(sentence: str) -> None:

@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
-from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, note_each, text_format_option
+from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, text_format_option
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.output.console import show, show_json, table
 from bilprov.captures.text import escape_controls, printable
@@ -40,8 +40,8 @@ def ports(options: PortsOptions) -> int:
       bilprov ports /dev/ttyUSB0
       bilprov ports /dev/ttyUSB0 /dev/ttyUSB1
 
-    The list has each port's adapter and who holds it. USB adapters and boards are marked with a
-    star. The latency is how long an adapter holds bytes back.
+    The list has each port's adapter and who holds it; programs of other users only sudo shows. USB
+    adapters and boards are marked with a star. The latency is how long an adapter holds bytes back.
 
     A PORT is a path or a pyserial URL. For each, the command reports what keeps it from being used,
     and prints the one command that fixes it. Two PORTs are two taps, the host's and the device's:
@@ -99,7 +99,6 @@ def _list(*, as_json: bool) -> None:
             "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
             "bilprov simulate"
         )
-    note_each([unseen(found)])
 
 
 _BY_ID = "/dev/serial/by-id"
@@ -137,15 +136,6 @@ def drawn(found: Sequence[PortInfo]) -> Iterator[RenderableType]:
 def _device(port: PortInfo) -> str:
     serial = f"serial {port.serial_number}" if port.serial_number else ""
     return ", ".join(part for part in (port.description, serial) if part)
-
-
-def unseen(found: Sequence[PortInfo]) -> str:
-    """A sentence where other users' processes could not be looked into, else ""."""
-    count = max((port.unseen for port in found), default=0)
-    if not count:
-        return ""
-    which = "1 process of another user" if count == 1 else f"{count} processes of other users"
-    return f"{which} could not be examined: sudo shows every program that holds a port"
 
 
 def _require_ports(names: Sequence[str]) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -196,14 +195,3 @@ def is_setting(ctx: click.Context | None, parameter: click.Parameter | str | Non
 def as_set() -> str:
     """The words for the place of a setting."""
     return f"as set in {printable(user_file())}"
-
-
-@contextmanager
-def naming_file(parameter: str) -> Iterator[None]:
-    """Add the settings file to the error about a parameter's value that is from there."""
-    try:
-        yield
-    except UserError as error:
-        if is_setting(click.get_current_context(), parameter):
-            raise SettingsError(f"{error}, {as_set()}") from error
-        raise

@@ -35,7 +35,7 @@ from bilprov.analyzer.decode.stream import StreamDecoder, preload
 from bilprov.analyzer.grammar_file import not_carried
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
-from bilprov.analyzer.output.outputs import NoOutput, Shown, TextQueue, opened_output
+from bilprov.analyzer.output.outputs import Output, Shown, TextQueue, opened_output
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.recorder import (
@@ -55,7 +55,6 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import said_of_parts
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import quantity
-from bilprov.captures.wall_clock import EARLIEST, LATEST
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
@@ -168,8 +167,6 @@ def sniff(options: SniffOptions) -> int:
         source = stack.enter_context(opened)
         note_hindrances(*source.names.values())
         timeout = above_latency(timeout, *source.names.values())
-        if path and source.start_wall in (EARLIEST, LATEST):
-            note("the clock of this computer is set to before 1970 or after 2262: set it right")
         decoding: SessionSettings = {
             "timeout": timeout,
             "heard": source.heard,
@@ -217,7 +214,7 @@ def sniff(options: SniffOptions) -> int:
 
         queue, broken = None, None
         if quiet:
-            lost = listened(Shown(NoOutput(), test, options.shown.count), BATCH, say)
+            lost = listened(Shown(Output(), test, options.shown.count), BATCH, say)
         elif style == "live":
             from bilprov.analyzer.screen.browser import Told
             from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput

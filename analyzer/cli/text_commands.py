@@ -11,7 +11,6 @@ import msgspec
 from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
 from bilprov.analyzer.cli.options import request_option, sender_option, text_format_option
 from bilprov.analyzer.output.console import show_as
-from bilprov.captures.text import near
 
 
 class ExplainOptions(msgspec.Struct, frozen=True):
@@ -78,14 +77,6 @@ def encode(options: EncodeOptions) -> None:
     from bilprov.analyzer.cli.typed_input import encoded
     from bilprov.spec.codec import spaced
 
-    for word in (options.name, *options.values):
-        if word.startswith("-") and not word[1:2].isdigit():
-            known = ["--raw", "--help", "--grammar"]
-            if word in known:
-                raise click.UsageError(
-                    f"{word} stands behind --, where all words are values; put it before --"
-                )
-            raise click.NoSuchOption(word, possibilities=[near(word, known) or known[0]])
     frame = _or_sentence(encoded, protocol_in_use(), options.name, options.values)
     if options.raw:
         sys.stdout.buffer.write(frame)

@@ -103,11 +103,7 @@ def _values(protocol: Protocol, spec: InstructionSpec, words: Sequence[str]) -> 
     takes = _takes(protocol, spec) or _NOTHING
     bare = [word for word in words if "=" not in word]
     if len(bare) > len(fields):
-        more = zip(parts.values(), bare[len(fields) :], strict=False)
-        hint = " ".join(f"{part.name}={word}" for part, word in more)
-        raise ValueError(
-            f"{spec.name} takes {takes}; got {' '.join(words)}{hint and f', write {hint}'}"
-        )
+        raise ValueError(f"{spec.name} takes {takes}; got {' '.join(words)}")
     values: dict[str, Any] = {}
     for name, word in [
         *((part.name, word) for part, word in zip(fields, bare, strict=False)),

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.filters.fields import Kind, fields_of
-from bilprov.analyzer.output.outputs import NoOutput, Shown, Window, opened_output
+from bilprov.analyzer.output.outputs import Output, Shown, Window, opened_output
 from bilprov.analyzer.output.row_columns import (
-    AS_USUAL,
     COLUMNS,
     Column,
     RowStyle,
@@ -45,11 +44,11 @@ class Chosen(NamedTuple):
     test: Filter | None
     window: Window
     progress: Progress
-    rows: RowStyle = AS_USUAL
+    rows: RowStyle = RowStyle()
 
     def batches(self) -> Iterator[Batch]:
         """Yield the rows. Raises CaptureError if the capture cannot be read."""
-        shown = Shown(NoOutput(), self.test, window=self.window)
+        shown = Shown(Output(), self.test, window=self.window)
         opened = opened_whole(self.capture, self.protocol)
         batches = opened.decoded(self.progress, self.window, TEXT_BATCH)
         return map(shown.show, batches)

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Literal, Protocol, TextIO
+from typing import TYPE_CHECKING, Literal, TextIO
 
 import msgspec
 
@@ -28,33 +28,36 @@ if TYPE_CHECKING:
     from bilprov.analyzer.output.row_columns import RowStyle
 
 
-class JsonText:
-    """Renders records as JSON lines, each with its newline; see `json_lines`."""
-
-    def text(self, records: Iterable[Record]) -> str:
-        """The lines of the records; a record without a line gives none."""
-        return encode_lines(json_lines(records)).decode()
+def json_text(records: Iterable[Record]) -> str:
+    """JSON lines, each with its newline; see `json_lines`. A record without a line gives none."""
+    return encode_lines(json_lines(records)).decode()
 
 
 Format = Literal["live", "lines", "jsonl", "csv"]
 
 
-class TextForm(Protocol):
-    """A form of text for records."""
+class Output:
+    """Takes the decoded batches once, in order, and is informed of the time; shows nothing."""
 
-    def text(self, records: Iterable[Record], /) -> str:
-        """The lines of the records, each with its end."""
+    def show(self, batch: Batch) -> None:
+        """Show a batch."""
+
+    def tick(self, now: int) -> None:
+        """Let time pass to `now` (ns since the start)."""
 
 
-class StreamOutput:
+class StreamOutput(Output):
     """Writes records as lines of text, those that come together in one piece.
 
-    `write` takes the text and sees to it that it gets out.
+    `write` takes the text and sees to it that it gets out; `text` makes the lines, each with its
+    end.
     """
 
-    def __init__(self, write: Callable[[str], object], form: TextForm) -> None:
+    def __init__(
+        self, write: Callable[[str], object], text: Callable[[Iterable[Record]], str]
+    ) -> None:
         self._write = write
-        self._form = form
+        self._text = text
 
     def show(self, batch: Batch) -> None:
         """Print the lines of all records of a batch."""
@@ -62,32 +65,12 @@ class StreamOutput:
 
     def records(self, records: Sequence[Record]) -> None:
         """Print the lines of the records."""
-        if text := self._form.text(records):
+        if text := self._text(records):
             self._write(text)
 
     def tick(self, now: int) -> None:
         """Notice, also while nothing is to be shown, that nobody reads any more."""
         self._write("")
-
-
-class NoOutput:
-    """Shows nothing."""
-
-    def show(self, batch: Batch) -> None:
-        """Show nothing."""
-
-    def tick(self, now: int) -> None:
-        """Nothing waits here."""
-
-
-class Output(Protocol):
-    """Takes the decoded batches once, in order (`show`), and is informed of the time (`tick`)."""
-
-    def show(self, batch: Batch, /) -> None:
-        """Show a batch."""
-
-    def tick(self, now: int, /) -> None:
-        """Let time pass to `now` (ns since the start)."""
 
 
 def write_out(text: str) -> None:
@@ -108,9 +91,9 @@ def stream_output(
     times (ns since the start), if it is not in seconds.
     """
     if style == "jsonl":
-        return StreamOutput(write, JsonText())
+        return StreamOutput(write, json_text)
     colour, width = _wants_colour(sys.stdout), hex_width(protocol)
-    return StreamOutput(write, LineRenderer(colour=colour, time=time, width=width))
+    return StreamOutput(write, LineRenderer(colour=colour, time=time, width=width).text)
 
 
 def opened_output(
@@ -131,12 +114,12 @@ def opened_output(
         columns = rows.columns or usual_columns(protocol, time=rows.time is not None)
         form = CsvText(columns, times)
         write(form.header)
-        return StreamOutput(write, form)
+        return StreamOutput(write, form.text)
     if style == "lines" and rows.columns:
         from bilprov.analyzer.output.row_columns import ColumnLines
 
         colour = _wants_colour(sys.stdout)
-        return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour))
+        return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour).text)
     return stream_output(style, protocol, write, times.padded if rows.time else None)
 
 

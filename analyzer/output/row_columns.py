@@ -363,21 +363,6 @@ class RowStyle:
         return Times(self.time or TimeStyle.RELATIVE, start_wall)
 
 
-AS_USUAL = RowStyle()
-"""Nothing was asked for."""
-
-
-def cells(line: JsonLine, columns: Sequence[Column], times: Times) -> list[str]:
-    """The texts of a row for people, one for each column; safe for a terminal, not padded.
-
-    A column `time` makes the row the one before the next, as the style `delta` needs it.
-    """
-    return [
-        times.shown(nanoseconds(line.t)) if column is TIME else column.text(column.value(line))
-        for column in columns
-    ]
-
-
 class ColumnLines:
     """Renders records as lines of chosen columns; what has no row has no line.
 
@@ -397,15 +382,19 @@ class ColumnLines:
         )
 
     def _line(self, record: Record, line: JsonLine) -> str:
+        cells = (self._cell(line, column) for column in self._columns)
         padded = (
             cell.rjust(width) if column.right else cell.ljust(width)
-            for cell, width, column in zip(
-                cells(line, self._columns, self._times), self._widths, self._columns, strict=True
-            )
+            for cell, width, column in zip(cells, self._widths, self._columns, strict=True)
         )
         text = "  ".join(padded).rstrip()
         severity = severity_of(record)
         return f"{painted(text, severity) if self._colour and severity else text}\n"
+
+    def _cell(self, line: JsonLine, column: Column) -> str:
+        if column is TIME:  # which makes the row the one before the next, as `delta` needs it
+            return self._times.shown(nanoseconds(line.t))
+        return column.text(column.value(line))
 
 
 _FRONT = ("t", "direction", "kind", "hex", "name")

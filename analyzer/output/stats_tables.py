@@ -50,7 +50,7 @@ def means(values: Sequence[float], most: int) -> list[float]:
 
 _SPARK = 36  # columns of a sparkline
 _BAR = 36  # columns of the longest bar
-_FEWEST = 4  # counts by time that are worth a sparkline
+FEWEST = 4  # counts by time that are worth a sparkline
 
 
 def drawn(stats: Json, *, moves: bool) -> Iterator[RenderableType]:
@@ -72,7 +72,7 @@ def drawn(stats: Json, *, moves: bool) -> Iterator[RenderableType]:
 def _part(title: str, counts: Json, file: Json | None, *, moves: bool) -> Iterator[RenderableType]:
     yield heading(title)
     yield facts(_about(counts, file, moves=moves))
-    if file and file["rates"] and len(file["rates"]["frames"]) >= _FEWEST:
+    if file and file["rates"] and len(file["rates"]["frames"]) >= FEWEST:
         yield from _rates(counts, file["rates"])
     yield from _instructions(counts)
     yield from _responses(counts)

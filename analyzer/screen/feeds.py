@@ -15,7 +15,7 @@ from threading import Event
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from bilprov.analyzer.decode.batch import Batch, Records
-from bilprov.analyzer.output.outputs import NoOutput, Shown, Window
+from bilprov.analyzer.output.outputs import Output, Shown, Window
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.replay.capture_decoding import (
     WHOLE,
@@ -164,7 +164,7 @@ def _followed(opened: Opened, stopped: Event) -> Iterator[Batch]:
 
 
 @dataclass
-class ScreenOutput(NoOutput):
+class ScreenOutput(Output):
     """Adds decoded batches to the recording of a feed, and takes the rates ten times a second.
 
     Rows are let go that are older than what a spool still has, and where the recording takes more

@@ -25,7 +25,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.export.rows import NoPyarrow, write_parquet, write_text
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.output.outputs import JsonText, Shown, StreamOutput, Window, stream_output
+from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window, json_text, stream_output
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.capture_decoding import (
@@ -59,7 +59,7 @@ def sniffed(capture: Capture, protocol: Protocol) -> str:
     """The JSON lines of the events as they come, as `sniff` shows them."""
     text: list[str] = []
     decoder = StreamDecoder(protocol, **capture_settings(capture, protocol))
-    shown = Shown(StreamOutput(text.append, JsonText()))
+    shown = Shown(StreamOutput(text.append, json_text))
     pipeline = Pipeline(decoder, Statistics(), shown, patience=5 * MS)
     for event in capture.events():
         pipeline.events([event])
@@ -182,7 +182,7 @@ def shown(
     """What a pipeline shows as JSON lines, and what was counted in the end."""
     text: list[str] = []
     test = None if expression is None else compile_filter(expression, protocol)
-    output = StreamOutput(text.append, JsonText())
+    output = StreamOutput(text.append, json_text)
     statistics = Statistics()
     pipeline = Pipeline(
         StreamDecoder(protocol),
@@ -204,7 +204,7 @@ def shown(
 @pytest.mark.parametrize("busy", [False, True])
 def test_a_busy_line_is_decoded_ten_times_a_second(protocol: Protocol, busy: bool) -> None:
     text: list[str] = []
-    shown = Shown(StreamOutput(text.append, JsonText()))
+    shown = Shown(StreamOutput(text.append, json_text))
     pipeline = Pipeline(StreamDecoder(protocol), Statistics(), shown)
     pipeline.busy = busy
     first, answer = conversation([(b"\0", b"\0")], latency=50 * MS)

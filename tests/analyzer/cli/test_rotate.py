@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.output.outputs import NoOutput, Shown
+from bilprov.analyzer.output.outputs import Output, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, Rotation
@@ -170,7 +170,7 @@ def both(tmp_path_factory: pytest.TempPathFactory, protocol: Protocol) -> tuple[
     for folder, rotation in ((one, None), (several, Rotation(age=400 * MS))):
         decoder = StreamDecoder(protocol, timeout=50 * MS, skew=0)
         with Recorder(folder / NAME, START, metadata, rotation) as recorder:
-            pipeline = Pipeline(decoder, Statistics(), Shown(NoOutput()), recorder)
+            pipeline = Pipeline(decoder, Statistics(), Shown(Output()), recorder)
             for event in talk.events:
                 pipeline.events([event])
             pipeline.finish()

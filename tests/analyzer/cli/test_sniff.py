@@ -328,24 +328,6 @@ def test_the_capture_is_finished_though_nobody_reads_the_text(path: Path) -> Non
     assert out.endswith(b"}\n")
 
 
-WRONG_CLOCK = """
-import sys, time
-time.time_ns = lambda: -3_600 * 10**9
-import bilprov
-bilprov.main(sys.argv[1:])
-"""
-
-
-def test_a_clock_before_1970_is_noted_and_the_capture_begins_there(path: Path) -> None:
-    with open_pty() as host:
-        words = ("sniff", host.name, "-w", str(path), "--duration", "0.1")
-        result = commands.process(*words, code=WRONG_CLOCK)
-
-    assert result.returncode == 0
-    assert b"the clock of this computer is set to before 1970 or after 2262" in result.stderr
-    assert open_capture(path).start == 0
-
-
 @pytest.mark.parametrize(
     ("zeros", "note"),
     [

@@ -17,7 +17,7 @@ import pytest
 from rich.console import Console
 
 from bilprov.analyzer.cli.failures import interrupts_kept
-from bilprov.analyzer.cli.ports import drawn, unseen
+from bilprov.analyzer.cli.ports import drawn
 from bilprov.analyzer.transport.machine import Process
 from bilprov.analyzer.transport.ports import PortInfo
 from tests.support import ROOT
@@ -74,11 +74,6 @@ def test_ports_fit_80_columns_and_hold_every_fact() -> None:
         assert word in shown
     assert "\x1b" not in shown
     assert max(len(line) for line in shown.splitlines()) <= 80
-
-
-def test_ports_say_whose_processes_they_could_not_look_into() -> None:
-    assert unseen(PORTS).startswith("3 processes of other users could not be examined")
-    assert unseen(PORTS[:1]) == ""
 
 
 # -- spec show -------------------------------------------------------------------------------------

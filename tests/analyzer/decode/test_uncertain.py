@@ -24,7 +24,7 @@ from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.output.outputs import JsonText
+from bilprov.analyzer.output.outputs import json_text
 from bilprov.analyzer.output.row_columns import CsvText, Times, usual_columns
 from bilprov.analyzer.output.text_lines import LineRenderer
 from bilprov.analyzer.replay import target as of_target
@@ -64,7 +64,7 @@ def test_a_frame_that_only_silence_ends_is_uncertain_wherever_it_is_shown() -> N
     texts = [(one.label, one.text) for one in details(MODBUS, odd, state=False)]
     assert ("uncertain", SILENT_END) in texts
     assert "uncertain" not in [one.label for one in details(MODBUS, whole, state=False)]
-    first, second = map(json.loads, JsonText().text([odd, whole]).splitlines())
+    first, second = map(json.loads, json_text([odd, whole]).splitlines())
     assert (first["uncertain"], "uncertain" in second) == (True, False)
     assert [row["uncertain"] for row in rows(MODBUS, [odd, whole])] == ["true", ""]
     chosen = compile_filter("'uncertain' in reason", MODBUS).selection(Records([odd, whole]))
@@ -83,7 +83,7 @@ def test_an_answer_that_only_silence_ends_is_uncertain() -> None:
     assert one.uncertain
     assert msgspec.to_builtins(one.value)["uncertain"] is True
     assert one.reason.endswith(SILENT_END)
-    line = json.loads(JsonText().text([one]))
+    line = json.loads(json_text([one]))
     assert line["uncertain"] is True
     assert line["faults"] == ["damaged answer"]
 

@@ -10,7 +10,7 @@ import pytest
 
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
-from bilprov.analyzer.output.outputs import JsonText, NoOutput, Shown, StreamOutput, Window
+from bilprov.analyzer.output.outputs import Output, Shown, StreamOutput, Window, json_text
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import opened_at, paced
@@ -46,7 +46,7 @@ def made(
         pipeline = Pipeline(
             decoder,
             Statistics(),
-            Shown(NoOutput()),
+            Shown(Output()),
             recorder,
             PassiveJudge(protocol, paired=True, attached=attached) if judged else None,
             patience=draw.choice([0, 50 * MS]),
@@ -88,7 +88,7 @@ def lines(path: Path, protocol: Protocol, start: int, *, seek: bool) -> list[str
     pipeline = Pipeline(
         opened.decoder,
         Statistics(),
-        Shown(StreamOutput(text.append, JsonText()), window=Window(start)),
+        Shown(StreamOutput(text.append, json_text), window=Window(start)),
     )
     for event in opened.events():
         pipeline.events([event])
