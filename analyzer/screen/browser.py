@@ -7,7 +7,6 @@ import shlex
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import UTC
 from functools import partial
 from typing import Any, ClassVar
 
@@ -22,20 +21,14 @@ from textual.widgets import Input, Static
 from textual.worker import Worker, get_current_worker
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord
-from bilprov.analyzer.filters.completion import Completion, completions
+from bilprov.analyzer.filters.completion import completions
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.grammar_file import grammar_words
-from bilprov.analyzer.output.row_columns import (
-    Column,
-    RowStyle,
-    TimeStyle,
-    chosen_columns,
-    columns_of,
-)
+from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle
 from bilprov.analyzer.replay.recorder import new_name
 from bilprov.analyzer.screen.details import FieldTree
 from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
-from bilprov.analyzer.screen.frame_list import OWN, SHOWN_ONLY, FrameList
+from bilprov.analyzer.screen.frame_list import FrameList
 from bilprov.analyzer.screen.keys import ALIASES, BINDINGS, Help
 from bilprov.analyzer.screen.panes import figures, head_line, picture, status_line
 from bilprov.analyzer.screen.prompt import REFUSAL, Prompt, Question, row_of
@@ -47,6 +40,7 @@ from bilprov.spec.codec import spaced
 _SOON = 20_000  # rows that are filtered at once; more take a worker
 _FIGURES_EVERY = 0.5  # s
 _DRAWING_SHARE = 0.05  # of the time, at most, that drawing what comes may take
+_LONGEST_LAG = 1.0  # s that rows wait to be drawn, however long that takes
 _SIDE_FROM = 110  # columns from which on the predicted state is drawn
 _FAULTS = "faulty"
 _STYLES: dict[TimeStyle, str] = {
@@ -141,7 +135,7 @@ class Browser(App[str | None]):
 
     def on_mount(self) -> None:
         """Begin."""
-        self.frames.focus()
+        self.screen.set_focus(self.frames)  # at once: what was typed ahead may be a filter
         self.car.display = bool(self._recording.protocol.variables)
         if self._recording.rows:  # the first page is not to wait for the rest
             self.call_after_refresh(self.feed.start)
@@ -200,7 +194,7 @@ class Browser(App[str | None]):
         Who reads a line needs the time; what keys ask for is drawn at once all the same.
         """
         now, used = time.monotonic(), time.thread_time()
-        if now - self._drawn_at < (used - self._used_at) / _DRAWING_SHARE:
+        if now - self._drawn_at < min((used - self._used_at) / _DRAWING_SHARE, _LONGEST_LAG):
             return False
         self._drawn_at, self._used_at = now, used
         return True
@@ -414,10 +408,9 @@ class Browser(App[str | None]):
 
     def action_go(self) -> None:
         """Ask for a row or a time, and go there."""
-        zone = UTC if self.frames.time_style is TimeStyle.UTC else None
-        row = partial(
-            row_of, start_wall=self.told.start_wall, zone=zone, row_at=self._recording.row_at
-        )
+        utc = self.frames.time_style is TimeStyle.UTC
+        start, row_at = self.told.start_wall, self._recording.row_at
+        row = partial(row_of, start_wall=start, utc=utc, row_at=row_at)
         self._ask(Question("go to :", f"{REFUSAL}; Esc goes back", row, self._go_to))
 
     def _go_to(self, row: int) -> None:
@@ -441,22 +434,6 @@ class Browser(App[str | None]):
         if self.follows:
             self.frames.held = None
         self.show_rows()
-
-    def action_mark(self) -> None:
-        """Mark the chosen row, or take its mark away."""
-        row = self.frames.row
-        if row is not None:
-            self.frames.marks ^= {row}
-            self.frames.changed()
-
-    def action_next_mark(self) -> None:
-        """Go to the next mark; after the last one, to the first."""
-        row = self.frames.row
-        marks = sorted(mark for mark in self.frames.marks if mark >= self._recording.first)
-        if row is None or not marks:
-            self._say("no row is marked: m marks one")
-            return
-        self._go_to(next((mark for mark in marks if mark > row), marks[0]))
 
     def action_times(self) -> None:
         """Show times in the next style."""
@@ -489,34 +466,10 @@ class Browser(App[str | None]):
         else:
             self._say("there is no frame to copy in this row")
 
-    def action_columns(self) -> None:
-        """Ask which columns are shown."""
-        known = OWN | columns_of(self._recording.protocol) | OWN
-
-        def choose(chosen: tuple[Column, ...]) -> None:
-            self.frames.columns = None if chosen in ((), tuple(OWN.values())) else chosen
-            self.frames.changed()
-
-        def ways_on(text: str, at: int) -> list[Completion]:
-            start = text.rfind(",", 0, at) + 1
-            named = (column for name, column in known.items() if name.startswith(text[start:at]))
-            return [Completion(column.name, start, column.says) for column in named]
-
-        question = Question(
-            "columns",
-            "names with commas between, as for --columns; Tab completes, Esc goes back",
-            lambda text: chosen_columns(text, known) if text else (),
-            choose,
-            ways_on,
-        )
-        shown = ",".join(column.name for column in self.frames.columns or OWN.values())
-        self._ask(question, shown, replaced=True)
-
     def action_export(self) -> None:
         """Ask for a file, and write the rows of the view into it."""
-        frames, view = self.frames, self.frames.view
-        columns = tuple(c for c in frames.columns or () if c.name not in SHOWN_ONLY) or None
-        style = RowStyle(frames.time_style if columns else None, columns)
+        view, columns = self.frames.view, self.told.rows.columns
+        style = RowStyle(self.frames.time_style if columns else None, columns)
 
         def write(name: str) -> None:
             work = partial(

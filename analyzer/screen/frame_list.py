@@ -19,7 +19,7 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, TimeStyle
 from bilprov.analyzer.output.text_lines import hex_width
 from bilprov.analyzer.screen.recording import Recording, View
-from bilprov.analyzer.screen.signs import CUT, MARK, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
+from bilprov.analyzer.screen.signs import CUT, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
 from bilprov.captures.text import printable
 from bilprov.spec.fields import Outcome
 
@@ -30,8 +30,6 @@ WHAT = Column("what", "what", 36, "the frame or the answer in words", lambda r: 
 BYTES = replace(COLUMNS["hex"], heading="bytes")
 OWN = {column.name: column for column in (NO, TIME, DELTA, ARROW, BYTES, WHAT)}
 """The usual columns."""
-SHOWN_ONLY = {column.name for column in (NO, DELTA, ARROW, WHAT)}
-"""The names of those that are of this list alone."""
 
 _LEAST = {DELTA.name: 59, NO.name: 49}  # columns of the screen from which on these are shown
 _LENT = 6  # columns of what a row is that longer frames may take
@@ -39,7 +37,7 @@ _WORDY = 36  # columns more than usual that the words and the reason of a fault 
 _LATE = 13  # columns of an answer's name
 _LATENCY = 11  # columns of a latency, which is shown where all of it has room
 _ROOMY = 45  # columns from which on a longer answer is cut, so that its latency is seen
-_FRONT = 2  # columns before the first cell: the signs of a fault and of a mark
+_FRONT = 2  # columns before the first cell: the sign of a fault and a blank
 _HEADINGS = {TimeStyle.ABSOLUTE: "clock", TimeStyle.UTC: "UTC"}
 _WHEN = slice(11, 24)  # the time of day of a date and time, to 0.1 ms
 
@@ -75,7 +73,6 @@ class FrameList(ScrollView, can_focus=True):
         self.view = View(recording)
         self.cursor = 0
         self.held: int | None = None
-        self.marks: set[int] = set()
         self.columns = style.columns
         self.reference = 0
         self.repeat: int | None = None
@@ -277,8 +274,7 @@ class FrameList(ScrollView, can_focus=True):
     def _line(self, row: int, record: Record, previous: int, width: int) -> Text:
         look = look_of(record)
         text = Text(no_wrap=True)
-        text.append(look.sign, look.style)
-        text.append(MARK if row in self.marks else " ", "bold")
+        text.append(f"{look.sign} ", look.style)
         own, line = self._own(row, record, previous), json_line(record)
         for column, room in self._widths(width):
             if column is WHAT:

@@ -7,7 +7,7 @@ from typing import Any
 from rich.text import Text
 
 from bilprov.analyzer.output.statistics import Rates
-from bilprov.analyzer.output.stats_tables import spark
+from bilprov.analyzer.output.stats_tables import FEWEST, spark
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.frame_list import FrameList
 from bilprov.analyzer.screen.keys import BINDINGS
@@ -32,8 +32,9 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
         totals.frames / seconds, (totals.host_bytes / seconds, totals.device_bytes / seconds)
     )
     load = max(rates.bytes) * byte_time / 1e9
+    counts = totals.rates.series("frames")
     lines = [
-        Text(spark(totals.rates.series("frames"), width)),
+        *([Text(spark(counts, width))] if len(counts) >= FEWEST else []),
         Text(quantity(totals.frames, "frame")),
         Text(quantity(totals.answers, "answer")),
         Text(f"{rates.frames:,.0f} frames/s, {load:.0%} full"),

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from datetime import datetime, timedelta, tzinfo
-from datetime import time as clock
 from os.path import commonprefix
 from typing import Any, ClassVar, NamedTuple
 
@@ -20,6 +18,7 @@ from textual.widgets import Input, Static
 
 from bilprov.analyzer.filters.completion import Completion
 from bilprov.analyzer.filters.syntax import FilterError
+from bilprov.analyzer.filters.values import DAY, STEP, UNITS, instant, offset
 from bilprov.captures.text import printable
 
 
@@ -154,27 +153,24 @@ class Prompt(Vertical):
 
 
 _NUMBER = re.compile(r"(?P<number>\d+(?:\.\d*)?) ?(?P<unit>us|ms|s)?")
-_UNITS = {"us": 1e3, "ms": 1e6, "s": 1e9}
 REFUSAL = "give a row like 120, or a time like 12.5s, 300ms or 14:03:20"
 
 
-def row_of(text: str, start_wall: int, zone: tzinfo | None, row_at: Callable[[int], int]) -> int:
+def row_of(text: str, start_wall: int, utc: bool, row_at: Callable[[int], int]) -> int:
     """The row (from 0) that a text stands for. Raises ValueError if it is no place.
 
     `row_at` gives the row at a time (ns since the start), which is `start_wall` (ns since 1970). A
-    time of day is one in this zone (None: the zone here), after the start.
+    time of day is one here, or in UTC, after the start.
     """
     match = _NUMBER.fullmatch(text)
     if match and not match["unit"] and "." not in text:
         return max(0, int(text) - 1)
     if match:
-        return row_at(round(float(match["number"]) * _UNITS[match["unit"] or "s"]))
-    try:
-        at = clock.fromisoformat(text)
-    except ValueError:
-        raise ValueError(REFUSAL) from None
-    start = datetime.fromtimestamp(start_wall / 1e9, zone)
-    moment = datetime.combine(start, at, zone)
-    if moment < start:
-        moment += timedelta(days=1)
-    return row_at(round((moment - start).total_seconds() * 1e9))
+        return row_at(round(float(match["number"]) * 10.0 ** (9 + UNITS[match["unit"] or "s"])))
+    moment = instant(text)
+    if moment is None:
+        raise ValueError(REFUSAL)
+    if not moment.daily:
+        return row_at(moment.ns - start_wall)
+    ahead = 0 if utc else offset(start_wall // STEP)
+    return row_at((moment.ns - start_wall - ahead) % DAY)

@@ -49,5 +49,5 @@ def look_of(record: Record) -> Look:
 
 
 TO_DEVICE, TO_HOST, NEITHER = "→", "←", " "
-MARK, CUT, RECORDS = "◆", "…", "●"
+CUT, RECORDS = "…", "●"
 FOLDED, UNFOLDED = "▸ ", "▾ "

@@ -14,6 +14,7 @@ from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.console import NARROW
+from bilprov.analyzer.output.row_columns import RowStyle, chosen_columns, columns_of
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.keys import BINDINGS, MOVES
@@ -117,8 +118,7 @@ def test_the_details_have_a_scroll_bar_where_they_need_it(screen: Browser) -> No
         (":301ms enter", 62),
         (":00:00:00.3 enter", 61),
         (":soon enter escape 2j", 2),
-        ("2j m 5j m '", 2),
-        ("2j m 5j m ''", 7),
+        (":1970-01-01T00:00:00.3 enter", 61),
         ("3j tab j escape j", 4),
     ],
 )
@@ -144,7 +144,6 @@ def test_keys_move_through_the_rows(
     [
         ("N", "no fault comes before"),
         ("G n", "no fault comes after"),
-        ("'", "no row is marked"),
         ("2j y", "copied: bilprov send PORT '11 00'"),
         ("y", "no frame to copy"),
         (":soon enter", "give a row like 120"),
@@ -318,9 +317,8 @@ def test_tab_and_enter_typed_ahead_come_behind_the_text_before_them(screen: Brow
         assert screen.prompt.line.value == "faulty and latency > 1"
         await type_ahead(screen, pilot, "/", *"faulty", "enter", "n", "n")
         assert (screen.filter_text, screen.frames.row) == ("faulty", 59)
-        await type_ahead(screen, pilot, ":", *"20", "enter", "c", *"no,del", "tab", "enter")
-        assert screen.frames.row == 19
-        assert [one.name for one in screen.frames.columns or ()] == ["no", "delta"]
+        await type_ahead(screen, pilot, ":", *"20", "enter", "j")
+        assert screen.frames.row == 20
 
     operated(screen, steps)
 
@@ -425,17 +423,13 @@ def test_f_follows_what_comes_until_the_choice_is_moved(protocol: Protocol) -> N
     assert rows == [119, 126, 126, 132]
 
 
-def test_marks_go_with_the_rows_that_are_let_go(protocol: Protocol) -> None:
+def test_the_rows_stay_where_they_are_while_the_oldest_are_let_go(protocol: Protocol) -> None:
     screen = browser(protocol, decoded(protocol, drive(2100)))
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
-        await pilot.press("m")
-        assert sum("◆" in line for line in text_of(screen)) == 1
         screen.feed.recording.let_go_oldest()
         screen.show_rows()
         assert screen.frames.row == screen.feed.recording.first > 0
-        await pilot.press("apostrophe")
-        assert "no row is marked" in text_of(screen)[-1]
         for batch in decoded(protocol, drive(2100)):
             screen.feed.recording.add(batch)
         await pilot.press("end", "9", "9", "k")
@@ -444,9 +438,7 @@ def test_marks_go_with_the_rows_that_are_let_go(protocol: Protocol) -> None:
         screen.feed.recording.let_go_oldest()
         screen.show_rows()
         await pilot.pause()
-        assert [
-            line[:90] for line in text_of(screen)[1:20]
-        ] == before  # the same rows at the same place
+        assert [line[:90] for line in text_of(screen)[1:20]] == before
 
     operated(screen, steps)
 
@@ -468,28 +460,16 @@ def test_times_are_shown_in_each_style_and_from_a_row_on(screen: Browser) -> Non
     assert shown[2] == ["121", "00:00:00.5910", "1.0"]
 
 
-def test_c_chooses_columns_also_of_an_export(
-    screen: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_columns_that_are_asked_for_are_those_of_an_export_too(
+    protocol: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-
-    async def chosen(pilot: Pilot[Any], names: str) -> None:
-        await pilot.press("c")
-        screen.prompt.line.value = names
-        await pilot.press("enter")
-        await pilot.pause()
+    rows = RowStyle(None, chosen_columns("time,state.speed", columns_of(protocol)))
+    screen = browser(protocol, decoded(protocol, drive()), rows=rows)
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
-        await pilot.press("c", *"time", "escape")
-        assert screen.frames.columns is None
-        await chosen(pilot, "time,nothing")
-        assert "there is no column" in text_of(screen)[-1]
-        await pilot.press("escape")
-        await chosen(pilot, "time,state.speed")
         assert text_of(screen)[1].split()[:2] == ["time", "speed"]
         await written(pilot, screen, "out.csv")
-        await chosen(pilot, "")
-        assert screen.frames.columns is None  # none is the usual ones
 
     operated(screen, steps)
     assert (tmp_path / "out.csv").read_text().splitlines()[0] == "time,state.speed"
@@ -691,8 +671,8 @@ def test_markup_of_a_grammar_is_shown_as_it_is(horn_text: str) -> None:
 
 def test_every_sign_has_one_in_ascii(screen: Browser) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
-        await pilot.press("n", "m", "enter")
-        for key in ("c", "escape", "question_mark", "escape", "x"):
+        await pilot.press("n", "enter")
+        for key in ("question_mark", "escape", "x"):
             await pilot.press(key)
             await pilot.pause()
             for sign in set("".join(text_of(screen))) - {"?"}:

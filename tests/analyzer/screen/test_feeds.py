@@ -188,24 +188,24 @@ def test_an_export_is_a_new_file_or_none(protocol: Protocol, tmp_path: Path) -> 
 
 
 def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> None:
-    totals = recorded(protocol, 1001).totals
+    totals = recorded(protocol, 3001).totals
     lines = [line.plain for line in figures(totals, None, 86_805, 27)]
     assert lines == [
-        "█▁",
-        "1,001 frames",
-        "1,001 answers",
+        "███▁",
+        "3,001 frames",
+        "3,001 answers",
         "1,000 frames/s, 17% full",
         "latency 0.5 ms",
         "p95 0.5, max 0.5 ms",
         "",
-        "Speed        1,001   0.5 ms",
+        "Speed        3,001   0.5 ms",
     ]
     for frame in (b"\x90", b"\x91\x02"):
         (batch,) = told(StreamDecoder(protocol), [Chunk(0, "host", frame)], [1])
         totals.add(batch)
     lines = [line.plain for line in figures(totals, None, 86_805, 18)]
     assert lines[7:9] == ["! 2 from the host", "  faulty instruction: 2"]
-    assert lines[-2:] == ["Sp… 1,001   0.5 ms", "un…     2         "]
+    assert lines[-2:] == ["Sp… 3,001   0.5 ms", "un…     2         "]
 
 
 def test_the_car_turns_and_lights_as_its_state_says(protocol: Protocol) -> None:

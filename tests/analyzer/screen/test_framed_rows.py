@@ -22,8 +22,8 @@ from tests.support.screens import browser, operated, text_of
 from tests.support.traffic import told
 
 KEYS = (
-    *("enter", "j", "j", "k", "h", "l", "escape", "t", "t", "t", "r", "r", "m", "j", "apostrophe"),
-    *("n", "N", "e", "e", "y", "c", "enter", "question_mark", "escape", "f", "f", "G"),
+    *("enter", "j", "j", "k", "h", "l", "escape", "t", "t", "t", "r", "r", "j"),
+    *("n", "N", "e", "e", "y", "question_mark", "escape", "f", "f", "G"),
 )
 
 

@@ -211,6 +211,18 @@ def test_a_full_disk_is_told_on_the_screen_which_goes_on_and_in_the_last_line(
     assert open_capture(path).damage == ()
 
 
+def test_keys_typed_before_the_screen_is_there_are_a_filter_as_well(tmp_path: Path) -> None:
+    with terminal(tmp_path, (80, 24), "replay", str(SAMPLE)) as tmux:
+        tmux.press("/", "l", "a")
+        tmux.wait("filter / la")
+        tmux.press("t", "?", "q")
+        tmux.wait("filter / lat?q")
+        tmux.press("Escape")
+        tmux.wait("q quit")
+        tmux.press("q")
+        left(tmux)
+
+
 def test_plain_means_lines_on_a_terminal(tmp_path: Path) -> None:
     with terminal(tmp_path, (100, 50), "replay", "--plain", "--rate", "0", str(SAMPLE)) as tmux:
         assert any("→ 20" in line for line in left(tmux))
@@ -248,7 +260,7 @@ def test_a_capture_without_traffic_can_be_browsed(tmp_path: Path) -> None:
         pass
     with terminal(tmp_path, (80, 24), "replay", str(path)) as tmux:
         tmux.wait("holds no traffic")
-        tmux.press("n", "End", "Enter", "m", "'", "t", "y", "r", "e", "e", ":", "5", "Enter", "/")
+        tmux.press("n", "End", "Enter", "t", "y", "r", "e", "e", ":", "5", "Enter", "/")
         tmux.wait("filter /")
         tmux.press("faulty", "Enter")
         tmux.wait("  0 of 0")
