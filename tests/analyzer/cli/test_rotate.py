@@ -182,19 +182,11 @@ def both(tmp_path_factory: pytest.TempPathFactory, protocol: Protocol) -> tuple[
 READING = [
     "replay drive.mcap --rate 0 --format jsonl",
     "replay drive.mcap --rate 0 --start 1.5 --end 2.5",
-    "replay drive.mcap --rate 0 --judge --count 50",
     "replay drive.mcap --rate 0 --filter faulty --format csv",
-    "decode drive.mcap --format jsonl",
     "stats drive.mcap --json -",
-    "export drive.mcap --format csv -o -",
-    "export drive.mcap --format jsonl -o -",
     "export drive.mcap --format pcapng -o OUT",
-    "plot drive.mcap --html OUT",
-    "capture cut drive.mcap OUT --start 0.5 --end 2.5",
     "capture cut drive.mcap OUT --filter faulty",
-    "capture repair drive.mcap OUT",
     "capture decode drive.mcap OUT",
-    "capture diff drive.mcap ONE --json -",
     "capture diff ONE drive.mcap",
     "capture join drive.mcap LATER -o OUT",
 ]
@@ -222,7 +214,7 @@ def test_a_command_over_parts_does_what_it_does_over_one_file(
         texts = [text.replace(str(out.parent).encode(), b"") for text in (done.stdout, done.stderr)]
         results.append((done.returncode, texts, content))
     assert results[0] == results[1]
-    assert results[0][0] in ((0, 1) if "--judge" in line else (0,)), results[0][1]
+    assert results[0][0] == 0, results[0][1]
     assert any(results[0][1]) or content
 
 

@@ -16,7 +16,7 @@ from tests.support import ROOT
 from tests.support.commands import PATIENCE, command
 
 ESCAPE = "\x1b"
-WIDTHS = (40, 60, 80, 120, 500)
+WIDTHS = (40, 80, 500)
 
 
 def page(*words: str, columns: int = 80) -> list[str]:

@@ -127,14 +127,6 @@ def test_progress_is_told_all_bytes_in_batches(tmp_path: Path, protocol: Protoco
     assert len(told) > 1
 
 
-def test_a_name_controls_nothing(tmp_path: Path) -> None:
-    folder = tmp_path / "=cmd|'x'\x1b[31m"
-    folder.mkdir()
-    written(folder / "=1+1.mcap", [])
-
-    assert b"\x1b" not in command("stats", str(folder / "=1+1.mcap")).stdout
-
-
 def busy(protocol: Protocol, seconds: int) -> list[Event]:
     """A recording with every instruction, answers of many latencies, and a line that is full."""
     random, events = Random(1), []

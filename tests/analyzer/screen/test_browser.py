@@ -18,6 +18,7 @@ from bilprov.analyzer.output.row_columns import RowStyle, chosen_columns, column
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.keys import BINDINGS, MOVES
+from bilprov.analyzer.screen.prompt import row_of
 from bilprov.analyzer.screen.signs import LOOKS
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.text import printable
@@ -94,69 +95,79 @@ def test_the_details_have_a_scroll_bar_where_they_need_it(screen: Browser) -> No
     operated(screen, steps, (80, 24))
 
 
-@pytest.mark.sample(4)
-@pytest.mark.parametrize(
-    ("keys", "row"),
-    [
-        ("j down k", 1),
-        ("5j", 5),
-        ("5j 12k", 0),
-        ("10j 3", 10),
-        ("G", 120),
-        ("end 20k home", 0),
-        ("120G k", 118),
-        ("7g", 6),
-        ("pagedown", 24),
-        ("ctrl+f ctrl+b", 0),
-        ("ctrl+d ctrl+d ctrl+u", 12),
-        ("n", 19),
-        ("2n", 39),
-        ("nnnN", 39),
-        (":100 enter", 99),
-        (":9999 enter", 120),
-        (":0.3s enter", 61),
-        (":301ms enter", 62),
-        (":00:00:00.3 enter", 61),
-        (":soon enter escape 2j", 2),
-        (":1970-01-01T00:00:00.3 enter", 61),
-        ("3j tab j escape j", 4),
-    ],
-)
-def test_keys_move_through_the_rows(
-    screen: Browser, keys: str, row: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TZ", "UTC")
-    time.tzset()
+MOVES_TO = {
+    "j down k": 1,
+    "5j 12k": 0,
+    "10j 3": 10,
+    "end 20k home": 0,
+    "120G k": 118,
+    "7g": 6,
+    "pagedown": 24,
+    "ctrl+f ctrl+b": 0,
+    "ctrl+d ctrl+d ctrl+u": 12,
+    "2n": 39,
+    "nnN": 19,
+    ":90 enter": 89,
+    "3j tab j escape j": 4,
+}
 
+
+def test_keys_move_through_the_rows(screen: Browser) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         assert screen.frames.room == 24
-        await pilot.press(*keys_of(keys))
-        assert screen.frames.row == row
-        top = screen.frames.top
-        assert top <= screen.frames.cursor < top + screen.frames.room
+        for keys, row in MOVES_TO.items():
+            await pilot.press("home", *keys_of(keys))
+            assert screen.frames.row == row, keys
+            top = screen.frames.top
+            assert top <= screen.frames.cursor < top + screen.frames.room
+            await pilot.press("j")
 
     operated(screen, steps)
 
 
 @pytest.mark.sample(4)
 @pytest.mark.parametrize(
-    ("keys", "words"),
+    ("text", "found"),
     [
-        ("N", "no fault comes before"),
-        ("G n", "no fault comes after"),
-        ("2j y", "copied: bilprov send PORT '11 00'"),
-        ("y", "no frame to copy"),
-        (":soon enter", "give a row like 120"),
-        ("/speeed<9 enter", "is not a name here: did you mean speed?"),
-        ("/agr", "agrees: whether the answer is the expected one"),
-        ("x", "NAME.csv or NAME.jsonl"),
+        ("100", 99),
+        ("0.3s", 300),
+        ("301 ms", 301),
+        ("14:03:20.3", 300),
+        ("14:03:20", 0),
+        ("2026-11-22 14:03:21", 1000),
+        ("14:03:19", 86_399_000),  # on the next day
     ],
 )
-def test_the_last_line_answers(screen: Browser, keys: str, words: str) -> None:
+def test_a_place_is_a_row_or_a_time(text: str, found: int) -> None:
+    start = 1_795_356_200 * 10**9  # 2026-11-22 14:03:20 in UTC
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TZ", "UTC")
+        time.tzset()
+        assert row_of(text, start, True, lambda t: t // MS) == found
+    time.tzset()
+    with pytest.raises(ValueError, match="give a row like 120"):
+        row_of("soon", start, True, lambda t: t // MS)
+
+
+ANSWERED = {
+    "N": "no fault comes before",
+    "G n": "no fault comes after",
+    "2j y": "copied: bilprov send PORT '11 00'",
+    "y": "no frame to copy",
+    ":soon enter": "give a row like 120",
+    "/speeed<9 enter": "is not a name here: did you mean speed?",
+    "/agr": "agrees: whether the answer is the expected one",
+    "x": "NAME.csv or NAME.jsonl",
+}
+
+
+def test_the_last_line_answers(screen: Browser) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
-        await pilot.press(*keys_of(keys))
-        await pilot.pause()
-        assert words in text_of(screen)[-1]
+        for keys, words in ANSWERED.items():
+            await pilot.press("escape", "home", *keys_of(keys))
+            await pilot.pause()
+            assert words in text_of(screen)[-1], keys
 
     operated(screen, steps)
 
