@@ -117,7 +117,7 @@ def find(protocol: Protocol, name: str) -> Field | None:
     fields = fields_of(protocol)
     if name in fields or name in _spelled(protocol):
         return fields.get(name)
-    return _by_folded(protocol).get(folded(name))
+    return by_folded(protocol).get(folded(name))
 
 
 @lru_cache(maxsize=8)
@@ -126,7 +126,8 @@ def _spelled(protocol: Protocol) -> frozenset[str]:
 
 
 @lru_cache(maxsize=8)
-def _by_folded(protocol: Protocol) -> Mapping[str, Field]:
+def by_folded(protocol: Protocol) -> Mapping[str, Field]:
+    """The fields by their names in one case."""
     return {folded(name): each for name, each in reversed([*fields_of(protocol).items()])}
 
 

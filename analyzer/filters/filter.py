@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from bilprov.analyzer.filters import tree, values
-from bilprov.analyzer.filters.fields import Field, Kind, bytes_names, find, folded
+from bilprov.analyzer.filters.fields import Field, Kind, by_folded, bytes_names, find, folded
 from bilprov.analyzer.filters.syntax import Part, parse
 from bilprov.analyzer.filters.values import Instant, kind_of, owners, refuse, refuse_part, shown
 from bilprov.spec.protocol import Protocol
@@ -54,6 +54,7 @@ class _Checker:
         return tree.Comparison(operand, "==", tree.Constant(True))
 
     def _comparison(self, left: Part, sign: Part, right: Part) -> tree.Node:
+        left, right = self._beside(left, right), self._beside(right, left)
         one, other = self._field(left), self._field(right)
         # A word that names a value of the other side is one: `name == speed`.
         if one and values.named(right, one) is not None:
@@ -67,6 +68,14 @@ class _Checker:
         if other and sign.text in _TURNED:  # 100 < speed
             return self._with_value(right, sign._replace(text=_TURNED[sign.text]), left)
         return self._refuse_value(left)
+
+    def _beside(self, part: Part, other: Part) -> Part:
+        """A word beside numbers: a name, though it is spelled like a value (`Speed > 3`)."""
+        numbers = other.kind in ("number", "range", "set")
+        if part.kind == "word" and numbers and find(self._protocol, part.text) is None:
+            field = by_folded(self._protocol).get(folded(part.text))
+            return part._replace(text=field.name) if field else part
+        return part
 
     def _two_fields(self, left: Part, sign: Part, right: Part) -> tree.Node:
         (operand, one), (with_operand, other) = self._operand(left), self._operand(right)
