@@ -62,7 +62,7 @@ class StreamDecoder:
         self._protocol = protocol
         self._settings = timeout, skew, heard >= BOTH
         self._regular: ColumnDecoder | None = None
-        self._unfit = False  # whether this protocol's state does not fit into columns
+        self._unfit = False  # whether this protocol does not fit into columns
         self._carry: Carry | None = None  # what the last batch left, while the Session rests
         self._direct = _FEWEST
         self._window = _MOST
