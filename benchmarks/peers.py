@@ -179,10 +179,10 @@ def raw_written(
     return frames
 
 
-def read_by_mcap(path: Path, topic: str = HOST_RAW, start: int = 0) -> Iterator[bytes]:
-    """The messages of a topic from `start` (ns) on, by the mcap library's own reader."""
+def read_by_mcap(path: Path, start: int = 0) -> Iterator[bytes]:
+    """The bytes of the host from `start` (ns) on, by the mcap library's own reader."""
     with path.open("rb") as file:
-        for _, _, message in make_reader(file).iter_messages(topics=[topic], starting_at=start):
+        for _, _, message in make_reader(file).iter_messages(topics=[HOST_RAW], starting_at=start):
             yield message.data
 
 

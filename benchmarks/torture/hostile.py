@@ -47,8 +47,8 @@ def _channel(number: int, topic: bytes, schema: int = 0) -> bytes:
     return _record(4, pack("<HH", number, schema) + _text(topic) + _text(b"raw") + _text(b""))
 
 
-def _message(channel: int = 1, t: int = 0, data: bytes = b" ", sequence: int = 0) -> bytes:
-    return _record(5, MESSAGE_HEAD.pack(channel, sequence & 0xFFFF_FFFF, t, t) + data)
+def _message(channel: int = 1, t: int = 0, data: bytes = b" ") -> bytes:
+    return _record(5, MESSAGE_HEAD.pack(channel, 0, t, t) + data)
 
 
 def _chunk(content: bytes, packing: bytes = b"", packed: bytes | None = None, **said: int) -> bytes:

@@ -18,8 +18,6 @@ from click.testing import CliRunner
 from bilprov import __main__ as front_door
 from bilprov.conformance.dut.boards.paced import HELD, PacedBoard
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
-from bilprov.spec.codec import judge
-from bilprov.spec.protocol import Protocol
 from tests.support.firmware import AVR, built, compiled
 from tests.support.robots import PATIENCE, Served, emulate
 
@@ -143,16 +141,6 @@ def test_no_byte_of_a_long_burst_is_lost(bench: Make, switch: str, step: int | N
 
 
 @AVR
-def test_the_reference_answers_a_long_burst_in_order(bench: Make, protocol: Protocol) -> None:
-    line, (data, codes) = bench(built()), frames(protocol, 2000)
-
-    line.send(data)
-    line.wait(len(data) * 130_000, step=MS)
-
-    assert line.answers == codes
-
-
-@AVR
 def test_bytes_take_their_time_on_the_wire_both_ways(bench: Make) -> None:
     line = bench(echo())
     sent = line.now
@@ -252,18 +240,6 @@ def test_a_crash_is_said_once_and_its_last_answer_still_arrives(
     assert line.answers == b"a"
     assert line.device.deadline() is None
     assert json.loads(line.device.probe(line.now))["led"] == 5
-
-
-def frames(protocol: Protocol, count: int) -> tuple[bytes, bytes]:
-    """Whole frames of every kind, and what they are answered."""
-    chance = Random(count)
-    data, codes = bytearray(), bytearray()
-    for _ in range(count):
-        header = chance.choice([0x00, 0x11, 0x20, 0x30, 0x41, 0x51, 0x60, 0x70, 0x81, 0x90, 0x10])
-        frame = bytes([header]) + chance.randbytes(protocol.lengths[header])
-        data += frame
-        codes.append(judge(protocol, frame).response.code)
-    return bytes(data), bytes(codes)
 
 
 # -- the command ----------------------------------------------------------------------------------

@@ -91,16 +91,6 @@ def test_the_program_tells_what_the_robot_does_when_it_is_asked(program: Path) -
 
 
 @HOST
-@pytest.mark.parametrize("words", [("-x",), ("-v", "-v")])
-def test_the_program_tells_how_it_is_used(program: Path, words: tuple[str, ...]) -> None:
-    code, answers, said = ran(program, b"\x90", *words)
-
-    assert (code, answers) == (2, b"")
-    assert len(said.splitlines()) == 1
-    assert b"usage: " in said
-
-
-@HOST
 def test_a_planted_bug_is_never_kept_from_an_earlier_build(tmp_path: Path) -> None:
     def program(bugs: str) -> bytes:
         make(tmp_path, "host", f"BUGS={bugs}")
