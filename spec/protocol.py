@@ -11,7 +11,7 @@ import hashlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -630,7 +630,7 @@ def _require_each_id_once(tree: ast.Module) -> None:
     for node in ast.walk(tree):
         if isinstance(node, ast.Dict):
             keys = [key.value for key in node.keys if isinstance(key, ast.Constant)]
-            twice = _twice(keys)
+            twice = next((key for key, count in Counter(keys).items() if count > 1), None)
             if twice is not None:
                 raise GrammarError(
                     f"the number {shown(twice)} stands twice in line {node.lineno} and on"
@@ -886,11 +886,6 @@ def _text(space: dict[str, Any], name: str) -> str:
     if not text.strip():
         raise GrammarError(f"{name} is empty, allowed is a text")
     return text
-
-
-def _twice(values: Iterable[Hashable]) -> Any:
-    """Return the first value that stands twice, None if there is none."""
-    return next((value for value, count in Counter(values).items() if count > 1), None)
 
 
 def _require_each_name_once(what: str, names: Iterable[str]) -> None:

@@ -66,10 +66,10 @@ KINDS = (
 
 ALONE = Cause("", Severity.INFO, "")
 OUT_OF_STEP = Cause("out of step", Severity.INFO, "answers a frame whose beginning was not seen")
-_EARLY = Cause("unsolicited", Severity.INFO, "no instruction was seen yet that it could answer")
-_NEAR_LOSS = Cause("unsolicited", Severity.INFO, "may answer an instruction around the lost bytes")
+EARLY = Cause("unsolicited", Severity.INFO, "no instruction was seen yet that it could answer")
+NEAR_LOSS = Cause("unsolicited", Severity.INFO, "may answer an instruction around the lost bytes")
 _SILENT_END = Cause(UNCERTAIN, Severity.INFO, SILENT_END)
-_UNSOLICITED = Cause("unsolicited", Severity.ERROR, "no instruction waits for an answer")
+UNSOLICITED = Cause("unsolicited", Severity.ERROR, "no instruction waits for an answer")
 
 
 def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> AnswerCheck:
@@ -136,16 +136,6 @@ def of_unpaired(protocol: Protocol, held: Held, why: Cause) -> AnswerCheck:
 def _open_end(held: Held) -> list[Cause]:
     """The cause where only silence tells the end of an answer."""
     return [_SILENT_END] if held.reply and held.reply.open_end else []
-
-
-def unsolicited_because(instructions: int, near_loss: bool) -> Cause:
-    """The cause of an unsolicited answer.
-
-    `instructions` counts the instructions before it; `near_loss` is true soon after a loss.
-    """
-    if near_loss:
-        return _NEAR_LOSS
-    return _UNSOLICITED if instructions else _EARLY  # R-unsolicited: a banner
 
 
 def unanswered(waiting: Waiting, now: int, others: int = 0) -> Anomaly:

@@ -23,6 +23,7 @@ from bilprov.analyzer.decode.records import (
     LineRecord,
     Record,
     serious_faults,
+    serious_kinds,
 )
 from bilprov.captures.schemas import FrameKind
 from bilprov.spec.arrays.layouts import OUTCOMES, VALID
@@ -237,7 +238,7 @@ class DeviceRows:
         order = np.argsort(first)  # records are made in order
         kinds: list[tuple[str, ...]] = [()] * (len(first) + 1)
         for at, record in zip(order.tolist(), self.samples(odd[first[order]]), strict=True):
-            kinds[1 + at] = _serious(record)
+            kinds[1 + at] = serious_kinds(record)
         return Kinds(code, kinds)
 
 
@@ -525,7 +526,3 @@ def _answer_bytes(records: Sequence[DeviceRecord]) -> AnswerBytes:
 
 def _verdict(record: HostRecord) -> int:
     return OUTCOMES.index(record.judgement.outcome) if record.judgement else NO_VERDICT
-
-
-def _serious(record: Record) -> tuple[str, ...]:
-    return tuple(fault.kind for fault in serious_faults(record))

@@ -91,7 +91,9 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
             if begun is None:
                 begun, offset = record, side.bytes
             if _has_wrong_check(protocol, record) and len(wrong[direction]) < _FRAMES:
-                wrong[direction].append(_checked(protocol, record))
+                asked = record.answered if isinstance(record, DeviceRecord) else None
+                counted = covered(protocol, asked.frame) if asked else b""
+                wrong[direction].append(Checked(record.data, counted))
         if begun is not None and direction == _direction(begun) and len(data) < _LOOKED_AT:
             data += record.data
         side.bytes += len(record.data)
@@ -101,12 +103,6 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
         share.first = Undecoded(direction, offset, begun.t, data[:_SHOWN], near)
         share.check = _fitting(protocol, wrong, direction)
     return share
-
-
-def _checked(protocol: Protocol, record: HostRecord | DeviceRecord) -> Checked:
-    """A frame, with what the check of its request covers."""
-    asked = record.answered if isinstance(record, DeviceRecord) else None
-    return Checked(record.data, covered(protocol, asked.frame) if asked else b"")
 
 
 def _fitting(

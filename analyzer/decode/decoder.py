@@ -474,8 +474,12 @@ class Decoder:
         out.append(record)
 
     def _unsolicited(self, held: Held, out: list[Record]) -> None:
-        near_loss = self._lost_at is not None and held.t - self._lost_at <= self._pairing.late
-        self._unpaired(held, anomalies.unsolicited_because(self._sequence, near_loss), out)
+        why = (
+            anomalies.UNSOLICITED if self._sequence else anomalies.EARLY
+        )  # a banner: R-unsolicited
+        if self._lost_at is not None and held.t - self._lost_at <= self._pairing.late:
+            why = anomalies.NEAR_LOSS
+        self._unpaired(held, why, out)
 
     def _unpaired(self, held: Held, why: anomalies.Cause, out: list[Record]) -> None:
         out.append(answer_record(self._protocol, held, self._state, why=why))

@@ -52,7 +52,7 @@ from bilprov.analyzer.decode.records import (
     LineRecord,
     PerFrame,
     Record,
-    serious_faults,
+    serious_kinds,
 )
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement
@@ -119,7 +119,7 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
                     None,
                     record.instruction,
                     record.agrees,
-                    _kinds(record) if record.faults else (),
+                    serious_kinds(record) if record.faults else (),
                     UNSET if reply is None or answered is None else outcome_word(answered),
                     unset_if_none(reply.address) if reply else UNSET,
                     (record.faults and record.uncertain) or UNSET,
@@ -150,10 +150,6 @@ NO_FIELDS: dict[str, Any] = {}
 _HEX = [f"{byte:02x}" for byte in range(256)]
 
 
-def _kinds(record: Record) -> tuple[str, ...]:
-    return tuple(fault.kind for fault in serious_faults(record))
-
-
 @PerFrame
 def _frame_line(record: HostRecord) -> JsonLine:
     """The line of a frame, which is the same wherever it comes but for its time and its place."""
@@ -173,7 +169,7 @@ def _frame_line(record: HostRecord) -> JsonLine:
         sequence=None,
         answers=None,
         agrees=None,
-        faults=_kinds(record),
+        faults=serious_kinds(record),
         outcome=outcome_word(judgement) if judgement and judgement.framed else UNSET,
         address=unset_if_none(judgement.address) if judgement else UNSET,
         uncertain=record.uncertain or UNSET,
@@ -199,5 +195,5 @@ def _fault_line(record: LineRecord | FaultRecord) -> JsonLine:
         sequence=fault.instruction,
         answers=None,
         agrees=None,
-        faults=_kinds(record),
+        faults=serious_kinds(record),
     )

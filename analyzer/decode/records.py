@@ -266,6 +266,11 @@ def serious_faults(record: Record) -> list[Anomaly]:
     return [fault for fault in record.faults if fault.severity > Severity.INFO]
 
 
+def serious_kinds(record: Record) -> tuple[str, ...]:
+    """The kinds of these anomalies."""
+    return tuple(fault.kind for fault in serious_faults(record))
+
+
 def is_frame(record: Record) -> bool:
     """Whether the record holds bytes (these are the records that `--count` counts)."""
     return isinstance(record, HostRecord | DeviceRecord)

@@ -92,7 +92,10 @@ class StreamDecoder:
             direct = self._direct
             if self._enter_columns():
                 window = events.part(at, self._stop(events, at))
-                used = self._feed_columns(window, batches)
+                assert self._regular is not None
+                assert self._carry is not None
+                batch, used, self._carry = self._regular.decode(self._carry, window)
+                batches += [batch] if used else []
                 at += used
                 if used == len(window):
                     self._direct, self._window = _FEWEST, self._window * 2
@@ -137,15 +140,6 @@ class StreamDecoder:
         session = self._leave_columns()
         records = [record for event in events for record in session.feed(event)]
         batches += _batch(records)
-
-    def _feed_columns(self, events: Events, batches: list[Batch]) -> int:
-        """Decode the first events into columns; returns how many are regular."""
-        assert self._regular is not None
-        assert self._carry is not None
-        batch, used, self._carry = self._regular.decode(self._carry, events)
-        if used:
-            batches.append(batch)
-        return used
 
     def _enter_columns(self) -> bool:
         """Hand over from the Session, if it can be; return whether the columns are in charge."""
