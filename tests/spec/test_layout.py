@@ -229,7 +229,6 @@ def test_fixed_bits_behind_the_data_end_a_frame() -> None:
         ("Address(BitsInteger(3), 1, 7)", "Address(BitsInteger(3), 1, 8)", "addresses up to 8 in"),
         ('"sender" / BitsInteger(3)', '"sender" / BitsInteger(2)', "they must fill whole bytes"),
         ('"sender" / BitsInteger(3)', '"sender" / Byte', "must be written BitsInteger(width)"),
-        ('"sender" / BitsInteger(3)', "BitsInteger(3)", "has no name"),
     ],
 )
 def test_bits_that_cannot_be_read_are_refused(part: str, wrong: str, refused: str) -> None:

@@ -136,7 +136,6 @@ def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
         ("modbus-rtu", "11 03 006B", "ReadHoldingRegisters", "length", "4 bytes of 8 bytes came"),
         ("modbus-rtu", "11 41 CDD0", "", "id", "no instruction has ID 65"),
         ("dynamixel1", "FFFE 01 02 01 FB", "Ping", "sync", "begins with ff fe, right is ff ff"),
-        ("dynamixel1", "FF 01 02 01 FB", "Ping", "sync", "begins with ff, right is ff ff"),
         ("dynamixel1", "01 02 01 FB", "Ping", "sync", "no such bytes"),
         ("dynamixel1", "FFFF 01 02 01 FA", "Ping", "checksum", "sum is fa, right is fb"),
         ("dynamixel1", "FFFF 01 03 01 00 FA", "Ping", "length", "takes 0 data bytes, 1 came"),
