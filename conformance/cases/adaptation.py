@@ -50,7 +50,7 @@ def adapt_to_device(protocol: Protocol, choices: Choices, step: S) -> S:
     data = step.frame[1:]
     led = led_instruction(protocol)
     if choices.differs("R-version") and led is not None and identity == led.id:
-        step = _as_unused(protocol, framed(protocol, protocol.unused_ids[0], length, data), step)
+        step = _as_unused(framed(protocol, protocol.unused_ids[0], length, data), step)
     elif choices.differs("R-led-id"):
         step = replace(step, frame=on_the_wire(protocol, choices, step.frame))
         identity = protocol.headers[step.frame[0]][0]
@@ -61,7 +61,7 @@ def adapt_to_device(protocol: Protocol, choices: Choices, step: S) -> S:
     if unused_id and choices.word("R-drain-unused") == "run" and length:
         whole = data[:length].ljust(length, b"\0")
         only = framed(protocol, protocol.unused_ids[0], length, whole)
-        return replace(_as_unused(protocol, only, step), frame=step.frame[:1], truncated=False)
+        return replace(_as_unused(only, step), frame=step.frame[:1], truncated=False)
     bad = step.faulty and not step.truncated and spec is not None and length == spec.length
     if bad and spec is not None and choices.differs("R-led-upper-bits"):
         found = spec.decode(data)
@@ -75,7 +75,7 @@ def adapt_to_device(protocol: Protocol, choices: Choices, step: S) -> S:
 _POINTS = ("R-version", "R-led-id", "R-drain-unused", "R-led-upper-bits")
 
 
-def _as_unused(protocol: Protocol, model: Step, step: S) -> S:
+def _as_unused(model: Step, step: S) -> S:
     """The step, judged like `model`, which is a frame with an unused ID."""
     return replace(
         step,

@@ -3,7 +3,8 @@
 An input is a byte, or the silence that truncates a frame (between frames nothing is sent for as
 long). An output is the answer and, at the end of a frame, what a probe shows of the motion. Of data
 only the range and the sign count: speeds above zero are one class. The machine is explored from
-these rules and minimised, and bytes that no state tells apart become one input.
+these rules and minimised, and bytes that no state tells apart become one input. Every field
+must be an integer of one byte.
 """
 
 from __future__ import annotations
@@ -16,50 +17,10 @@ from typing import NamedTuple
 from bilprov.conformance.cases.steps import Step, framed
 from bilprov.conformance.machines.wp_method import Mealy, Output, explore, input_classes, minimal
 from bilprov.spec.data import FieldSpec
+from bilprov.spec.errors import UserError
 from bilprov.spec.motion import visible_motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import Effect, State
-
-
-class FieldPrefixes:
-    """The beginnings of one field, in classes.
-
-    Each byte of an integer adds its part to the value, whatever the others are, and what the bytes
-    still to come can add are evenly spaced numbers. Two beginnings are of one class if equally many
-    of these lead to each kind of value.
-    """
-
-    def __init__(self, field: FieldSpec) -> None:
-        self.size = field.size
-        self._bounds = sorted({field.low, 0, 1, field.high + 1})
-        zeros = [0] * field.size
-        self._base = field.parse(bytes(zeros))
-        self._parts = [
-            [
-                field.parse(bytes([*zeros[:place], byte, *zeros[place + 1 :]])) - self._base
-                for byte in range(256)
-            ]
-            for place in range(field.size)
-        ]
-        # What may follow the first n bytes: the least that they add, the step, and how many.
-        self._rest = [self._following(done) for done in range(field.size + 1)]
-
-    def after(self, data: bytes) -> tuple[int, ...]:
-        """The class of the field's first bytes."""
-        lowest, step, count = self._rest[len(data)]
-        begun = self._value(data) + lowest
-        return tuple(min(max(-((begun - bound) // step), 0), count) for bound in self._bounds)
-
-    def _value(self, data: bytes) -> int:
-        """The value of the field's first bytes, the others zero."""
-        parts = zip(self._parts, data, strict=False)
-        return int(self._base + sum(part[byte] for part, byte in parts))
-
-    def _following(self, done: int) -> tuple[int, int, int]:
-        left = self._parts[done:]
-        count = int(256 ** len(left))
-        spans = sum(max(part) - min(part) for part in left)
-        return sum(map(min, left)), max(1, spans // max(1, count - 1)), count
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +50,15 @@ def byte_machine(protocol: Protocol, variables: tuple[str, ...] | None) -> ByteM
     """The machine that answers alone show (`variables` None), or answers and motion.
 
     With motion, `variables` are those that are seen too; whether the speed is zero always counts,
-    because it decides what moves. Raises UserError for a grammar with fields that are no integers.
+    because it decides what moves. Raises UserError for a grammar with other fields than integers of
+    one byte.
     """
+    wide = next((f.name for s in protocol.instructions for f in s.fields if f.size > 1), "")
+    if wide:
+        raise UserError(
+            f"the level complete takes fields of one byte, and {wide} has more: choose another "
+            "level"
+        )
     frames = _Frames(protocol)
     counted = () if variables is None else tuple(dict.fromkeys((protocol.car.speed, *variables)))
     bytes_of = input_classes(explore(None, 256, frames.take))
@@ -145,11 +113,10 @@ class _Faulty(NamedTuple):
 
 
 class _Data(NamedTuple):
-    """In a frame of the right length: its header, how many data bytes came, and their classes."""
+    """In a frame of the right length: its header, and the classes of the data bytes so far."""
 
     header: int
-    done: int
-    fields: tuple[tuple[int, ...], ...]
+    classes: tuple[int, ...]
 
 
 _Position = _Faulty | _Data | None
@@ -169,9 +136,6 @@ class _Frames:
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        self._prefixes = {
-            spec.id: [FieldPrefixes(part) for part in spec.fields] for spec in protocol.instructions
-        }
         self._examples: dict[_Data, bytes] = {}
         self._ends: dict[_Data, _End] = {}
 
@@ -200,7 +164,7 @@ class _Frames:
         identity, length = protocol.headers[header]
         spec = protocol.by_id.get(identity)
         if spec is not None and spec.length == length:
-            position = _Data(header, 0, ())
+            position = _Data(header, ())
             self._examples[position] = b""
             return position
         whole = framed(protocol, identity, length, bytes(length))
@@ -210,16 +174,15 @@ class _Frames:
     def _more(self, position: _Data, byte: int) -> _Data:
         spec = self._protocol.by_id[self._protocol.headers[position.header][0]]
         data = self._examples[position] + bytes([byte])
-        pairs = zip(spec.fields, self._prefixes[spec.id], strict=True)
-        classes = (known.after(data[part.offset :][: part.size]) for part, known in pairs)
-        after = _Data(position.header, position.done + 1, tuple(classes))
+        field = next(field for field in spec.fields if field.offset == len(data) - 1)
+        after = _Data(position.header, (*position.classes, _class_of(field, byte)))
         self._examples.setdefault(after, data)
         return after
 
     def _end(self, position: _Faulty | _Data) -> _End | None:
         if isinstance(position, _Faulty):
             return None if position.missing else _End(position.complete)
-        if position.done < self._protocol.lengths[position.header]:
+        if len(position.classes) < self._protocol.lengths[position.header]:
             return None
         if position not in self._ends:
             frame = self._examples[position]
@@ -228,6 +191,12 @@ class _Frames:
             signs = ((name, (v > 0) - (v < 0)) for name, v in effect.values.items())
             self._ends[position] = _End(_code(step), effect.effect, tuple(signs))
         return self._ends[position]
+
+
+def _class_of(field: FieldSpec, byte: int) -> int:
+    """The class of a field's value: whether it is in range, and its sign."""
+    value = field.parse(bytes([byte]))
+    return sum(value >= bound for bound in (field.low, 0, 1, field.high + 1))
 
 
 def _code(step: Step) -> int:

@@ -37,11 +37,8 @@ _REST = 310  # ms for which it drives before a fault comes: what falls asleep do
 _ODD = 83  # from one value of a byte to the next: no value is met twice before all are
 
 
-class _Context(NamedTuple):
-    """A frame under test, the kind of the frame right before it, and the frames that go before."""
-
-    before: str
-    step: Step
+_Context = tuple[str, Step]
+"""The kind of the frame right before a frame under test, and that frame."""
 
 
 class _Silence(NamedTuple):
@@ -75,9 +72,9 @@ def after_each_kind(protocol: Protocol, seed: int, turns: int) -> Iterator[Seque
         for some, number in zip(chunks(contexts, _CONTEXTS), numbers, strict=False):
             walk.begin()
             bursts: list[Burst] = []
-            for context in some:
-                *lead, before = walk.lead(context.before)
-                step = walk.took(context.step)
+            for kind, frame in some:
+                *lead, before = walk.lead(kind)
+                step = walk.took(frame)
                 if number % _WAITED:
                     bursts.append(Burst((*lead, before, step)))
                 else:
@@ -210,19 +207,19 @@ def _complete(protocol: Protocol, inputs: Inputs, turn: int) -> Iterator[_Contex
         place = identity + length
         for number, kind in enumerate(kinds):
             data = _marked(length, place + number + turn)
-            yield _Context(kind, framed(protocol, identity, length, data))
+            yield kind, framed(protocol, identity, length, data)
         for visit in range(visits):
             data = _rotating(length, visit + visits * (place + turn))
             kind = moving[(visit + place + turn) % len(moving)]
-            yield _Context(kind, framed(protocol, identity, length, data))
+            yield kind, framed(protocol, identity, length, data)
     for spec in protocol.instructions:
         steps = list(frames_of(protocol, spec.name))
         bad = frames_of(protocol, FrameClass.BAD_DATA)
         own = (s for s in bad if protocol.headers[s.frame[0]][0] == spec.id)
         marked = [s for s in (*steps, *own) if _is_marked(s)]
-        yield from (_Context(kind, step) for kind in kinds for step in marked)
+        yield from ((kind, step) for kind in kinds for step in marked)
         for number, step in enumerate(steps):
-            yield _Context(kinds[(number + turn) % len(kinds)], step)
+            yield kinds[(number + turn) % len(kinds)], step
 
 
 def _cut(protocol: Protocol, draw: random.Random) -> Iterator[Step]:

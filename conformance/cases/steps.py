@@ -8,7 +8,7 @@ list of frames by class.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
@@ -48,7 +48,7 @@ class Step:
     clause: str
     point: str = ""
     reading: str = ""
-    truncated: bool = field(default=False)
+    truncated: bool = False
 
     @property
     def faulty(self) -> bool:

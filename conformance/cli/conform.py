@@ -32,20 +32,14 @@ from bilprov.conformance.api import (
     planned,
     run_suite,
     select_cases,
+    suite_ids,
 )
 from bilprov.conformance.cases import budget
 from bilprov.conformance.cases.budget import run_movement
 from bilprov.conformance.cases.levels import COMPLETE, LEVELS, STANDARD, AnyCase, matching
 from bilprov.conformance.cases.proof import announcement
-from bilprov.conformance.cli.last_run import LastRun, Run, last_run, no_run, ordered
-from bilprov.conformance.cli.options import (
-    expect_failures_option,
-    expected_file,
-    read_profile,
-    seed_option,
-    verbose_option,
-    with_expected,
-)
+from bilprov.conformance.cli.last_run import LastRun, Run, last_run, ordered
+from bilprov.conformance.cli.options import read_profile, seed_option
 from bilprov.conformance.cli.outputs import (
     Output,
     deliver,
@@ -57,6 +51,7 @@ from bilprov.conformance.cli.outputs import (
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target, TargetName
 from bilprov.conformance.oracle.choices import parse_allowed
+from bilprov.conformance.report.expected import ExpectedFile
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.executor import is_slow
 from bilprov.conformance.runner.listeners.listener import RunListener
@@ -124,13 +119,18 @@ class ReportOptions(msgspec.Struct, frozen=True):
 
     outputs: dict[str, str] = outputs_option()
     record: str | None = option(metavar="FILE.mcap", help="Record the run into a new capture.")
-    verbose: bool = verbose_option()
+    verbose: bool = flag("List every case that did not pass.", "-v", "--verbose")
 
 
 class KnownOptions(msgspec.Struct, frozen=True):
     """What is known of the device, and does not count as a failure."""
 
-    expect_failures: str | None = expect_failures_option()
+    expect_failures: str | None = option(
+        metavar="FILE",
+        help="Failures that do not count: lines of GLOB : AXIS: MESSAGE, a glob of case ids, the "
+        "axis that fails (answer, stop, state) and, optionally, the message; # begins a comment. "
+        "One that no longer fails is itself a failure.",
+    )
     update_expected: bool = flag("Rewrite that file from what fails now; comments stay.")
     allow: tuple[str, ...] = option(
         multiple=True,
@@ -205,8 +205,8 @@ def conform(options: ConformOptions) -> int:
     still goes on to its end, and the exit code is 2. With --watch it is that of the last run.
     """
     gc.set_threshold(*_COLLECTED)
-    protocol, robot = family_protocol("conform"), options.robot
-    name, settings = robot.named(protocol)
+    protocol = family_protocol("conform")
+    robot, name, settings = options.robot.fitting(protocol)
     try:
         parse_allowed(protocol, options.known.allow)
         if options.cases.extra and options.cases.level != COMPLETE.name:
@@ -220,7 +220,7 @@ def conform(options: ConformOptions) -> int:
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
     promise_verdict()
-    options = msgspec.structs.replace(options, robot=robot.fitting(name))
+    options = msgspec.structs.replace(options, robot=robot)
     require_writable(outputs_of(options.reports.outputs))
     if not options.watches:
         note_each([plan.order])
@@ -251,12 +251,12 @@ class _Plan:
     suite: Options
     cases: Sequence[AnyCase]
     order: str
-    last: LastRun | None
+    last: LastRun
     fresh: str | None
 
 
-def _planned(protocol: Protocol, options: ConformOptions, last: LastRun | None) -> _Plan:
-    """What is to be run after the last run that is known. Raises UsageError."""
+def _planned(protocol: Protocol, options: ConformOptions, last: LastRun) -> _Plan:
+    """What is to be run after the last run. Raises UsageError."""
     known = options.known
     profile = read_profile(protocol, known.profile_path, known.allow)
     suite, order = options.suite(profile), ""
@@ -282,11 +282,12 @@ def _run(
 
     From the consent on a signal ends the run itself, and nothing else until the files are written.
     """
-    robot, known = options.robot, options.known
+    known = options.known
     outputs = outputs_of(options.reports.outputs)
-    expected = expected_file(
-        protocol, plan.suite, known.expect_failures, update=known.update_expected
-    )
+    expected = None
+    if known.expect_failures is not None:
+        suite = suite_ids(protocol, plan.suite)
+        expected = ExpectedFile(known.expect_failures, suite, update=known.update_expected)
     with ExitStack() as signals:
         report, broken = _tested(protocol, options, name, settings, plan, signals)
         console = _console(outputs)
@@ -295,8 +296,10 @@ def _run(
             outputs.append(Output("--profile", fresh, _profile))
         # What can be written is, even if something else fails: the robot should not drive again.
         try:
-            report = with_expected(report, expected)
-            after = (plan.last or no_run(protocol, robot.target)).after(report)
+            if expected:
+                report, changed = expected.applied(report)
+                note_each([changed])
+            after = plan.last.after(report)
             after.keep()
         finally:
             try:

@@ -13,14 +13,13 @@ import msgspec
 
 from bilprov.analyzer.cli.settings import state_folder
 from bilprov.analyzer.files import from_json, read_bounded, write_whole
-from bilprov.captures.text import escape_controls, quantity
+from bilprov.captures.text import escape_controls
 from bilprov.conformance.api import Options
 from bilprov.conformance.oracle.verdicts import VOUCHED, Verdict
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.protocol import Protocol
 
 _FOLDER = "last_runs"
-_DEVICES = 50  # the oldest run is forgotten where there are more
 _MOST = 1 << 22  # bytes of a file
 
 
@@ -56,49 +55,37 @@ class LastRun(msgspec.Struct, frozen=True):
         with suppress(OSError):
             file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             write_whole(file, msgspec.json.encode(self))
-            for old in sorted(file.parent.glob("*.json"), key=_written)[:-_DEVICES]:
-                old.unlink()
 
 
 class Run(NamedTuple):
-    """A run, with what was known of the device before (None for nothing) and after it."""
+    """A run, with what was known of the device before and after it."""
 
-    before: LastRun | None
+    before: LastRun
     report: Report
     after: LastRun
 
 
-def last_run(protocol: Protocol, device: str) -> LastRun | None:
-    """The last run of the device that `conform` names so, None where none is known."""
-    none = no_run(protocol, device)
+def last_run(protocol: Protocol, device: str) -> LastRun:
+    """The last run of the device that `conform` names so; nothing failed where none is known."""
+    none = LastRun(escape_controls(device), escape_controls(f"{protocol.name}, {protocol.origin}"))
     file = _file(none.device, none.grammar)
     if file is not None:
         with suppress(OSError, ValueError):
             return from_json(read_bounded(file, _MOST), LastRun)
-    return None
-
-
-def no_run(protocol: Protocol, device: str) -> LastRun:
-    """What is known of a device before its first run."""
-    return LastRun(escape_controls(device), escape_controls(f"{protocol.name}, {protocol.origin}"))
+    return none
 
 
 def ordered(
-    suite: Options, last: LastRun | None, planned: Collection[str], *, alone: bool
+    suite: Options, last: LastRun, planned: Collection[str], *, alone: bool
 ) -> tuple[Options, str]:
     """The options with which what failed last is run first, or `alone`; and that in words.
 
     `planned` are the ids of all cases that the run would have. Where none of them failed last, or
     there is no last run, the options stay.
     """
-    if last is None:
-        return suite, "no run of this device is known: all cases are run"
-    if not last.failed:
-        return suite, "nothing failed in its last run: all cases are run"
     failed = tuple(ident for ident in last.failed if ident in planned)
     if not failed:
-        count = quantity(len(last.failed), "case")
-        return suite, f"{count} failed last, none of those asked for: all of those are run"
+        return suite, "none of the cases asked for is known to have failed: all of them are run"
     some = "" if len(failed) == len(last.failed) else f" of {len(last.failed)}, as asked for"
     if alone:
         return replace(suite, only=failed), f"only the cases that failed last ({len(failed)}{some})"
@@ -119,10 +106,3 @@ def _file(device: str, grammar: str) -> Path | None:
     folder = state_folder()
     name = hashlib.sha256(f"{device}\n{grammar}".encode()).hexdigest()[:32]
     return folder / _FOLDER / f"{name}.json" if folder else None
-
-
-def _written(file: Path) -> float:
-    try:
-        return file.stat().st_mtime
-    except OSError:
-        return 0.0

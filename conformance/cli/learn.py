@@ -64,10 +64,9 @@ def learn(options: LearnOptions) -> int:
     """
     from bilprov.conformance.learning.learner import learn_target, require_aalpy
 
-    protocol, robot = family_protocol("lab learn"), options.robot
+    protocol = family_protocol("lab learn")
     require_aalpy()
-    name, settings = robot.named(protocol)
-    robot = robot.fitting(name)
+    robot, name, settings = options.robot.fitting(protocol)
     promise_verdict()
     require_writable(options.files)
     if options.svg is not None and not has_graphviz():

@@ -23,11 +23,10 @@ Writer = Callable[[Sequence[Report], Protocol], str]
 
 
 class Format(NamedTuple):
-    """One format: its option's help text, its writer, and whether it takes several reports."""
+    """One format: its option's help text, and its writer."""
 
     help: str
     write: Writer
-    several: bool = True
 
 
 # Each format's option is its name with two dashes.
@@ -35,13 +34,13 @@ FORMATS = {
     "json": Format(
         "The report as JSON; - is standard output.",
         lambda reports, protocol: as_json(*reports).decode(),
-        several=False,
     ),
     "junit": Format("JUnit XML, for a CI's list of tests.", as_junit),
     "markdown": Format("A summary for a CI's page.", as_markdown),
     "html": Format("One page with matrix, wire logs and timing pictures.", as_html),
 }
-SEVERAL = tuple(name for name, form in FORMATS.items() if form.several)
+SEVERAL = ("junit", "markdown", "html")
+"""The formats that take several reports."""
 
 
 class Output(NamedTuple):

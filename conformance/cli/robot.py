@@ -49,31 +49,26 @@ class RobotOptions(msgspec.Struct, frozen=True):
     )
     variant: str | None = variant_option(help="With sim: read the document in this legal way.")
 
-    def named(self, protocol: Protocol) -> tuple[TargetName, LineSettings]:
-        """The target and its line's settings; the simulator and boards have the grammar's.
+    def fitting(self, protocol: Protocol) -> tuple[RobotOptions, TargetName, LineSettings]:
+        """The options without the settings that are for ports only where the target is none.
 
-        Raises UsageError.
+        With them the target and its line's settings; the simulator and boards have the grammar's.
+        Raises UsageError, also for an option of the command line that is not for such a target.
         """
         try:
             name = target_named(self.target)
             line = self.line.settings(protocol) if name.kind == PORT else line_settings(protocol)
         except ValueError as error:
             raise click.UsageError(str(error)) from error
-        if name.kind != PORT:
+        if name.kind == PORT:
+            probe, power = self.probe, self.power
+        else:
             only_for_ports((*SENDING_LINE, "reconnect", "power"), name.text)
-        return name, line
-
-    def fitting(self, name: TargetName) -> RobotOptions:
-        """The options without the settings that are for ports only, if this is none.
-
-        Raises UsageError for an option of the command line that is not for this kind of target.
-        """
-        probe = self.probe if asked_here("probe") or not name.own_probe else None
-        power = self.power if name.kind == PORT else None
-        if name.own_probe and probe not in (None, SIM):
-            raise click.UsageError(
-                f"the target {name.text} brings its own probe; --probe {probe} is for ports"
-            )
+            probe, power = (self.probe if asked_here("probe") else None), None
+            if probe not in (None, SIM):
+                raise click.UsageError(
+                    f"the target {name.text} brings its own probe; --probe {probe} is for ports"
+                )
         if name.kind != SIM and (self.fault or self.variant):
             option = "--fault" if self.fault else "--variant"
             raise click.UsageError(
@@ -81,7 +76,7 @@ class RobotOptions(msgspec.Struct, frozen=True):
             )
         if power is not None and not power.startswith("exec:"):
             raise click.UsageError(f"--power {power}: it takes exec:COMMAND")
-        return replace(self, probe=probe, power=power)
+        return replace(self, probe=probe, power=power), name, line
 
     @contextmanager
     def driven(

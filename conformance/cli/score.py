@@ -9,7 +9,6 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import command, family_protocol, flag, option
-from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options
 from bilprov.conformance.cases.levels import LEVELS
@@ -40,7 +39,11 @@ class ScoreOptions(msgspec.Struct, frozen=True):
     """The options of `lab score`."""
 
     at: tuple[str, ...] = option(
-        "--level", multiple=True, metavar="LEVEL", help="Only this level; repeatable."
+        "--level",
+        multiple=True,
+        metavar="LEVEL",
+        type=click.Choice(list(LEVELS)),
+        help="Only this level; repeatable.",
     )
     drawn: int = option(
         "--random",
@@ -89,9 +92,6 @@ def score(options: ScoreOptions) -> int:
     from bilprov.conformance.cli.progress import counted
 
     protocol, at, only = family_protocol("lab score"), options.at, options.only
-    unknown = [level for level in at if level not in LEVELS]
-    if unknown:
-        raise click.UsageError(f"there is no level {unknown[0]!r}; there are {', '.join(LEVELS)}")
     faults = chosen_faults(protocol, options.drawn, only, options.fault_seed)
     if not faults:
         none = f"matches {' or '.join(only)}" if only else "is left with --random 0"
@@ -105,7 +105,7 @@ def score(options: ScoreOptions) -> int:
     with counted(len(faults) * max(1, len(at))) as told:
         found = score_of(protocol, faults, at=at, seed=options.seed, jobs=jobs, progress=told)
     try:
-        write_each((output.path, _as_json(found, output.path)) for output in outputs)
+        write_each((output.path, _as_json(found)) for output in outputs)
     finally:
         _show(found, console)
     return 1 if found.failures else 0
@@ -130,7 +130,7 @@ def _causes(
         found = cause_score(
             protocol, names, options.pairs, level, seed=options.seed, jobs=jobs, progress=told
         )
-    write_each((output.path, _as_json(found, output.path)) for output in outputs)
+    write_each((output.path, _as_json(found)) for output in outputs)
     for one in (*found.failing, *found.pairs):
         if one.causes != 1 + (one in found.pairs) or one.named < one.of or not one.shown:
             words = f"{one.name}: {quantity(one.causes, 'cause')}, {one.named} of {one.of} named"
@@ -141,11 +141,9 @@ def _causes(
     return 0
 
 
-def _as_json(found: msgspec.Struct, path: str) -> str:
-    """The score on one line of standard output, or indented in a file."""
-    text = msgspec.json.encode(found)
-    indented = msgspec.json.format(text, indent=1)
-    return (text + b"\n" if path == STANDARD_OUTPUT else indented).decode()
+def _as_json(found: msgspec.Struct) -> str:
+    """The score on one line."""
+    return msgspec.json.encode(found).decode() + "\n"
 
 
 def _show(found: Score, console: Console) -> None:

@@ -55,11 +55,9 @@ def send(options: SendOptions) -> int:
         if target == SIM:
             only_for_ports((*SENDING_LINE, "wait"), SIM)
             typed = options.probe if asked_here("probe") else None
-            if typed not in (None, SIM):
-                raise click.UsageError(f"sim brings its own probe; --probe {typed} is for ports")
-            if typed and not protocol.wheels:
+            if typed and (typed != SIM or not protocol.wheels):
                 raise click.UsageError(
-                    f"the probe of sim sees a car, and {protocol.name} has none: leave out --probe"
+                    f"sim brings its own probe where it is a car: leave out --probe {typed}"
                 )
             port, own = stack.enter_context(_simulator(protocol))
             # Items are shown with looks only where these are asked for, as at a port.

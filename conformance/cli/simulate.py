@@ -91,18 +91,19 @@ def simulate(options: SimulateOptions) -> int:
     Exit code: 0 after Ctrl-C or SIGTERM.
     """
     protocol, firmware = protocol_in_use(), options.firmware
-    if not protocol.wheels:
-        _require_no_faults(protocol, options)
+    mine = ("fault", "variant", "list_faults", "list_variants")
+    given = [name.replace("_", "-") for name in mine if getattr(options, name)]
+    if given and (firmware or not protocol.wheels):
+        raise click.UsageError(
+            f"--{given[0]} is for the simulated robot car and its family; firmware and other "
+            "protocols are served as they are"
+        )
     if options.list_faults or options.list_variants:
         from bilprov.conformance.mutation.catalogue import listed_faults, listed_variants
 
         listed = listed_faults if options.list_faults else listed_variants
         click.echo(listed(protocol))
         return 0
-    if firmware is not None and (options.fault or options.variant):
-        raise click.UsageError(
-            "--firmware is a device of its own: --fault and --variant do not apply"
-        )
     if firmware is not None and options.probe_listen and not protocol.wheels:
         raise click.UsageError(
             f"the probe of a board sees the pins of the car, which {protocol.name} does not have: "
@@ -130,22 +131,6 @@ def simulate(options: SimulateOptions) -> int:
         except ValueError as error:
             raise click.UsageError(str(error)) from error
     return 2 if board and board.crashed else 0
-
-
-def _require_no_faults(protocol: Protocol, options: SimulateOptions) -> None:
-    """Refuse the options of the robot car for the device of another grammar."""
-    given = {
-        "--fault": options.fault,
-        "--variant": options.variant,
-        "--list-faults": options.list_faults,
-        "--list-variants": options.list_variants,
-    }
-    refused = [name for name, value in given.items() if value]
-    if refused:
-        raise click.UsageError(
-            f"{refused[0]} is for the robot car and its family; the simulator of {protocol.name} "
-            "only conforms"
-        )
 
 
 def _simulated(protocol: Protocol, options: SimulateOptions) -> Simulator | SimulatedDevice:

@@ -150,7 +150,7 @@ def change_words(number: int, run: Run) -> list[str]:
     if run.report.unusable:
         return [f"run {number}: not judged"]
     failed, after = failed_cases(run.report), run.after.failed
-    before = run.before.failed if run.before else {}
+    before = run.before.failed
     lists = {
         "fixed": [ident for ident in before if ident not in after],
         "still failing": [ident for ident in before if ident in failed],

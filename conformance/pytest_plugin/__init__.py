@@ -54,10 +54,10 @@ def pytest_configure(config: pytest.Config) -> None:
     """Register a RobotSession if --robot-port is given. Raises UsageError for wrong use."""
     config.addinivalue_line("markers", MARKER)
     if config.getoption("robot_port") is None:
-        names = ("probe", "only", "level", "allow", "seed", "baud", "grammar", "fault", "yes")
-        given = [name for name in names if config.getoption(f"robot_{name}") not in (None, False)]
-        if given:
-            raise pytest.UsageError(f"--robot-{given[0]} needs --robot-port PORT, or sim")
+        options = vars(config.option).items()
+        if given := [name for name, value in options if name.startswith("robot_") and value]:
+            option = given[0].replace("_", "-")
+            raise pytest.UsageError(f"--{option} needs --robot-port PORT, or sim")
         return
     from bilprov.conformance.pytest_plugin.session import RobotSession
 

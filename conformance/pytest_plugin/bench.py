@@ -11,26 +11,24 @@ from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from bilprov.analyzer.client.driver import Answer, RobotError
 from bilprov.analyzer.client.operations import Ended, Link, Procedure, drive, listen, observe
-from bilprov.analyzer.client.probes import ProbeError, asks_person
+from bilprov.analyzer.client.probes import asks_person
 from bilprov.analyzer.client.robot import Instructions
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import (
     Options,
-    estimated,
     opening_and_reading_cases,
     select_cases,
     suite_steps,
 )
 from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.dut.link import Environment
 from bilprov.conformance.dut.simulator import Fault
-from bilprov.conformance.dut.target import Target, open_target, target_named
+from bilprov.conformance.dut.target import SIM, Target, open_target, target_named
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
@@ -72,14 +70,8 @@ class Client(Instructions):
         Speed and LED stay as they were. The probe, if there is one, must see it stand still.
         """
         super().home()
-        self._require_still(round(self.protocol.timing.stop_longest * MS))
-
-    def _require_still(self, patience: int) -> None:
-        """Look until the robot stands still; raise RobotError after `patience` ns.
-
-        Link and probe are two lines: a look may be a little older than the answer.
-        """
-        until = self._do(listen(None, 0)).now + patience
+        # Link and probe are two lines: a look may be a little older than the answer.
+        until = self._do(listen(None, 0)).now + round(self.protocol.timing.stop_longest * MS)
         while self.sees and self.look().moving:
             if self._do(listen(None, _SETTLE)).now >= until:
                 raise RobotError("the robot still moves although it was sent a stop")
@@ -95,11 +87,12 @@ class Bench(RunListener):
     """One run of the suite, and any number of clients, on a port, `sim` or an emulated board.
 
     Nothing is opened before `open`. `close` stops a run that is still going, and homes. `unplanned`
-    gets the results of cases that are not in `order`. `environment` is the run's, once it has
-    begun.
+    gets the results of cases that are not in `order`. `link` is the run's, once it has begun.
+
+    Raises ValueError, in one sentence, for a target or a probe that cannot be used.
     """
 
-    environment: Environment
+    link: dict[str, Any]
 
     def __init__(
         self,
@@ -108,68 +101,52 @@ class Bench(RunListener):
         *,
         options: Options,
         settings: LineSettings,
-        probe: str | None = None,
-        fault: Fault | None = None,
+        probe: str | None,
+        fault: Fault | None,
     ) -> None:
-        self.protocol = protocol
-        self.target = target
-        self.options = options
-        self._name = target_named(target)
+        self.protocol, self.target, self.options = protocol, target, options
+        self._name = name = target_named(target)
+        if name.own_probe and probe not in (None, SIM):
+            raise ValueError(f"--robot-port {target} brings its own probe: leave --robot-probe out")
+        if asks_person(probe):
+            raise ValueError(
+                f"--robot-probe {probe} cannot be used under pytest; run bilprov conform"
+            )
         self.report: Report | None = None
+        self.unplanned: list[CaseResult] = []
         self._stopper = Stopper()
-        self.own_probe = self._name.own_probe
-        self._probe = probe or None
         self._open_target = partial(
-            open_target,
-            *(protocol, self._name, self._stopper),
-            settings=settings,
-            probe=self._probe,
-            fault=fault,
+            open_target, protocol, name, self._stopper, settings=settings, probe=probe, fault=fault
         )
         self._stack = ExitStack()
         self._port: Target | None = None
         self._run: Generator[None] | None = None
         self._going = False  # a step of the run is under way
         self._results: dict[str, CaseResult] = {}
-        self.unplanned: list[CaseResult] = []
-        self.told_why = False
 
     @cached_property
-    def _cases(self) -> tuple[AnyCase, ...]:
+    def cases(self) -> tuple[AnyCase, ...]:
         """The cases of the options, which take seconds to make. Raises as `select_cases` does."""
         return select_cases(self.protocol, self.options)
 
     @cached_property
     def order(self) -> Mapping[str, int]:
         """The ids of the cases with their places in a run. Raises as `select_cases` does."""
-        cases = (*opening_and_reading_cases(self.protocol), *self._cases)
+        cases = (*opening_and_reading_cases(self.protocol), *self.cases)
         return {case.id: at for at, case in enumerate(cases)}
 
-    def seconds(self, ids: Collection[str]) -> float:
-        """About how long a run of these cases takes on the port that is open, in s."""
-        assert self._port is not None
-        chosen = [case for case in self._cases if case.id in ids]
-        return estimated(self._port, self.options, chosen)
-
-    def open(self, confirm: Callable[[], None]) -> None:
-        """Open port and probe, once; then call `confirm`, which raises if the robot may not move.
+    def open(self, confirm: Callable[[Target], None]) -> None:
+        """Open port and probe, and call `confirm`, which raises if the robot may not move.
 
         It is not called for the simulator or an emulated board, which move nothing. Raises
         LinkError, ProbeError and EmulatorError, in one sentence.
         """
-        if self._port is not None:
-            return
-        if asks_person(self._probe) and not self.own_probe:
-            raise ProbeError(
-                f"--robot-probe {self._probe} cannot be used under pytest; run bilprov conform"
-            )
         if self._name.virtual:
             with self._opened():  # raises if the firmware cannot be run
                 return
         self._port = self._stack.enter_context(self._open_target())
-        if self._port.moves:
-            confirm()
-            self._stopper.before_suspending(self._port.halt)
+        confirm(self._port)
+        self._stopper.before_suspending(self._port.halt)
 
     def _opened(self) -> AbstractContextManager[Target]:
         """The robot at the port; a target in virtual time is opened anew, just after power-on."""
@@ -196,7 +173,8 @@ class Bench(RunListener):
             raise KeyboardInterrupt
         return self._results.get(ident)
 
-    def why_not(self, ident: str) -> str:
+    @property
+    def why_not(self) -> str:
         """Why a case has no result although the run has ended; "" if the run did not need it."""
         if self.report is None:
             return "the run broke off"
@@ -229,11 +207,8 @@ class Bench(RunListener):
 
     def _steps(self, options: Options) -> Generator[None]:
         with self._opened() as target:
+            self.link = target.environment.link
             self.report = yield from suite_steps(target, options, [self])
-
-    def begins(self, protocol: Protocol, options: object, environment: Environment) -> None:
-        """The run begins."""
-        self.environment = environment
 
     def end(self, result: CaseResult) -> None:
         """A case is final."""

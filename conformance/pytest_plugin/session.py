@@ -6,7 +6,7 @@ The verdict of a case is the outcome of its test, the evidence its message.
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
@@ -21,15 +21,15 @@ from bilprov.analyzer.transport.ending import ENDINGS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import handled, unhandled
-from bilprov.conformance.api import Options
+from bilprov.conformance.api import Options, estimated
 from bilprov.conformance.cases.levels import LEVELS, STANDARD
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.simulator import Fault
-from bilprov.conformance.dut.target import SIM
+from bilprov.conformance.dut.target import SIM, Target
 from bilprov.conformance.oracle.choices import parse_allowed
-from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.pytest_plugin.bench import Bench
-from bilprov.conformance.report.run_report import evidence, reproducer
+from bilprov.conformance.report.run_report import evidence_lines, reproducer
 from bilprov.spec.by_effect import effect_words
 from bilprov.spec.errors import one_line
 from bilprov.spec.protocol import GrammarError, Protocol, require_family
@@ -38,18 +38,11 @@ NAME = "conformance"
 
 
 class Conformance(pytest.Collector):
-    """The suite as a collector without a file, whose items are the cases."""
+    """The suite as a collector without a file, whose items are the cases of `ids`."""
 
     bench: Bench
     ids: Sequence[str]
-
-    @classmethod
-    def of(cls, session: pytest.Session, bench: Bench, ids: Sequence[str]) -> Conformance:
-        """The suite with these cases."""
-        suite: Conformance = cls.from_parent(session, name=NAME, nodeid=NAME)
-        suite.bench, suite.ids = bench, ids
-        suite.add_marker(NAME)
-        return suite
+    told_why = False  # why cases have no result: said once, the reason is the same for all
 
     def collect(self) -> Iterable[pytest.Item]:
         """The cases, in the run's order."""
@@ -68,10 +61,10 @@ class CaseItem(pytest.Item):
         bench = self.parent.bench
         result = bench.result(self.name)
         if result is None:
-            why = bench.why_not(self.name)
-            if bench.told_why or not why:
+            why = bench.why_not
+            if self.parent.told_why or not why:
                 _skip(f"not judged: {why or 'this run did not need it'}")
-            bench.told_why = True  # said once: the reason is the same for all that are left
+            self.parent.told_why = True
             _fail(f"not judged: {why}")
         self._result = result
         self.user_properties += [("clause", result.clause), ("verdict", result.verdict.label)]
@@ -82,9 +75,11 @@ class CaseItem(pytest.Item):
 
     def runtest(self) -> None:
         """The verdict as an outcome: only `fail` fails, only what was judged passes."""
-        result = self._result
+        result, bench = self._result, self.parent.bench
         if result.verdict is Verdict.FAIL:
-            _fail(self._evidence(result))
+            command = reproducer(bench.protocol.origin, bench.target, bench.link, bench.options)
+            lines = evidence_lines(result, command(result))
+            _fail("\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines]))
         if result.verdict in (Verdict.INCONCLUSIVE, Verdict.SKIPPED):
             _skip(f"{result.verdict.label}: {result.reason}")
         if result.verdict is not Verdict.PASS:
@@ -93,15 +88,6 @@ class CaseItem(pytest.Item):
     def reportinfo(self) -> tuple[Path, int, str]:
         """The location that pytest shows: a path made of the suite's name, which has no file."""
         return self.config.rootpath / NAME, 0, self.name
-
-    def _evidence(self, result: CaseResult) -> str:
-        bench = self.parent.bench
-        command = reproducer(
-            bench.protocol.origin, bench.target, bench.environment.link, bench.options
-        )
-        rows = [*evidence(result), ("reproduce", command(result))]
-        lines = [f"{label:10}{words}" for label, words in rows]
-        return "\n".join([f"{result.id} ({result.clause}): {result.requirement}", *lines])
 
 
 def _fail(message: str) -> NoReturn:
@@ -123,8 +109,6 @@ class RobotSession:
         self._config = config
         _require_one_process(config)
         option = config.getoption
-        if option("setuponly") or option("setupplan"):
-            raise pytest.UsageError("a robot has no set-up to show: leave --robot-port out")
         try:
             protocol = load_protocol(option("robot_grammar"))
             require_family(protocol, "the suite")
@@ -139,10 +123,6 @@ class RobotSession:
             self._wanted = self._asked_for()
         except (GrammarError, ValueError, OSError) as error:
             raise pytest.UsageError(one_line(error)) from error
-        if self.bench.own_probe and option("robot_probe") not in (None, SIM):
-            raise pytest.UsageError(
-                f"--robot-port {self.bench.target} brings its own probe: leave --robot-probe out"
-            )
         self._left: list[str] = []
         self._signals = ExitStack()
 
@@ -170,7 +150,9 @@ class RobotSession:
         """Add the cases before -k and -m select; put them first, in order, after any shuffling."""
         if self._wanted:
             ids = [ident for ident in self.bench.order if ident in self._wanted]
-            suite = Conformance.of(session, self.bench, ids)
+            suite: Conformance = Conformance.from_parent(session, name=NAME, nodeid=NAME)
+            suite.bench, suite.ids = self.bench, ids
+            suite.add_marker(NAME)
             report = session.ihook.pytest_make_collect_report(collector=suite)
             session.ihook.pytest_collectreport(report=report)
             items += [item for item in report.result or () if isinstance(item, pytest.Item)]
@@ -192,14 +174,16 @@ class RobotSession:
             return
         self._heed_signals()
         try:
-            self.bench.open(lambda: self._confirm(self._left))
+            self.bench.open(self._confirm)
         except (LinkError, ProbeError, EmulatorError, NotConfirmed) as error:
             raise pytest.UsageError(str(error)) from error
 
-    def _confirm(self, ids: Collection[str]) -> None:
+    def _confirm(self, target: Target) -> None:
         what = f"the robot at {self.bench.target} will do what the tests send"
-        if ids:
-            seconds = self.bench.seconds(frozenset(ids))
+        if self._left:
+            left = set(self._left)
+            chosen = [case for case in self.bench.cases if case.id in left]
+            seconds = estimated(target, self.bench.options, chosen)
             what = f"the robot at {self.bench.target} will move for about {seconds:.0f} s"
         words = effect_words(self.bench.protocol)
         capture = self._config.pluginmanager.getplugin("capturemanager")

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, TypeVar
 
+from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.verdicts import VOUCHED, CaseResult, Cause, Verdict
 from bilprov.conformance.report.run_report import Report
 
@@ -26,12 +27,8 @@ class Row(NamedTuple):
 
     @property
     def clause(self) -> str:
-        """The clause that the case stands under: the same whether it passes or fails.
-
-        An older report, without `planned_clause`, has it only where the case does not fail.
-        """
-        results = [result for result in self.results if result]
-        return min(results, key=lambda result: result.verdict).planned_clause
+        """The clause that the case stands under: the same whether it passes or fails."""
+        return self.any.planned_clause
 
     @property
     def group(self) -> str:
@@ -45,30 +42,10 @@ class Row(NamedTuple):
 
 
 def rows(reports: Sequence[Report]) -> list[Row]:
-    """Every case of any report, in the order of the first report that has it.
-
-    A case that only later reports have stands after the one that it follows there.
-    """
+    """Every case of any report: those of the first in its order, then what only others have."""
     found = [{result.id: result for result in report.results} for report in reports]
-    order: list[str] = []
-    for results in found:
-        order = _merged(order, list(results))
+    order = dict.fromkeys(ident for results in found for ident in results)
     return [Row(ident, tuple(results.get(ident) for results in found)) for ident in order]
-
-
-def _merged(order: list[str], more: list[str]) -> list[str]:
-    known = set(order)
-    after: dict[str | None, list[str]] = {}
-    last: str | None = None
-    for key in more:
-        if key in known:
-            last = key
-        else:
-            after.setdefault(last, []).append(key)
-    merged = list(after.get(None, ()))
-    for key in order:
-        merged += [key, *after.get(key, ())]
-    return merged
 
 
 def _tested(report: Report) -> str:
@@ -77,22 +54,14 @@ def _tested(report: Report) -> str:
 
 
 def names(reports: Sequence[Report]) -> list[str]:
-    """A distinct name for each report: its device; of several its file and when the run began.
-
-    Numbers tell apart what is still alike.
-    """
+    """A name for each report: its device; of several its file, if any, and when the run began."""
     if len(reports) == 1:
         return [_tested(reports[0])]
     named = []
     for report in reports:
         begun = f" ({report.begun[:16].replace('T', ' ')} UTC)" if report.begun else ""
         named.append((report.file or _tested(report)) + begun)
-    counts, seen = Counter(named), Counter[str]()
-    told = []
-    for name in named:
-        seen[name] += 1
-        told.append(f"{name} ({seen[name]})" if counts[name] > 1 else name)
-    return told
+    return named
 
 
 Case = TypeVar("Case", CaseResult, Row)
@@ -120,8 +89,7 @@ def by_reason(results: Sequence[CaseResult]) -> list[tuple[str, str, str]]:
     counts = Counter(result.reason for result in results)
     first = {result.reason: result.id for result in reversed(results)}
     return [
-        ("1 case" if count == 1 else f"{count} cases", first[reason], reason)
-        for reason, count in counts.most_common()
+        (quantity(count, "case"), first[reason], reason) for reason, count in counts.most_common()
     ]
 
 
@@ -163,33 +131,25 @@ def changed_causes(first: Sequence[Cause], last: Sequence[Cause]) -> list[CauseC
     """What became of each cause: two are the same if their sentences are.
 
     One that is said in another way now, and explains a case that it explained before, is changed.
-    Of several it is the likest: one under the same condition, else the one with most cases alike.
+    Of several it is one under the same condition, else the one with most cases alike.
     """
     said = {cause.sentence for cause in first} & {cause.sentence for cause in last}
     new = {cause.sentence: cause for cause in last if cause.sentence not in said}
-    others = [cause for cause in first if cause.sentence not in said]
-    likeness = {
-        (before.sentence, after.sentence): (before.when == after.when, _alike(before, after))
-        for before in others
-        for after in new.values()
-        if set(before.cases) & set(after.cases)
-    }
-    became: dict[str, Cause] = {}
-    for before, after in sorted(likeness, key=likeness.__getitem__, reverse=True):
-        if before not in became and after in new:
-            became[before] = new.pop(after)
     changes = []
     for cause in first:
         if cause.sentence in said:
             changes.append(CauseChange("still there", cause))
-        elif cause.sentence in became:
-            changes.append(CauseChange("changed", became[cause.sentence], cause.sentence))
+        elif after := _likest(cause, new.values()):
+            changes.append(CauseChange("changed", new.pop(after.sentence), cause.sentence))
         else:
             changes.append(CauseChange("gone", cause))
     return changes + [CauseChange("new", cause) for cause in new.values()]
 
 
-def _alike(one: Cause, other: Cause) -> float:
-    """The share of the cases of two causes that both explain."""
-    cases, others = set(one.cases), set(other.cases)
-    return len(cases & others) / len(cases | others)
+def _likest(before: Cause, causes: Iterable[Cause]) -> Cause | None:
+    """The cause that has become of one, None where none of them explains a case that it did."""
+
+    def alike(cause: Cause) -> tuple[bool, int]:
+        return cause.when == before.when, len(set(cause.cases) & set(before.cases))
+
+    return max((cause for cause in causes if alike(cause)[1]), key=alike, default=None)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from bilprov.conformance.oracle.verdicts import AXES, CaseResult, Verdict
+from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.grouping import by_group
-from bilprov.conformance.report.run_report import Report, conclusion, run_facts
+from bilprov.conformance.report.run_report import Report, conclusion, evidence_lines, run_facts
 from bilprov.spec.protocol import Protocol
 
 _NOT_RUN = "run"
@@ -97,7 +97,8 @@ def _case(suite: Element, report: Report, result: CaseResult, before: str) -> No
             SubElement(properties, "property", name=key, value=value)
     if result.verdict is Verdict.PASS:
         return
-    words = "\n".join(line for line in _lines(report, result))
+    head = f"{result.verdict.label} ({result.clause}): {result.requirement}"
+    words = "\n".join([head, *evidence_lines(result, result.reproduce)])
     reason = result.reason or result.verdict.label
     tag = outcome(result.verdict, strict=report.options.strict)
     if tag == "skipped":
@@ -115,17 +116,3 @@ def outcome(verdict: Verdict, *, strict: bool) -> str:
     if verdict is Verdict.FAIL or (strict and verdict is Verdict.NON_STRICT):
         return "failure"
     return "skipped" if verdict in (Verdict.INCONCLUSIVE, Verdict.SKIPPED) else ""
-
-
-def _lines(report: Report, result: CaseResult) -> Iterator[str]:
-    yield f"{result.verdict.label} ({result.clause}): {result.requirement}"
-    if result.sent:
-        yield f"sent      {' | '.join(result.sent)}"
-    for name in AXES:
-        axis = result.axes.get(name)
-        if axis is None or axis.verdict in (Verdict.PASS, Verdict.SKIPPED):
-            continue
-        yield f"{name}: {axis.reason}" + (f" [{axis.reading}]" if axis.reading else "")
-        yield f"expected  {axis.expected}"
-        yield f"got       {axis.actual}"
-    yield f"again     {result.reproduce}"

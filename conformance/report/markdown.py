@@ -12,10 +12,8 @@ from bilprov.conformance.report.run_report import EXIT_VERDICTS, Report, conclus
 from bilprov.spec.protocol import Protocol
 
 _FIRST = 10  # cases of each verdict in full
-_GROUPS = 60  # rows of the table
 _REASONS = 8
 _LONGEST = 400  # characters of one foreign text
-_MOST = 200_000  # characters in all; GitHub cuts a summary at 1 MiB
 _SIGNS = {
     Verdict.SKIPPED: "➖",
     Verdict.PASS: "✅",
@@ -29,14 +27,7 @@ _SIGNS = {
 
 def as_markdown(reports: Sequence[Report], protocol: Protocol) -> str:
     """Markdown: verdict, table of case groups, the first cases that did not pass, coverage."""
-    text = ""
-    for index, report in enumerate(reports):
-        part = "".join(f"{block}\n\n" for block in _report(report))
-        if len(text) + len(part) > _MOST:
-            left = len(reports) - index
-            return text + f"\n{left} more {'report is' if left == 1 else 'reports are'} left out.\n"
-        text += ("\n" if text else "") + part
-    return text
+    return "\n".join("".join(f"{block}\n\n" for block in _report(one)) for one in reports)
 
 
 def prose(text: str) -> str:
@@ -83,16 +74,16 @@ def _report(report: Report) -> Iterator[str]:
     if report.results:
         yield "\n".join(_table(report))
     if report.proof:
-        yield " ".join(map(prose, re.split(r"(?<=\.) ", report.proof)[:_GROUPS]))
+        yield " ".join(map(prose, re.split(r"(?<=\.) ", report.proof)))
     for verdict in (Verdict.ERROR, Verdict.FAIL, Verdict.NON_STRICT):
         found = [result for result in report.results if result.verdict is verdict]
         if found:
-            yield from _cases(report, verdict, found)
+            yield from _cases(verdict, found)
     yield from _reasons([r for r in report.results if r.verdict is Verdict.INCONCLUSIVE])
     covered = [(name, covered) for name, covered in report.coverage.items() if covered.of]
     if report.results and covered:
         yield "### Coverage"
-        yield "\n".join(f"- {prose(name)}: {c.done} of {c.of}" for name, c in covered[:_GROUPS])
+        yield "\n".join(f"- {prose(name)}: {c.done} of {c.of}" for name, c in covered)
 
 
 def _causes(report: Report) -> Iterator[str]:
@@ -113,18 +104,15 @@ def _causes(report: Report) -> Iterator[str]:
 def _table(report: Report) -> Iterator[str]:
     total = tally(report.results)
     columns = list(reversed(total))
-    groups = by_group(report.results)
     yield f"| cases | {' | '.join(f'{_SIGNS[v]} {v.label}' for v in columns)} |"
     yield f"|---|{'--:|' * len(columns)}"
-    for name, results in list(groups.items())[:_GROUPS]:
+    for name, results in by_group(report.results).items():
         counts = tally(results)
         yield f"| {code(name)} | {' | '.join(str(counts.get(v, '')) for v in columns)} |"
-    if len(groups) > _GROUPS:
-        yield f"| and {len(groups) - _GROUPS} more | {' | ' * (len(columns) - 1)} |"
     yield f"| **all** | {' | '.join(f'**{total[v]}**' for v in columns)} |"
 
 
-def _cases(report: Report, verdict: Verdict, found: list[CaseResult]) -> Iterator[str]:
+def _cases(verdict: Verdict, found: list[CaseResult]) -> Iterator[str]:
     yield f"### {_SIGNS[verdict]} {len(found)} {verdict.label}"
     for result in found[:_FIRST]:
         reading = f" ({prose(result.reading)})" if result.reading else ""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
@@ -263,6 +263,12 @@ def evidence(result: CaseResult) -> list[tuple[str, str]]:
     return rows
 
 
+def evidence_lines(result: CaseResult, command: str) -> Iterator[str]:
+    """The lines of `evidence`, and the command that shows the case again."""
+    for label, words in (*evidence(result), ("again", command)):
+        yield f"{label:10}{words}"
+
+
 def _named(grammar: str) -> list[str]:
     return ["bilprov"] if grammar == "grammar.py" else ["bilprov", "--grammar", grammar]
 
@@ -293,19 +299,15 @@ def reproducer(
     before = shlex.join(
         [*_named(grammar), "conform", device, "--seed", str(options.seed), "--only"]
     )
-    more = []
-    if options.level != "standard":
-        more += ["--level", options.level]
-    if options.extra:
-        more += ["--extra", str(options.extra)]
-    if options.deadline:
-        more += ["--deadline", f"{options.deadline:g}"]
-    for allowed in options.allow:
-        more += ["--allow", allowed]
-    if at_port and link.get("probe"):
-        more += ["--probe", link["probe"]]
-    if link.get("fault"):
-        more += ["--fault", link["fault"]]
+    given = {
+        "--level": options.level if options.level != "standard" else "",
+        "--extra": options.extra,
+        "--deadline": f"{options.deadline:g}" if options.deadline else "",
+        "--probe": link.get("probe") if at_port else "",
+        "--fault": link.get("fault"),
+    }
+    more = [word for name, value in given.items() if value for word in (name, str(value))]
+    more += [word for allowed in options.allow for word in ("--allow", allowed)]
     more += _line_options(link)
     after = shlex.join(more)
 
@@ -337,20 +339,15 @@ def conclusion(report: Report) -> Text:
 
     if report.unusable:
         return Text(f"not judged: {report.unusable}", STYLES[Verdict.ERROR])
-    words = _counts(report)
     comparison = report.comparison
     if comparison and comparison.expected and report.exit == 0:
-        text = Text(f"{report.device} fails only as expected: {words}", STYLES[Verdict.PASS])
+        said = f"{report.device} fails only as expected"
     elif comparison and comparison.stale and not comparison.unexpected:
-        text = Text(f"{comparison.file} no longer fits: {words}", STYLES[Verdict.FAIL])
-    elif report.exit == 0:
-        text = Text(f"{report.device} conforms: {words}", STYLES[Verdict.PASS])
-    elif report.exit == 1:
-        text = Text(f"{report.device} does not conform: {words}", STYLES[Verdict.FAIL])
+        said = f"{comparison.file} no longer fits"
     else:
-        text = Text(
-            f"{report.device} was not judged in full: {words}", STYLES[Verdict.INCONCLUSIVE]
-        )
+        ends = {0: "conforms", 1: "does not conform"}
+        said = f"{report.device} {ends.get(report.exit, 'was not judged in full')}"
+    text = Text(f"{said}: {_counts(report)}", STYLES[EXIT_VERDICTS[report.exit]])
     if report.ended:
         text.append(f" (ended early: {report.ended})")
     return text

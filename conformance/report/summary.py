@@ -38,11 +38,6 @@ _SHOWN = 2  # cases of each class and verdict, unless all are asked for
 _REASONS = 8
 _DIFFERING = 20
 _CHANGED = 6  # ids of cases with the same change
-# The keys of `timing` that are shown; a report from a file may have fewer.
-_TIMED = {
-    *("ratio", "bytes_sent", "bytes_received", "wire_s", "silences_s", "timeouts_s"),
-    *("looks", "look_ms"),
-}
 
 
 def summary_console(*, stderr: bool = False) -> Console:
@@ -72,7 +67,8 @@ def show(
             console.print(Text(report.proof))
         _causes(report, console)
         _not_passed(report, console, everything=everything)
-        _no_longer_failing(report, console, everything=everything)
+        for sentence in report.comparison.stale if report.comparison else ():
+            console.print(Text(sentence, STYLES[Verdict.FAIL]))
     console.print(conclusion(report))
 
 
@@ -104,7 +100,7 @@ def _not_passed(report: Report, console: Console, *, everything: bool) -> None:
         if verdict is Verdict.INCONCLUSIVE and not everything:
             _reasons(found, console)
         else:
-            _cases(report, found, console, len(found) if everything else _SHOWN)
+            _cases(found, console, len(found) if everything else _SHOWN)
 
 
 def _without_causes(report: Report, found: list[CaseResult], console: Console) -> list[CaseResult]:
@@ -118,21 +114,12 @@ def _without_causes(report: Report, found: list[CaseResult], console: Console) -
     return left
 
 
-def _no_longer_failing(report: Report, console: Console, *, everything: bool) -> None:
-    """Print the entries of the file of expected failures that no longer fail."""
-    stale = report.comparison.stale if report.comparison else ()
-    for sentence in stale if everything else stale[:_REASONS]:
-        console.print(Text(sentence, STYLES[Verdict.FAIL]))
-    if len(stale) > _REASONS and not everything:
-        console.print(Text(f"and {len(stale) - _REASONS} more; --verbose lists them", "dim"))
-
-
 def _facts(report: Report) -> Iterator[str]:
     """Lines on coverage, what was measured, the device's choices, and how the run was made."""
     for name, covered in report.coverage.items():
         if covered.done:
             yield f"{name}: {covered.done} of {covered.of}"
-    profile, timing = report.profile, report.timing
+    profile = report.profile
     timeout, latency = profile.truncation_timeout_ms, profile.latency_median_ms
     if timeout is not None:
         yield f"measured truncation time-out: {timeout} ms"
@@ -141,13 +128,6 @@ def _facts(report: Report) -> Iterator[str]:
     chosen = profile.other_readings
     if chosen:
         yield "other readings of the document: " + ", ".join(f"{p} {w}" for p, w in chosen.items())
-    if timing.keys() >= _TIMED and report.link.get("kind") == "port":
-        yield (
-            f"{timing['ratio']:.2f} times the minimum time: {timing['bytes_sent']:.0f} bytes sent "
-            f"and {timing['bytes_received']:.0f} received ({timing['wire_s']:.1f} s on the wire), "
-            f"{timing['silences_s']:.1f} s of silences, {timing['timeouts_s']:.1f} s of time-outs, "
-            f"{timing['looks']:.0f} observations of {timing['look_ms']:.2f} ms"
-        )
     about = run_facts(msgspec.structs.replace(report, unseen=(), notices=()))
     if about:
         yield ", ".join(f"{name} {words}" for name, words in about.items())
@@ -182,11 +162,11 @@ def _reasons(found: list[CaseResult], console: Console) -> None:
         console.print(line.append(f" ({first} is the first): {reason}", "default"))
 
 
-def _cases(report: Report, found: list[CaseResult], console: Console, most: int) -> None:
+def _cases(found: list[CaseResult], console: Console, most: int) -> None:
     """Print the first `most` cases of each group in full, and how many others there are."""
     for name, results in by_group(found).items():
         for result in results[:most]:
-            _case(report, result, console)
+            _case(result, console)
         left = len(results) - most
         if left > 0:
             more = f"      and {left} more of {name}; --verbose lists them"
@@ -195,7 +175,7 @@ def _cases(report: Report, found: list[CaseResult], console: Console, most: int)
         console.print(Text(f"again: {found[0].reproduce}"), soft_wrap=True)
 
 
-def _case(report: Report, result: CaseResult, console: Console) -> None:
+def _case(result: CaseResult, console: Console) -> None:
     """Print one case: what was sent, and for each axis not passed what was expected and seen."""
     head = Text.assemble(
         (result.verdict.label, STYLES[result.verdict]),

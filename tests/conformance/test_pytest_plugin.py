@@ -116,7 +116,7 @@ def test_a_failure_shows_expected_actual_and_the_command_and_no_traceback(
             "state*led is 4, expected 1",
             "expected*led 1*",
             "got*led 4*",
-            "reproduce*bilprov conform sim --seed 1 --only valid/LED/1 --fault led-order-reversed",
+            "again*bilprov conform sim --seed 1 --only valid/LED/1 --fault led-order-reversed",
         ]
     )
     assert "conformance/pytest" not in text(result)
@@ -220,13 +220,6 @@ def test_files_that_are_named_leave_the_cases_out(run: pytest.Pytester) -> None:
     on_sim(run, str(file), *SMOKE, "conformance::valid/LED/0").assert_outcomes(passed=2)
 
 
-def test_the_first_failure_ends_the_run(run: pytest.Pytester) -> None:
-    result = on_sim(run, "-x", *FEW, "--robot-fault", "led-order-reversed")
-
-    result.assert_outcomes(passed=5 + 1 + PROBES, failed=1)
-    result.stdout.fnmatch_lines(["*stopping after 1 failures*"])
-
-
 def test_collecting_sends_nothing(run: pytest.Pytester) -> None:
     result = pytested(run, "--robot-port", "/dev/no-such-port", "--co", "-q", *FEW)
 
@@ -260,9 +253,9 @@ WRONG = [
     (("--robot-port", "sim", "conformance::valid/Nothing"), "there is no case valid/Nothing"),
     (("--robot-port", "sim", "--robot-grammar", "none.py"), "none.py"),
     (("--robot-port", "/dev/no-such-port"), "/dev/no-such-port"),
+    (("--robot-port", "/dev/x", "--robot-probe", "ask"), "cannot be used under pytest"),
     (("--robot-port", "sim", "--robot-baud", "0"), "baud is 0"),
     (("--robot-port", "sim", "--robot-allow", "x=1"), "'x=1' cannot be allowed"),
-    (("--robot-port", "sim", "--setup-plan"), "no set-up to show"),
     (("--robot-port", f"emulator:simavr:{__file__}"), "is not an ELF file"),
     (("-p", "xdist", "--robot-port", "sim", "-n", "2"), "one port takes one process"),
 ]

@@ -18,8 +18,7 @@ from bilprov.conformance.cli.shell.prompt import candidates
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
-from tests.support.commands import command
-from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here, until
+from tests.support.robots import PATIENCE, ProbeServer, served_here, until
 from tests.support.terminals import (
     CONTINUE,
     CTRL_C,
@@ -74,19 +73,6 @@ def car(protocol: Protocol, more: bytes = b"") -> Iterator[tuple[Car, str, str]]
     device = Car(protocol, more)
     with served_here(device, pty=True) as (port, probe):
         yield device, port, probe
-
-
-# -- lines from a pipe ----------------------------------------------------------------------------
-
-
-def test_a_line_that_is_too_long_ends_it_and_is_told(protocol: Protocol) -> None:
-    with car(protocol) as (device, port, _):
-        lines = "Speed 80\n" + "81 05 " * 20_000
-        result = command("send", port, "--yes", stdin=lines.encode())
-
-    assert result.returncode == 2
-    assert "a line is longer than 65536 bytes" in sentence(result)
-    assert device.heard.strip(b"\x00") == b"\x11\x50"
 
 
 # -- limits ---------------------------------------------------------------------------------------
@@ -366,7 +352,7 @@ def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(
 def test_each_instruction_field_and_value_of_the_grammar_completes(each_protocol: Protocol) -> None:
     def texts(line: str) -> list[str]:
         offered = candidates(each_protocol, {}, line)
-        return [line[: len(line) - one.replaced] + one.text for one in offered]
+        return [line[: len(line) + one.start_position] + one.text for one in offered]
 
     for spec in each_protocol.instructions:
         assert spec.name in texts("")
@@ -386,7 +372,7 @@ def test_words_and_pauses_complete_and_an_instruction_goes_before_a_word(
     protocol: Protocol,
 ) -> None:
     words = {"stop": "a word", "home": "another"}
-    found = {one.text: one.meaning for one in candidates(protocol, words, "Forward; ")}
+    found = {one.text: one.display_meta_text for one in candidates(protocol, words, "Forward; ")}
 
     assert found["home"] == "another"
     assert "stop" not in found

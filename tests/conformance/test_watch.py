@@ -174,30 +174,14 @@ def test_a_port_has_come_back_once_it_is_another_file(tmp_path: Path) -> None:
     assert [watch.returned() for _ in range(2)] == [True, False]
 
 
-@pytest.mark.waits
-def test_a_pty_has_come_back_once_the_link_to_it_is_another(
-    tmp_path: Path, protocol: Protocol
-) -> None:
-    link = tmp_path / "robot"
-    with plugged(link, Simulator(protocol)):
-        watch = PathWatch(str(link))
-        assert not watch.returned()
-    assert not watch.returned()
-    for looks in (0, 1):
-        with plugged(link, Simulator(protocol)):  # under the same number
-            assert [watch.returned() for _ in range(2)] == [True, False]
-        assert [watch.returned() for _ in range(looks)] == [False] * looks
-
-
 def test_what_a_run_changed_is_said_in_words(protocol: Protocol) -> None:
     before = LastRun("sim", "robot-car", dict.fromkeys("abcdefg", "fail"))
     now = [(Verdict.PASS, "abcde"), (Verdict.FAIL, "fxy"), (Verdict.INCONCLUSIVE, "g")]
     results = tuple(replace(a_case("made", v), id=i) for v, idents in now for i in idents)
     report = replace(a_run(protocol, "valid/LED/1"), results=results)
 
-    def words(before: LastRun | None) -> list[str]:
-        known = before or LastRun("sim", "robot-car")
-        return change_words(4, Run(before, report, known.after(report)))
+    def words(before: LastRun) -> list[str]:
+        return change_words(4, Run(before, report, before.after(report)))
 
     assert words(before) == [
         "run 4: 5 fixed, 1 still failing, 2 new failures, 1 not judged again",
@@ -206,4 +190,8 @@ def test_what_a_run_changed_is_said_in_words(protocol: Protocol) -> None:
         "  new failures      x, y",
         "  not judged again  g",
     ]
-    assert words(None) == ["run 4: 3 new failures", "  new failures  f, x, y"]
+    none = LastRun("sim", "robot-car")
+    assert words(none) == [
+        "run 4: 3 new failures",
+        "  new failures  f, x, y",
+    ]

@@ -70,7 +70,6 @@ def send_items(
                 f"each instruction, {_NO_ANSWER} where no answer should come"
             )
     output, run, check = stream_output(style, protocol), Exchanges(), AnswerCheck()
-    pauses = [what for what in steps if isinstance(what, float)]  # those that are to come
     opened = _opened(port, settings, wait=wait)
     if opened is None:
         note("stopped before the port appeared: nothing was sent")
@@ -90,8 +89,6 @@ def send_items(
         def done(what: bytes | float) -> None:
             if isinstance(what, float):
                 target.wait(what)
-                if not stopper.stopped:
-                    pauses.remove(what)
                 return
             target.send(what)
             if not together:
@@ -132,8 +129,8 @@ def send_items(
         told += [check.wrong_words, check.missing_words]
     if check.sent < planned:
         told.append(f"{check.sent} of {quantity(planned, 'instruction')} were sent")
-    elif stopper.stopped and pauses:
-        told.append("stopped before the end of the last pause")
+    elif stopper.stopped and not check.flooded:
+        told.append("stopped before the end")
     if not target.answered_stops:
         told.append(UNANSWERED_STOPS)
     note_each(told)

@@ -6,12 +6,9 @@ What is typed is completed: instructions, their fields and values, and words.
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from pathlib import Path
-from typing import NamedTuple
 
 from prompt_toolkit import PromptSession
 from prompt_toolkit.application import get_app
@@ -36,15 +33,7 @@ from bilprov.spec.protocol import Protocol
 _LISTED = 16  # values that are listed one by one; of a wider range its two ends
 
 
-class Candidate(NamedTuple):
-    """A text that may take the place of the last `replaced` characters, and what it means."""
-
-    text: str
-    replaced: int
-    meaning: str
-
-
-def candidates(protocol: Protocol, words: Mapping[str, str], line: str) -> Iterator[Candidate]:
+def candidates(protocol: Protocol, words: Mapping[str, str], line: str) -> Iterator[Completion]:
     """Yield what may stand at the end of `line`, the text before the cursor.
 
     `words` are the words that can be typed besides instructions, with their meanings.
@@ -59,10 +48,10 @@ def candidates(protocol: Protocol, words: Mapping[str, str], line: str) -> Itera
     others = {word: meaning for word, meaning in words.items() if word not in known}
     for text, meaning in {**names, **others, PAUSE: "milliseconds"}.items():
         if text.lower().startswith(name.lower()):
-            yield Candidate(text, len(name), meaning)
+            yield Completion(text, -len(name), display_meta=meaning)
 
 
-def _of_fields(protocol: Protocol, name: str, rest: str) -> Iterator[Candidate]:
+def _of_fields(protocol: Protocol, name: str, rest: str) -> Iterator[Completion]:
     """Yield the fields that are not given yet, or the values of the one that is typed."""
     spec = next((s for s in protocol.instructions if s.name.lower() == name.lower()), None)
     if spec is None:
@@ -81,22 +70,24 @@ def _of_fields(protocol: Protocol, name: str, rest: str) -> Iterator[Candidate]:
                 f"{part.low}..{part.high}" if isinstance(part, Part) else part.allowed_in_short
             )
             meaning = f"{allowed}, {part.prose}"
-            yield Candidate(f"{part.name}=", len(typed), meaning)
+            yield Completion(f"{part.name}=", -len(typed), display_meta=meaning)
 
 
-def _of_values(part: FieldSpec | Part, replaced: int) -> Iterator[Candidate]:
+def _of_values(part: FieldSpec | Part, replaced: int) -> Iterator[Completion]:
     if isinstance(part, Part):
-        yield from (Candidate(str(end), replaced, part.prose) for end in (part.low, part.high))
+        for end in (part.low, part.high):
+            yield Completion(str(end), -replaced, display_meta=part.prose)
         return
     if part.many:
         return
     if part.names:
-        yield from (Candidate(name, replaced, str(value)) for name, value in part.names)
+        for name, value in part.names:
+            yield Completion(name, -replaced, display_meta=str(value))
         return
     listed = part.high - part.low < _LISTED
     for value in range(part.low, part.high + 1) if listed else (part.low, part.high):
         bits = " ".join(bit_names(part, value)) or ("off" if part.bits else "")
-        yield Candidate(str(value), replaced, bits or part.prose)
+        yield Completion(str(value), -replaced, display_meta=bits or part.prose)
 
 
 _TURN = 0.05  # s between two looks at the port
@@ -206,23 +197,7 @@ class _Completer(Completer):
     def get_completions(
         self, document: Document, complete_event: CompleteEvent
     ) -> Iterable[Completion]:
-        for one in candidates(self._protocol, self._words, document.text_before_cursor):
-            yield Completion(one.text, -one.replaced, display_meta=one.meaning)
-
-
-class _FileHistory(FileHistory):
-    """A history in a file that may be absent, unreadable, or not writable: then it is shorter."""
-
-    def load_history_strings(self) -> Iterable[str]:
-        try:
-            return list(super().load_history_strings())
-        except OSError:
-            return []
-
-    def store_string(self, string: str) -> None:
-        with suppress(OSError):
-            Path(os.fsdecode(self.filename)).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            super().store_string(string)
+        return candidates(self._protocol, self._words, document.text_before_cursor)
 
 
 def _keys() -> KeyBindings:
@@ -233,6 +208,12 @@ def _keys() -> KeyBindings:
 
 
 def _history() -> History:
-    """The lines typed before, in the user's state folder; kept in memory if there is none."""
+    """The lines typed before, in the user's state folder; kept in memory if that cannot be used."""
     folder = state_folder()
-    return _FileHistory(folder / "shell_history") if folder else InMemoryHistory()
+    with suppress(OSError):
+        if folder:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            file = folder / "shell_history"
+            file.open("a+b").close()  # raises where it cannot be read or written
+            return FileHistory(file)
+    return InMemoryHistory()

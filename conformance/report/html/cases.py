@@ -7,7 +7,7 @@ described in the grammar's words.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
@@ -54,30 +54,24 @@ def _row(index: int, row: Row) -> Safe:
     )
 
 
-class _Strings:
-    """A table in which every string stands once."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[str, int] = {}
-
-    def __call__(self, words: str) -> int:
-        return self._numbers.setdefault(words, len(self._numbers))
-
-    @property
-    def all(self) -> list[str]:
-        return list(self._numbers)
+_Number = Callable[[str], int]
+"""Gives a string's place in the table in which every string stands once."""
 
 
 def case_data(
     reports: Sequence[Report], told: Sequence[str], cases: Sequence[Row], protocol: Protocol
 ) -> dict[str, Any]:
     """The data that the page's script draws: for each row each report's case, null for none."""
-    strings = _Strings()
+    table: dict[str, int] = {}
+
+    def strings(words: str) -> int:
+        return table.setdefault(words, len(table))
+
     words = [WireWords(protocol, report) for report in reports]
     drawn = [
         [
-            result and _case(strings, report, told_by, result)
-            for report, told_by, result in zip(reports, words, row.results, strict=True)
+            result and _case(strings, told_by, result)
+            for told_by, result in zip(words, row.results, strict=True)
         ]
         for row in cases
     ]
@@ -99,7 +93,7 @@ def case_data(
         "known": [told_by.known for told_by in words],
         "readings": readings,
         "cases": drawn,
-        "strings": strings.all,
+        "strings": list(table),
     }
 
 
@@ -109,9 +103,7 @@ def _clauses(result: CaseResult) -> str:
     return planned if result.clause == planned else f"{planned}; what fails: {result.clause}"
 
 
-def _case(
-    strings: _Strings, report: Report, words: WireWords, result: CaseResult
-) -> dict[str, Any]:
+def _case(strings: _Number, words: WireWords, result: CaseResult) -> dict[str, Any]:
     return {
         "v": result.verdict.label,
         "c": strings(_clauses(result)),
@@ -253,9 +245,8 @@ def _line(
     return tag("tr", head, *cells, tag("td", _share(counts), class_="share"))
 
 
-def _tallied(results: Sequence[CaseResult | None], link: object) -> Safe:
+def _tallied(results: Sequence[CaseResult | None], link: Callable[[str, str, str], Safe]) -> Safe:
     """One report's verdicts on some cases, the worst first."""
-    assert callable(link)
     counts = tally(results)
     parts = [link(f"{n:,} {v.label}", v.label, f"badge v-{v.label}") for v, n in counts.items()]
     missing = sum(result is None for result in results)

@@ -155,29 +155,31 @@ _UNSAID: tuple[Any, ...] = (None, False, "", (), [], {})
 
 def facts(reports: Sequence[Report], told: Sequence[str]) -> Safe:
     """A section with device, grammar, line, seed and options of each run."""
-    lines: dict[str, list[object]] = {
-        "device": [report.device for report in reports],
-        "grammar": [_grammar(report) for report in reports],
-        "line": [_plain(report.link.get("line")) for report in reports],
-        "probe": [_plain(report.link.get("probe")) for report in reports],
-        "fault": [_plain(report.link.get("fault")) for report in reports],
-        "seed": [tag("code", report.seed) for report in reports],
-        "options": [_options(report) for report in reports],
-        "bilprov": [report.kit for report in reports],
-    }
-    about = [run_facts(report) for report in reports]
-    for name in dict.fromkeys(name for told_of in about for name in told_of):
-        lines[name] = [_plain(told_of.get(name)) for told_of in about]
-    if any(report.versions for report in reports):
-        lines["versions"] = [_plain(report.versions) for report in reports]
-    if not any(report.link.get("fault") for report in reports):
-        del lines["fault"]
+    each = [_facts(report) for report in reports]
+    known = dict.fromkeys(key for facts_of in each for key, value in facts_of.items() if value)
+    lines = {key: [_plain(facts_of.get(key)) for facts_of in each] for key in known}
     if len(told) == 1:
         entries = (tag("div", tag("dt", key), tag("dd", *cells)) for key, cells in lines.items())
         shown = tag("dl", *entries, class_="grid")
     else:
         shown = _table(lines, told)
     return tag("section", shown, id="facts", aria_label="Run")
+
+
+def _facts(report: Report) -> dict[str, Any]:
+    """The facts of a run; one that is not known or not given is empty or left out."""
+    return {
+        "device": report.device,
+        "grammar": _grammar(report),
+        "line": report.link.get("line"),
+        "probe": report.link.get("probe"),
+        "fault": report.fault,
+        "seed": tag("code", report.seed),
+        "options": _options(report),
+        "bilprov": report.kit,
+        **run_facts(report),
+        "versions": report.versions,
+    }
 
 
 def _grammar(report: Report) -> Safe:
@@ -235,7 +237,9 @@ def _readings(reports: Sequence[Report], told: Sequence[str]) -> Safe:
         known = _POINTS.get(point.partition(" ")[0])
         about = tag("th", tag("code", point), " ", known.point if known else "", scope="row")
         cells = [tag("td", _value(values.get(point))) for values in chosen]
-        usual = tag("td", tag("b", default_of(point)), " ", known.default if known else "")
+        default = default_of(point)
+        words = f" {known.default}" if known and known.default != default else ""
+        usual = tag("td", tag("b", default), words)
         lines.append(tag("tr", about, usual, *cells))
     table = tag("table", tag("thead", head), tag("tbody", *lines), class_="readings")
     return Safe(tag("h3", "Readings that the device showed") + tag("div", table, class_="scroll"))
@@ -275,9 +279,9 @@ def _table(lines: dict[str, list[Any]], told: Sequence[str]) -> Safe:
 
 
 def _words(key: object) -> str:
-    return str(key).removesuffix("_ms").replace("_", " ") + (
-        " (ms)" if str(key).endswith("_ms") else ""
-    )
+    name, _, unit = str(key).rpartition("_")
+    words = f"{name} ({unit})" if unit in ("ms", "s") else str(key)
+    return words.replace("_", " ")
 
 
 def _value(value: object) -> Safe:

@@ -16,7 +16,6 @@ from bilprov.conformance.cases.combinations import (
     Partial,
     feasible_combinations,
     random_sequences,
-    space_of,
     total,
 )
 from bilprov.conformance.cases.coverage import COMBINED
@@ -41,13 +40,6 @@ def test_the_arrays_cover_every_feasible_combination_of_three(each_protocol: Pro
 
     for strength, name in COMBINED.items():
         assert astuple(report.coverage[name]) == (total(each_protocol, strength),) * 2
-
-
-def test_every_frame_of_a_factor_fits_the_row_that_it_is_in(each_protocol: Protocol) -> None:
-    space = space_of(each_protocol)
-
-    assert len(space.sizes) == 11
-    assert {shape.length for shape in space.shapes} == set(each_protocol.data_lengths)
 
 
 def test_a_random_sequence_depends_on_its_number_and_the_seed_alone(protocol: Protocol) -> None:
@@ -121,22 +113,3 @@ def test_what_cannot_be_stands_in_no_row_and_all_else_does(sizes: list[int], see
 
     assert all(feasible(dict(enumerate(row))) for row in rows)
     assert held(rows, 2) == set(feasible_combinations(sizes, 2, feasible))
-
-
-def test_a_dear_value_stands_in_no_more_rows_than_needed() -> None:
-    sizes, dear = (4, 4, 2), (2, 1)
-
-    def standing(values: set[tuple[int, int]]) -> int:
-        rows = CoveringArray(sizes, 2, anything, Random(7), dear=values).rows
-        return sum(row[dear[0]] == dear[1] for row in rows)
-
-    assert 4 <= standing({dear}) < standing(set())
-
-
-def test_a_seed_gives_the_same_rows() -> None:
-    first, again, other = (
-        CoveringArray((3, 4, 5, 2), 3, anything, Random(seed)).rows for seed in (1, 1, 2)
-    )
-
-    assert first == again
-    assert first != other

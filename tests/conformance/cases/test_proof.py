@@ -10,14 +10,14 @@ import pytest
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.byte_machine import byte_machine
-from bilprov.conformance.cases.proof import PROOFS, announcement, proof_sequences, suite
+from bilprov.conformance.cases.proof import PROOFS, proof_sequences, suite
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.machines.wp_method import Mealy, Output, minimal
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.proof import proven
 from bilprov.spec.errors import UserError
-from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.robots import simulated
 
@@ -158,14 +158,6 @@ def test_too_many_words_are_refused_in_one_sentence(protocol: Protocol) -> None:
         suite(protocol, ANSWERS, 3)
 
 
-def test_what_the_proofs_take_is_said(protocol: Protocol) -> None:
-    said = announcement(protocol, 0, ["complete/answers"])
-
-    assert said == (
-        "answers: 33 states, 43 byte classes and the silence, 1,695 words in 17 sequences"
-    )
-
-
 def test_the_command_says_it_before_and_what_is_proven_after() -> None:
     result = command("conform", "sim", "--level", "complete", "--only", "complete/answers/0001")
 
@@ -196,15 +188,6 @@ def test_a_part_of_the_sequences_proves_nothing(protocol: Protocol) -> None:
         "Nothing is proven by answers: 9 of its 17 sequences were run and passed." in report.proof
     )
     assert conform(options=Options(only=("valid/Stop",)), logged=False).proof is None
-
-
-@pytest.mark.sample(0)
-@pytest.mark.slow
-def test_another_grammar_is_proven_too(horn_text: str) -> None:
-    report = conform(grammar=load(horn_text), options=ONLY_ANSWERS, logged=False)
-
-    assert report.exit == 0
-    assert "34 states, 44 classes" in report.proof
 
 
 class GapDevice:

@@ -72,9 +72,7 @@ def test_the_line_that_is_given_is_announced_and_its_cases_are_listed(protocol: 
     ("byte_time", "held", "look", "few"),
     [
         pytest.param(0, 0, 0, False, id="at once"),
-        pytest.param(BYTE_TIME, 0, 0, False, id="115200"),
         pytest.param(12 * BYTE_TIME, 0, 0, False, id="9600"),
-        pytest.param(0, 16 * MS, 0, False, id="16 ms late"),
         pytest.param(BYTE_TIME, 16 * MS, 0, False, id="115200, 16 ms late"),
         pytest.param(BYTE_TIME, 0, 100 * MS, False, id="looks of 100 ms"),
         pytest.param(BYTE_TIME, 0, 500 * MS, True, id="a command as probe"),
@@ -114,10 +112,10 @@ def test_no_more_is_covered_than_there_is(each_protocol: Protocol, level: str) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("low", "high"), [(0, 1000), (10, 60000)])
 def test_frames_whose_value_has_two_bytes_are_counted_out_of_all_there_are(
-    grammar_text: str, low: int, high: int
+    grammar_text: str,
 ) -> None:
+    low, high = 10, 60000
     text = undeclared(grammar_text).replace(SPEED, f'"speed" / Ranged(Int16ub, {low}, {high})')
     grammar = load(text.replace("BitStruct, Byte,", "BitStruct, Byte, Int16ub,"))
     values = high - low + 1
@@ -162,8 +160,6 @@ class Driven(Simulator):
     [
         (Options(only=("valid/Stop",)), False),
         (Options(only=("valid/Speed/*",)), True),
-        (Options(only=("valid/Speed/*",)), False),
-        (Options(only=("bad-data/LED/*",)), True),
         (Options(only=("split/*",)), False),
         pytest.param(Options(level="smoke"), True, marks=pytest.mark.slow),
         pytest.param(Options(soak=50, level="smoke"), False, marks=pytest.mark.slow),

@@ -200,7 +200,7 @@ def test_so_many_faults_come_in_a_row_each_while_the_robot_moves(
     assert kinds[count:] == list(MOVERS)
 
 
-@pytest.mark.parametrize("count", [3, 100, 1000])
+@pytest.mark.parametrize("count", [3, 1000])
 def test_a_soak_has_as_many_faults_as_it_is_told(protocol: Protocol, count: int) -> None:
     sequences = list(soak(protocol, 1, count))
 
@@ -273,23 +273,19 @@ def test_a_burst_is_one_that_can_be_sent_and_judged(protocol: Protocol, level: s
 
 def test_a_group_that_is_independent_is_the_same_without_the_others(protocol: Protocol) -> None:
     whole = level_cases(protocol, "standard", 1)
-    for left_out in (INDEPENDENT_GROUPS[1:],):
-        found = level_cases(protocol, "standard", 1, 0, 0, frozenset(left_out))
-        assert found == tuple(c for c in whole if c.id.rpartition("/")[0] not in left_out)
+    left_out = frozenset(INDEPENDENT_GROUPS[1:])
+    found = level_cases(protocol, "standard", 1, 0, 0, left_out)
+    assert found == tuple(c for c in whole if c.id.rpartition("/")[0] not in left_out)
 
 
 @pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("glob", "reached"),
     [
-        ("valid/LED/1", False),
-        ("valid/*", False),
         ("bad-data/LED/?", False),
         ("split/tour/001", True),
-        ("split/*", True),
         ("*/tour/00[12]", True),
         ("[p]ipelined/tour/*", True),
-        ("s*", True),
     ],
 )
 def test_a_glob_chooses_the_same_whether_or_not_the_sequences_are_made(
