@@ -16,12 +16,10 @@ from bilprov.conformance.cases.levels import (
     INDEPENDENT_GROUPS,
     LEVELS,
     LONGEST_GLOB,
-    RANDOM_GROUP,
     SEQUENCE_PREFIXES,
     AnyCase,
     level_cases,
     matching,
-    more_random,
     reaches,
     single_cases,
 )
@@ -71,10 +69,6 @@ def select_cases(grammar: Grammar, options: Options) -> tuple[AnyCase, ...]:
     if options.only:
         wanted = matching(options.only)
         chosen = tuple(case for case in cases if wanted(case.id))
-        named = set(options.only) - {case.id for case in chosen}
-        if any(ident.startswith(f"{RANDOM_GROUP}/") for ident in named):  # of a soak
-            more = more_random(grammar, options.level, options.seed, options.soak)
-            chosen += tuple(case for case in more if case.id in named)
         if not chosen and not any(wanted(case.id) for case in opening_and_reading_cases(grammar)):
             raise ValueError(
                 f"no case matches {' or '.join(options.only)}; see the ids with --list, for "

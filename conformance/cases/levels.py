@@ -54,7 +54,6 @@ from bilprov.spec.protocol import Protocol
 AnyCase = Case | SequenceCase
 
 _SOAKED = 1000  # faults of a soak for each random sequence in it
-_MOST_MORE = 2000  # random sequences beyond a level, of a soak
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,22 +221,15 @@ def level_cases(
     return (
         *single_cases(protocol, name, seed),
         *_sequences(protocol, LEVELS[name], seed, extra, left_out),
-        *(soak(protocol, seed, soaked) if soaked else ()),
-        *islice(more_random(protocol, name, seed), _of_soak(soaked)),
+        *_soaked(protocol, LEVELS[name], seed, soaked),
     )
 
 
-def more_random(
-    protocol: Protocol, name: str, seed: int, soaked: int = 0
-) -> Iterator[SequenceCase]:
-    """The random sequences after those of a level and its soak."""
-    held = next(row.amount(LEVELS[name]) for row in GENERATORS if row.group == RANDOM_GROUP)
-    return islice(random_sequences(protocol, seed, held + _of_soak(soaked) + 1), _MOST_MORE)
-
-
-def _of_soak(soaked: int) -> int:
-    """How many random sequences a soak of so many faults holds."""
-    return ceil(soaked / _SOAKED)
+def _soaked(protocol: Protocol, level: Level, seed: int, faults: int) -> Iterator[SequenceCase]:
+    """The sequences of a soak; its random ones go on after those of the level."""
+    held = next(row.amount(level) for row in GENERATORS if row.group == RANDOM_GROUP)
+    yield from soak(protocol, seed, faults)
+    yield from islice(random_sequences(protocol, seed, held + 1), ceil(faults / _SOAKED))
 
 
 @lru_cache(maxsize=8)

@@ -302,6 +302,7 @@ def reproducer(
     given = {
         "--level": options.level if options.level != "standard" else "",
         "--extra": options.extra,
+        "--soak": options.soak,
         "--deadline": f"{options.deadline:g}" if options.deadline else "",
         "--probe": link.get("probe") if at_port else "",
         "--fault": link.get("fault"),

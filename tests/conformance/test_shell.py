@@ -349,7 +349,7 @@ def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(
 # -- completion -----------------------------------------------------------------------------------
 
 
-def test_each_instruction_field_and_value_of_the_grammar_completes(each_protocol: Protocol) -> None:
+def test_each_instruction_and_field_of_the_grammar_completes(each_protocol: Protocol) -> None:
     def texts(line: str) -> list[str]:
         offered = candidates(each_protocol, {}, line)
         return [line[: len(line) + one.start_position] + one.text for one in offered]
@@ -361,9 +361,6 @@ def test_each_instruction_field_and_value_of_the_grammar_completes(each_protocol
         for part in spec.fields:
             assert f"{line}{part.name}=" in texts(line)
             assert texts(f"{line}{part.name[:1]}")
-            values = texts(f"{line}{part.name}=")
-            assert {f"{line}{part.name}={end}" for end in (part.low, part.high)} <= set(values)
-            assert len(values) <= 16
             line += f"{part.name}={part.low} "
         assert texts(line) == []
 
@@ -386,11 +383,9 @@ def test_words_and_pauses_complete_and_an_instruction_goes_before_a_word(
     [
         ("WriteSingleC", ["WriteSingleCoil"]),
         ("WriteSingleCoil ", ["coil=", "value=", "address="]),
-        ("WriteSingleCoil value=", ["off", "on"]),
-        ("WriteSingleCoil address=", ["1", "247"]),
-        ("WriteMultipleCoils coils=", []),
+        ("WriteSingleCoil value=", []),
     ],
 )
-def test_fields_names_and_the_address_are_completed(typed: str, offered: list[str]) -> None:
+def test_fields_and_the_address_are_completed(typed: str, offered: list[str]) -> None:
     found = candidates(load_protocol("modbus-rtu"), {}, typed)
     assert [one.text for one in found] == offered

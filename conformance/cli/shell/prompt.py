@@ -1,6 +1,6 @@
 """The prompt on a terminal: completion, history, the state; unasked bytes come out above it.
 
-What is typed is completed: instructions, their fields and values, and words.
+What is typed is completed: instructions, their fields, and words.
 """
 
 from __future__ import annotations
@@ -25,12 +25,8 @@ from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR
 from bilprov.analyzer.transport.ending import SUSPENDING
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
-from bilprov.spec.codec import bit_names, free_parts
-from bilprov.spec.data import FieldSpec
-from bilprov.spec.layout import Part
+from bilprov.spec.codec import free_parts
 from bilprov.spec.protocol import Protocol
-
-_LISTED = 16  # values that are listed one by one; of a wider range its two ends
 
 
 def candidates(protocol: Protocol, words: Mapping[str, str], line: str) -> Iterator[Completion]:
@@ -52,42 +48,18 @@ def candidates(protocol: Protocol, words: Mapping[str, str], line: str) -> Itera
 
 
 def _of_fields(protocol: Protocol, name: str, rest: str) -> Iterator[Completion]:
-    """Yield the fields that are not given yet, or the values of the one that is typed."""
+    """Yield the fields that are not given yet; what their values may be is their meaning."""
     spec = next((s for s in protocol.instructions if s.name.lower() == name.lower()), None)
     if spec is None:
         return
     *given, typed = rest.split(" ")
-    field, equals, value = typed.partition("=")
     taken = {word.partition("=")[0].lower() for word in given}
-    parts: list[FieldSpec | Part] = [part for part in spec.fields if part.constant is None]
-    for part in (*parts, *free_parts(protocol)):
-        if equals and part.name.lower() == field.lower():
-            yield from (one for one in _of_values(part, len(value)) if one.text.startswith(value))
-            return
-        begins = part.name.lower().startswith(typed.lower())
-        if begins and not equals and part.name.lower() not in taken:
-            allowed = (
-                f"{part.low}..{part.high}" if isinstance(part, Part) else part.allowed_in_short
-            )
-            meaning = f"{allowed}, {part.prose}"
-            yield Completion(f"{part.name}=", -len(typed), display_meta=meaning)
-
-
-def _of_values(part: FieldSpec | Part, replaced: int) -> Iterator[Completion]:
-    if isinstance(part, Part):
-        for end in (part.low, part.high):
-            yield Completion(str(end), -replaced, display_meta=part.prose)
-        return
-    if part.many:
-        return
-    if part.names:
-        for name, value in part.names:
-            yield Completion(name, -replaced, display_meta=str(value))
-        return
-    listed = part.high - part.low < _LISTED
-    for value in range(part.low, part.high + 1) if listed else (part.low, part.high):
-        bits = " ".join(bit_names(part, value)) or ("off" if part.bits else "")
-        yield Completion(str(value), -replaced, display_meta=bits or part.prose)
+    own = [field for field in spec.fields if field.constant is None]
+    parts = [(field.name, field.allowed_in_short, field.prose) for field in own]
+    parts += [(part.name, f"{part.low}..{part.high}", part.prose) for part in free_parts(protocol)]
+    for part_name, allowed, prose in parts:
+        if part_name.lower().startswith(typed.lower()) and part_name.lower() not in taken:
+            yield Completion(f"{part_name}=", -len(typed), display_meta=f"{allowed}, {prose}")
 
 
 _TURN = 0.05  # s between two looks at the port

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import astuple
 
-from bilprov.conformance.api import Options, conform, select_cases
+from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.combinations import (
     CoveringArray,
     Partial,
@@ -19,17 +19,10 @@ from bilprov.conformance.cases.combinations import (
     total,
 )
 from bilprov.conformance.cases.coverage import COMBINED
-from bilprov.conformance.cases.levels import level_cases
-from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 
 RANDOM = "combined/random/"
-
-
-def randoms(protocol: Protocol, level: str, soaked: int = 0) -> list[SequenceCase]:
-    cases = level_cases(protocol, level, 1, soaked)
-    return [c for c in cases if isinstance(c, SequenceCase) and c.id.startswith(RANDOM)]
 
 
 @pytest.mark.sample(0)
@@ -49,19 +42,6 @@ def test_a_random_sequence_depends_on_its_number_and_the_seed_alone(protocol: Pr
     assert next(random_sequences(protocol, 2)).bursts != first[0].bursts
     assert [case.id for case in first] == [f"{RANDOM}{number:03}" for number in range(1, 5)]
     assert [any(len(b.steps) > 1 for b in case.bursts) for case in first] == [False, True] * 2
-
-
-@pytest.mark.sample(0)
-@pytest.mark.slow
-def test_a_random_sequence_of_a_soak_is_made_again_by_its_id(protocol: Protocol) -> None:
-    beyond = randoms(protocol, "standard")[-1].id
-    number = int(beyond.rpartition("/")[2]) + 5
-    again = f"{beyond.rpartition('/')[0]}/{number:03}"
-
-    (case,) = select_cases(protocol, Options(only=(again,)))
-
-    assert case.id == again
-    assert len(select_cases(protocol, Options(only=(f"{RANDOM}*",)))) == number - 5
 
 
 @pytest.mark.slow

@@ -102,6 +102,9 @@ def test_the_command_that_shows_a_case_again(
     case = replace(a_case("tour/1", Verdict.FAIL), reproduce=args)
 
     assert reproducer("grammar.py", "x", link, Options())(case) == f"bilprov {command}"
+    if not args:
+        soaked = reproducer("grammar.py", "x", link, Options(soak=70))(case)
+        assert soaked.startswith(f"bilprov {CASE} --soak 70")
     own = reproducer("my.py", "x", link, Options())(case)
     assert own == f"bilprov --grammar my.py {command}"
 
