@@ -252,11 +252,11 @@ WRONG = [
     (("--robot-port", "sim", "--robot-only", "x/*"), "no case matches x/*"),
     (("--robot-port", "sim", "conformance::valid/Nothing"), "there is no case valid/Nothing"),
     (("--robot-port", "sim", "--robot-grammar", "none.py"), "none.py"),
-    (("--robot-port", "/dev/no-such-port"), "/dev/no-such-port"),
+    (("--robot-port", "/dev/no-such-port", *SMOKE), "/dev/no-such-port"),
     (("--robot-port", "/dev/x", "--robot-probe", "ask"), "cannot be used under pytest"),
     (("--robot-port", "sim", "--robot-baud", "0"), "baud is 0"),
     (("--robot-port", "sim", "--robot-allow", "x=1"), "'x=1' cannot be allowed"),
-    (("--robot-port", f"emulator:simavr:{__file__}"), "is not an ELF file"),
+    (("--robot-port", f"emulator:simavr:{__file__}", *SMOKE), "is not an ELF file"),
     (("-p", "xdist", "--robot-port", "sim", "-n", "2"), "one port takes one process"),
 ]
 
