@@ -95,12 +95,9 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
         if self.id < 0:
             return f"{to}{self.name}"
         if self.truncated:
-            return f"{to}{self.name}, {self._arrived} of {data_bytes(self.length)}"
+            arrived = max(0, len(self.frame) - self.head)
+            return f"{to}{self.name}, {arrived} of {data_bytes(self.length)}"
         return f"{to}{self.name}, {data_bytes(self.length)}"
-
-    @property
-    def _arrived(self) -> int:
-        return max(0, len(self.frame) - self.head)
 
 
 FRAMING_FAULTS = (Outcome.BAD_CHECKSUM, Outcome.BAD_SYNC)

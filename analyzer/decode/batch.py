@@ -27,6 +27,7 @@ from bilprov.analyzer.decode.records import (
 )
 from bilprov.captures.schemas import FrameKind
 from bilprov.spec.arrays.layouts import OUTCOMES, VALID
+from bilprov.spec.codec import Judgement
 from bilprov.spec.state import NOT_KNOWN, AnyOf, State
 
 Mask: TypeAlias = NDArray[np.bool_]
@@ -391,7 +392,7 @@ class Records(Batch):
             data=np.frombuffer(b"".join([record.data for record in listed]), np.uint8),
             offset=np.cumsum(size) - size,
             size=size,
-            verdict=np.array([_verdict(record) for record in listed], np.uint8),
+            verdict=_verdicts(judged),
             sequence=_numbers([record.sequence for record in listed]),
             states=_states_of(listed),
             reasons=lambda rows: [listed[row].reason for row in rows.tolist()],
@@ -411,9 +412,7 @@ class Records(Batch):
             byte=np.array([record.byte for record in listed], np.int64),
             sequence=_numbers([record.instruction for record in listed]),
             header=np.array([one.key if one else 0 for one in answered], np.uint8),
-            verdict=np.array(
-                [OUTCOMES.index(one.outcome) if one else NO_VERDICT for one in answered], np.uint8
-            ),
+            verdict=_verdicts(answered),
             latency=times([record.latency or 0 for record in listed]),
             agrees=np.array(agrees, np.int8),
             odd=np.array([bool(record.faults) for record in listed], np.bool_),
@@ -524,5 +523,6 @@ def _answer_bytes(records: Sequence[DeviceRecord]) -> AnswerBytes:
     )
 
 
-def _verdict(record: HostRecord) -> int:
-    return OUTCOMES.index(record.judgement.outcome) if record.judgement else NO_VERDICT
+def _verdicts(judged: Sequence[Judgement | None]) -> NDArray[np.uint8]:
+    codes = [OUTCOMES.index(one.outcome) if one else NO_VERDICT for one in judged]
+    return np.array(codes, np.uint8)
