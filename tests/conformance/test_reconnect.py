@@ -64,6 +64,7 @@ def judge_unplugged(tmp_path: Path, protocol: Protocol) -> Judge:
             result = process(
                 *("conform", str(tmp_path / "port"), "--probe", probe, "--yes"),
                 *("--level", "smoke", "--json", str(report), "--record", str(record), *words),
+                *("--truncation-timeout", "50"),
             )
             moving = json.loads(robot.probe(0))["moving"]
         events = tuple(event.event for event in open_capture(record) if isinstance(event, Line))
