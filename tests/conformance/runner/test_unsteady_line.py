@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from benchmarks.noise import LINES, Trial, noisy_run
 from benchmarks.noisy_device import NoisyDevice
+from benchmarks.torture.noise import LINES, Trial, noisy_run
 from bilprov.analyzer.client.operations import (
     LinkListener,
     Observation,
