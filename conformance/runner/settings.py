@@ -2,7 +2,7 @@
 
 Without motor power it moves in none. One that moves in one setting and not in another listens, and
 does not obey: a failure that names both. Where the power can be switched, each setting is tried
-right after power-on, since a device that obeys nothing any more would show none.
+right after power-on too, since a device that obeys nothing any more would show none.
 """
 
 from __future__ import annotations
@@ -22,10 +22,14 @@ IDENT = "motion/settings"
 
 
 class Setting(NamedTuple):
-    """Frames that set a stopped robot moving, and what differs from the others, in words."""
+    """Frames that set a stopped robot moving, and what of them differs from the others, in words.
+
+    `fresh` where it has just been switched on.
+    """
 
     words: str
     frames: tuple[bytes, ...]
+    fresh: bool = False
 
 
 def settings(protocol: Protocol) -> Iterator[Setting]:
@@ -63,28 +67,30 @@ def other_settings(run: Run) -> Procedure[str | None]:
 
     Returns the motion in which it moves after all, None where it does not. Leaves the line homed.
     """
-    every = [one for one in settings(run.protocol) if _whole(run, one.frames)]
-    fresh = run.config.power
-    found: dict[bool | None, Setting] = {}
-    for one in every:
-        found.setdefault((yield from _moves(run, one, fresh=fresh)), one)
-        if True in found and False in found:
-            break
-    if True not in found:
-        return None
-    # Where it moves with each after power-on, it no longer did later.
-    moves, later = found[True], "" if False in found else " later"
-    stands = found.get(False, every[0])
-    # Motor power that was switched on meanwhile, or noise, does not show the same again.
-    stood = (yield from _moves(run, stands, fresh=fresh and not later)) is False
-    if stood and (yield from _moves(run, moves, fresh=fresh)):
-        after = " after power-on" if fresh else ""
-        reason = f"moves with {moves.words}{after}, not with {stands.words}{later}"
-        case = case_of_the_run(run.protocol, IDENT, b"".join(stands.frames))
-        run.conclude(case, {"state": Axis(Verdict.FAIL, "moving", "stopped", reason)})
-    elif fresh:
-        yield from _switch(run)
-    return run.protocol.car.motion(next(iter(movers(run.protocol))).effect)
+    for fresh in (False, True) if run.config.power else (False,):
+        every = [
+            one._replace(fresh=fresh) for one in settings(run.protocol) if _whole(run, one.frames)
+        ]
+        moves: Setting | None = None
+        stands: Setting | None = None
+        for one in every:
+            moving = yield from _moves(run, one)
+            if moving:
+                moves = moves or one
+            elif moving is False:
+                stands = stands or one
+            if moves and stands:
+                break
+        if moves is None:
+            continue
+        # Motor power that was switched on meanwhile, or noise, does not show the same again.
+        stands = stands or every[0]._replace(fresh=False)
+        if (yield from _moves(run, stands)) is False and (yield from _moves(run, moves)):
+            _tell(run, moves, stands)
+        elif fresh:
+            yield from _switch(run)
+        return run.protocol.car.motion(next(iter(movers(run.protocol))).effect)
+    return None
 
 
 def _whole(run: Run, frames: tuple[bytes, ...]) -> bool:
@@ -92,9 +98,9 @@ def _whole(run: Run, frames: tuple[bytes, ...]) -> bool:
     return all(frame and run.wire(frame) for frame in frames)
 
 
-def _moves(run: Run, one: Setting, *, fresh: bool) -> Procedure[bool | None]:
-    """Whether it moves with a setting, after power-on if `fresh`; None where it was not seen."""
-    if fresh:
+def _moves(run: Run, one: Setting) -> Procedure[bool | None]:
+    """Whether it moves with a setting, None where that was not seen."""
+    if one.fresh:
         yield from _switch(run)
     for frame in one.frames:
         yield from send(run.wire(frame))
@@ -109,3 +115,13 @@ def _switch(run: Run) -> Procedure[None]:
     yield from power_cycle()
     yield from listen(None, 2 * (run.profile.boot or 0) + run.timers.settle)
     yield from home(run)
+
+
+def _tell(run: Run, moves: Setting, stands: Setting) -> None:
+    after = " after power-on" if moves.fresh else ""
+    reason = f"moves with {moves.words}{after}, not with {stands.words}"
+    if moves.fresh and not stands.fresh:
+        reason = f"moves with {moves.words}{after}, and no more with {stands.words} later"
+    case = case_of_the_run(run.protocol, IDENT, b"".join(stands.frames))
+    axis = Axis(Verdict.FAIL, "moving", "stopped", reason)
+    run.conclude(case, {"state": axis})

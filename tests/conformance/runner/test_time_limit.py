@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import (
     Ended,
     Listen,
@@ -18,9 +17,7 @@ from bilprov.analyzer.client.operations import (
     Reply,
     Send,
 )
-from bilprov.analyzer.taps.relay import Noise
 from bilprov.conformance.api import Options, run_suite
-from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
@@ -121,29 +118,6 @@ def test_a_device_that_takes_no_longer_is_not_announced_anew(protocol: Protocol,
     run_suite(robot.target, SMOKE, [notes])
 
     assert notes.told == []
-
-
-@pytest.mark.slow
-def test_answers_that_are_slower_than_was_thought_are_counted_though_not_told(
-    protocol: Protocol,
-) -> None:
-    robot = Robot(protocol, announced=0.01)
-    robot.simulator = NoisyDevice(Simulator(protocol), Noise(), 1, delay=2 * MS)
-    told: list[float] = []
-
-    class Noting(TimeLimit):
-        def announce(self, more: float) -> None:
-            told.append(more)
-            super().announce(more)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bilprov.conformance.runner.run.TimeLimit", Noting)
-        report = robot.judged()
-
-    assert (report.exit, report.ended) == (0, None)
-    assert len(told) == 1
-    # It takes the waits for the wheels too, which nobody measures before.
-    assert 0.5 < robot.link.now / 1e9 / told[0] < 2
 
 
 @pytest.mark.slow
