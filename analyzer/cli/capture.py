@@ -130,7 +130,7 @@ def cut(options: CutOptions) -> None:
     opened = opened_at(found, protocol, window.first or 0)
     capture = opened.capture
     require_begun(capture, window.first)
-    note_each((*said_about(capture, protocol), opened.note if window.first else ""))
+    note_each(said_about(capture, protocol))
     metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
     times = 1 if test is None else 2
     with _copying(options, [capture], metadata, protocol, times=times) as copy:

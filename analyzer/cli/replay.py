@@ -160,7 +160,7 @@ class _Replay:
         if self.style == "live":
             self.look_through()
             return 0
-        note_each((*said_about(self.capture, self.protocol), self.opened.note))
+        note_each(said_about(self.capture, self.protocol))
         if self.options.port is not None:
             self.require_allowed(self.options.port)
         judge = None

@@ -23,7 +23,7 @@ from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import Capture, StoredCheckpoint, open_capture
 from bilprov.captures.schemas import MS, Chunk, Direction, Line, Look, Recorded, look_class
 from bilprov.captures.text import printable
-from bilprov.captures.topics import CHECKPOINT, CUT_START, DEVICE_RAW, GRAMMAR_HASH, HOST_RAW
+from bilprov.captures.topics import CUT_START, DEVICE_RAW, GRAMMAR_HASH, HOST_RAW
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import GrammarError, Protocol, grammar_hash
 
@@ -265,13 +265,11 @@ def unheard(size: int) -> None:
 class Opened(NamedTuple):
     """A capture, and a decoder that stands at its beginning or at a checkpoint.
 
-    `note` is a sentence for the user, "" if there is none. `after` is the checkpoint that the
-    decoder has gone on from, None at the beginning.
+    `after` is the checkpoint that the decoder has gone on from, None at the beginning.
     """
 
     capture: Capture
     decoder: StreamDecoder
-    note: str = ""
     after: StoredCheckpoint | None = None
 
     def events(self) -> Iterator[Chunk | Line]:
@@ -314,13 +312,7 @@ def opened_at(
         if opened is not None:
             return opened
         capture = open_capture(capture.path)
-    note = ""
-    if not capture.contents.counts.get(CHECKPOINT):
-        note = (
-            f"{printable(capture.path)} has no checkpoints, so all of it is decoded up to --start, "
-            "which is slow in a long capture"
-        )
-    return opened_whole(capture, protocol, timeout)._replace(note=note)
+    return opened_whole(capture, protocol, timeout)
 
 
 def _from_checkpoint(
@@ -337,7 +329,7 @@ def _from_checkpoint(
         decoder.resume(state)
     except ValueError:  # it was saved with other settings
         return None
-    return Opened(capture, decoder, after=stored)
+    return Opened(capture, decoder, stored)
 
 
 def event_batches(

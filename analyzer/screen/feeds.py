@@ -133,8 +133,7 @@ def capture_feed(
     live = whole and _is_written(opened.capture)
     # There is one line for it, so the file's name stands without its folder.
     named = replace(opened.capture, path=Path(opened.capture.path.name))
-    notes = (*said_about(named, protocol, is_written=live), opened.note)
-    notice = "; ".join(filter(None, notes))
+    notice = "; ".join(said_about(named, protocol, is_written=live))
     feed = Feed(Recording(protocol), read, stays=True, live=live, notice=notice)
     rows = (AllShown if count is None else Shown)(ScreenOutput(feed), test, count, window)
     length = max(1, opened.capture.contents.last - opened.capture.start)
