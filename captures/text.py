@@ -2,33 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Iterable
 
-
-class _Escapes(dict[int, str]):
-    """What stands for each character in `str.translate`, found out when it is first met."""
-
-    def __init__(self, escape: Callable[[str], str]) -> None:
-        self._escape = escape
-
-    def __missing__(self, number: int) -> str:
-        character = chr(number)
-        shown = character if character.isprintable() else self._escape(character)
-        if len(self) < _REMEMBERED:
-            self[number] = shown
-        return shown
-
-
-def _in_json(character: str) -> str:
-    import json  # which takes long, and every command needs this module
-
-    return json.dumps(character)[1:-1]
-
-
-_REMEMBERED = 1 << 16  # characters
-_PLAIN = _Escapes(lambda character: character.encode("unicode_escape").decode())
-_IN_JSON = _Escapes(_in_json)
-_IN_JSON[ord("\n")] = "\n"
+_UNUSUAL = re.compile("[^ -~]")  # what may not print
 
 
 def escape_controls(text: str) -> str:
@@ -37,14 +14,26 @@ def escape_controls(text: str) -> str:
     These are control characters, marks that change the direction of text, characters of no width,
     lone surrogates, all spaces but the usual one, and all that XML does not allow.
     """
-    return text if text.isprintable() else text.translate(_PLAIN)
+
+    def shown(found: re.Match[str]) -> str:
+        character = found[0]
+        return character if character.isprintable() else character.encode("unicode_escape").decode()
+
+    return text if text.isprintable() else _UNUSUAL.sub(shown, text)
 
 
 def escape_json(data: bytes) -> bytes:
     """JSON of the same value in which every character prints, but for its line ends."""
     if data.isascii() and b"\x7f" not in data:  # JSON itself escapes the rest
         return data
-    return data.decode().translate(_IN_JSON).encode()
+    import json  # which takes long, and every command needs this module
+
+    def shown(found: re.Match[str]) -> str:
+        character = found[0]
+        prints = character.isprintable() or character == "\n"
+        return character if prints else json.dumps(character)[1:-1]
+
+    return _UNUSUAL.sub(shown, data.decode()).encode()
 
 
 def quantity(count: int, noun: str, plural: str = "") -> str:
