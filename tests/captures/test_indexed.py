@@ -275,6 +275,6 @@ def test_a_verified_capture_hides_no_damage(path: Path, pytestconfig: pytest.Con
 
     data = path.read_bytes()
     assert open_verified(path).indexes
-    for at in range(0, len(data), 17 if pytestconfig.getoption("--whole") else 71):
+    for at in range(0, len(data), 17 if pytestconfig.getoption("--whole") else 331):
         path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         assert told(open_verified) == told(open_capture)
