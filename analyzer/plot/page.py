@@ -13,6 +13,7 @@ from bilprov.analyzer.html.page import html_page
 from bilprov.analyzer.output.capture_stats import Json
 from bilprov.analyzer.totals.timeline import Mark, Timeline, numbers_of, word_of
 from bilprov.captures.reader import Capture
+from bilprov.captures.text import quantity
 from bilprov.spec.protocol import Protocol
 
 _ASSETS = Path(__file__).parent / "assets"
@@ -175,14 +176,10 @@ def _picture(protocol: Protocol, timeline: Timeline) -> Safe:
 
 def _folded(timeline: Timeline) -> Iterator[str]:
     """What the time axis leaves out."""
-    folds = _folds(timeline)
-    amount = _long(sum(last - first for first, last in folds))
-    if len(folds) == 1:
-        yield f"A stretch of {amount} without traffic is folded on the time axis."
-    elif folds:
-        yield (
-            f"{len(folds)} stretches without traffic, {amount} in all, are folded on the time axis."
-        )
+    if folds := _folds(timeline):
+        amount = _long(sum(last - first for first, last in folds))
+        stretches = quantity(len(folds), "stretch", "stretches")
+        yield f"{stretches} without traffic, {amount} in all, folded on the time axis."
 
 
 def _reduced(timeline: Timeline) -> str:

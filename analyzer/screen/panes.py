@@ -205,10 +205,7 @@ def _told(doing: str, feed: Feed[Any], said: str) -> Text:
         return Text(printable(feed.said), "bold red")
     said = said or feed.notice
     if feed.let_go and not said:
-        recording = feed.recording
-        (oldest,) = recording.records([recording.first]) or (None,)
-        since = f"{oldest.t / 1e9:.3f} s" if oldest else "the first row"
-        said = f"no room for all rows: the oldest were dropped, the rest begins at {since}"
+        said = "no room for all rows: the oldest were dropped"
     return Text(said, "bold")
 
 
