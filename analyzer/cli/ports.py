@@ -64,7 +64,6 @@ def ports(options: PortsOptions) -> int:
     settings = options.line.settings(protocol)
     if len(names) > 2:
         raise click.UsageError("give one PORT, or two that are the host's tap and the device's")
-    _require_ports(names)
     if len(names) > 1:
         try:
             require_two_lines(*names)
@@ -136,25 +135,6 @@ def drawn(found: Sequence[PortInfo]) -> Iterator[RenderableType]:
 def _device(port: PortInfo) -> str:
     serial = f"serial {port.serial_number}" if port.serial_number else ""
     return ", ".join(part for part in (port.description, serial) if part)
-
-
-def _require_ports(names: Sequence[str]) -> None:
-    from bilprov.analyzer.transport.errors import SIM, missing
-    from bilprov.analyzer.transport.machine import Machine
-    from bilprov.captures.parts import kept_parts
-
-    for name in names:
-        path = Path(name)
-        if name == SIM and not path.exists():
-            raise missing(name, (), Machine())
-        if "://" in name or path.is_char_device():
-            continue
-        if path.exists() or path.suffix == ".mcap" or kept_parts(path):
-            raise click.UsageError(
-                f"{name} is not a port; for a capture, bilprov capture check {name} reports "
-                "what is "
-                "damaged or lost"
-            )
 
 
 class Findings:

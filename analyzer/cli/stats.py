@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO, Literal, TypeAlias, cast
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import argument, asked_here, command, group, option
+from bilprov.analyzer.cli.command import argument, command, group, option, refuse
 from bilprov.analyzer.cli.options import (
     RowOptions,
     WindowOptions,
@@ -209,9 +209,8 @@ def export(options: ExportOptions) -> None:
             f"{'|'.join(FORMATS)}"
         )
     for parameter, able in CHOICES.items():
-        if asked_here(parameter) and style not in able:
-            spelling = parameter.removesuffix("_style")
-            raise click.UsageError(f"--{spelling} is for {' and '.join(able)}, not for {style}")
+        if style not in able:
+            refuse([parameter], f"is for {' and '.join(able)}, not for {style}")
     window = options.span.window()
     (capture,), protocol = opened_captures([path], half_duplex=options.half_duplex)
     chosen_rows = options.rows.style(protocol)
