@@ -17,7 +17,7 @@ from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.proof import proven
 from bilprov.spec.errors import UserError
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from tests.support.commands import command
 from tests.support.robots import simulated
 
@@ -188,6 +188,15 @@ def test_a_part_of_the_sequences_proves_nothing(protocol: Protocol) -> None:
         "Nothing is proven by answers: 9 of its 17 sequences were run and passed." in report.proof
     )
     assert conform(options=Options(only=("valid/Stop",)), logged=False).proof is None
+
+
+@pytest.mark.sample(0)
+@pytest.mark.slow
+def test_another_grammar_is_proven_too(horn_text: str) -> None:
+    report = conform(grammar=load(horn_text), options=ONLY_ANSWERS, logged=False)
+
+    assert report.exit == 0
+    assert "34 states, 44 classes" in report.proof
 
 
 class GapDevice:
