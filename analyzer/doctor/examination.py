@@ -133,13 +133,7 @@ def _latency_timer(port: Subject) -> Finding | None:
 FIRST = (_there, _terminal)
 """The checks after which no others are made where their finding blocks."""
 
-CHECKS = (
-    *FIRST,
-    _permission,
-    _holder,
-    _modem_manager,
-    _latency_timer,
-)
+CHECKS = (*FIRST, _permission, _holder, _modem_manager, _latency_timer)
 
 
 def _shared(port: Subject) -> Finding | None:

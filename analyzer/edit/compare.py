@@ -269,7 +269,7 @@ def as_json(comparison: Comparison, protocol: Protocol, paths: tuple[str, str]) 
         "judged": comparison.judged,
         "unknown": comparison.unknown,
         "tolerance": comparison.tolerance / SECOND,
-        "differences": {kind: comparison.differences[kind] for kind in comparison.differences},
+        "differences": dict(comparison.differences),
         "listed": [_listed(difference) for difference in comparison.listed],
         "latencies": {
             name: {"a": _spread(first), "b": _spread(second)}

@@ -176,8 +176,7 @@ def decoding_metadata(settings: SessionSettings) -> dict[str, str]:
 
 
 def _milliseconds(t: int) -> str:
-    short = f"{t / MS:g}"
-    return short if float(short) * MS == t else repr(t / MS)
+    return f"{t / MS:.15g}"
 
 
 def grammar_metadata(protocol: Protocol) -> dict[str, str]:

@@ -69,9 +69,8 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
             "`bilprov simulate` serves one at a port, whose name it prints"
         )
     name = name or "port ''"
-    taken = machine.taken_for_braille()
-    if taken:
-        usb = taken[0]
+    usb = machine.taken_for_braille()
+    if usb:
         return LinkError(
             f"there is no {name}; brltty has taken the adapter {usb.identity} {usb.title} for a "
             "Braille display: where nobody needs one, end it and plug the adapter in again",

@@ -237,16 +237,15 @@ class Machine:
         number = self._read(f"/sys/class/tty/{self.title(name)}/dev")
         return (self._udev(_text(usb.folder / "dev")) if usb else {}) | self._udev(number)
 
-    def taken_for_braille(self) -> list[UsbDevice]:
-        """USB devices that brltty has taken for a Braille display, while it runs."""
-        found = []
+    def taken_for_braille(self) -> UsbDevice | None:
+        """A USB device that brltty has taken for a Braille display, while it runs."""
         with suppress(OSError):
             for folder in sorted(self.file("/sys/bus/usb/devices").iterdir()):
                 usb = _usb(folder)
                 rules = self._udev(_text(folder / "dev")) if usb else {}
-                if usb and any(key.startswith("BRLTTY_") for key in rules):
-                    found.append(usb)
-        return found if found and self.running(BRLTTY) else []
+                if any(key.startswith("BRLTTY_") for key in rules) and self.running(BRLTTY):
+                    return usb
+        return None
 
     def _folder(self, name: str) -> Path:
         """The folder of the port's device in /sys; one that is not there for other ports."""

@@ -89,7 +89,7 @@ def test_where_a_system_has_no_such_files_nothing_is_known(tmp_path: Path) -> No
     assert bare.usb(port) is bare.latency_timer(port) is None
     assert bare.driver(port) == bare.by_id(port) == ""
     assert bare.properties(port) == {}
-    assert bare.taken_for_braille() == []
+    assert bare.taken_for_braille() is None
     assert bare.held(port)[port].holders == ()
     assert not bare.running("ModemManager")
     assert bare.owner(port) is None
