@@ -373,8 +373,8 @@ class Exchanges:
             # an answer whose code does not fit is one more to the frame before.
             while left < len(burst) - due and answer[1] not in self._accepted(burst[due].step):
                 due += 1
-            surplus = left > len(burst) - due
-            if surplus and due and answer[1] not in self._due(burst, due):
+            right = due < len(burst) and answer[1] in self._accepted(burst[due].step)
+            if due and left > len(burst) - due and not right:
                 pairs[due - 1].append(answer)
             else:
                 pairs[due].append(answer)
@@ -408,10 +408,6 @@ class Exchanges:
                 break
             first -= 1
         return tuple(burst[first : at + 1])
-
-    def _due(self, burst: Sequence[Exchange], due: int) -> set[int | None]:
-        """The codes that are right for a frame of a burst, none behind its last one."""
-        return self._accepted(burst[due].step) if due < len(burst) else set()
 
     def _overtaken(
         self, burst: list[Exchange], answers: list[tuple[int, int]]
@@ -470,7 +466,9 @@ class Exchanges:
         guilty: Exchange | None,
     ) -> None:
         since = max(burst[-1].end, answers[-1][0] if answers else 0)
-        facets = self._shown(looks[-1][1])
+        last = looks[-1][1]
+        facets = facets_of(self._model.protocol, last) - {*self._of_motion}
+        facets |= {MOTION} if last.moving is not None else set()
         speed, wheels = self._car.drive(self._expected.state).speed, self._wheels(self._expected)
         different = {id(look): look for _, look in looks}  # the trace keeps equal ones once
         deviating = {key: self._deviating(look) for key, look in different.items()}
@@ -502,7 +500,7 @@ class Exchanges:
             for exchange in candidates:
                 exchange.deviations[facet] = deviation
             self.bags.append(Bag(deviation, tuple(candidates)))
-        self._resynchronise(looks[-1][1])
+        self._resynchronise(last)
 
     def _wheels(self, expected: ExpectedState) -> tuple[int, int]:
         return self._car.wheels(expected.state, self._model.protocol.full_steering)
@@ -517,10 +515,6 @@ class Exchanges:
         unknown = set(self._expected.unknown)
         hides = unknown & {self._car.speed, self._car.by, "curve"}
         return unknown | ({MOTION} if hides else set())
-
-    def _shown(self, look: Look) -> set[str]:
-        facets = facets_of(self._model.protocol, look) - {*self._of_motion}
-        return facets | ({MOTION} if look.moving is not None else set())
 
     def _deviating(self, look: Look) -> dict[str, tuple[int | str, int | str]]:
         """The facets of a look that deviate, with what was expected and what was seen."""

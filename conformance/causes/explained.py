@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 _TRIED = 5
 """Causes that are tried again."""
+_AGAIN = {None: "not tried again", True: "tried again: the same", False: "tried again: not seen"}
 _SHORT = 8
 """Frames up to which a line is not shortened by trying."""
 _WHILE = 10_000_000_000
@@ -173,7 +174,7 @@ class Explainer:
         met = len(cases) + others
         sure = f"{len(cases):,} of {quantity(met, 'case')}, and none of {judged - met:,} others"
         return Cause(
-            sentence=f"{what} after {when} ({sure}; {_tried(shown)})",
+            sentence=f"{what} after {when} ({sure}; {_AGAIN[shown]})",
             when=when,
             axis=("stop", "state", "answer", "state")[_rank(found)],
             clause=safety if _rank(found) == 0 else Counter(clauses).most_common(1)[0][0],
@@ -198,12 +199,6 @@ def _shown(protocol: Protocol, seen: Deviation | None) -> str:
     if seen.how == "extra":
         return f"{seen.seen} answers, {due} once"
     return f"answered {_code(protocol, seen.seen)}, {due}"
-
-
-def _tried(shown: bool | None) -> str:
-    if shown is None:
-        return "not tried again"
-    return "tried again: the same" if shown else "tried again: not seen"
 
 
 def _rank(found: Found) -> int:

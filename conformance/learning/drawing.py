@@ -27,10 +27,6 @@ start [shape=point]; start -> 0 [tooltip="homed"];"""
 _RED = ' color="#c62828" fontcolor="#c62828"'
 
 
-class DrawingError(UserError):
-    """Graphviz did not draw the machine. One sentence."""
-
-
 def dot_text(
     protocol: Protocol,
     machine: Mealy[Output],
@@ -90,11 +86,11 @@ def has_graphviz() -> bool:
 
 
 def svg_text(dot: str) -> str:
-    """The picture of a DOT text as SVG. Raises DrawingError."""
+    """The picture of a DOT text as SVG. Raises UserError where Graphviz fails."""
     try:
         done = subprocess.run(
             ["dot", "-Tsvg"], input=dot.encode(), capture_output=True, timeout=_PATIENCE, check=True
         )
     except (OSError, subprocess.SubprocessError) as error:
-        raise DrawingError(f"Graphviz's dot did not draw the machine: {error}") from error
+        raise UserError(f"Graphviz's dot did not draw the machine: {error}") from error
     return done.stdout.decode()

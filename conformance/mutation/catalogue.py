@@ -5,7 +5,7 @@ from __future__ import annotations
 from bilprov.conformance.dut.simulator import Fault
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.random_faults import PREFIX, find_random_fault
-from bilprov.conformance.mutation.variants import MIXTURE, mixtures, mixtures_of, variants
+from bilprov.conformance.mutation.variants import MIXTURE, mixtures, variants
 from bilprov.spec.protocol import Protocol
 
 
@@ -14,22 +14,29 @@ def find_fault(protocol: Protocol, name: str) -> Fault:
 
     Raises ValueError, in one sentence, if there is none of that name.
     """
-    bank = fault_bank(protocol)
-    if name in bank:
-        return bank[name]
     if name.startswith(PREFIX):
         return find_random_fault(protocol, name)
     if name.startswith(MIXTURE) or "=" in name:
         return find_variant(protocol, name)
-    near = [known for known in bank if name and name.split("-")[0] in known]
-    raise ValueError(
-        f"there is no fault {name!r}{_perhaps(near)}; simulate --list-faults names all"
-    )
+    first = name.split("-")[0]
+    return _named("fault", name, fault_bank(protocol), first, "simulate --list-faults names all")
 
 
-def _perhaps(near: list[str]) -> str:
-    """A few names that may be meant, in words."""
-    return f", perhaps {', '.join(near[:3])}" if near else ""
+def find_variant(protocol: Protocol, name: str) -> Fault:
+    """Return the named legal variant or mixture. Raises ValueError if there is none."""
+    legal = {known: variant.fault for known, variant in variants(protocol).items()}
+    first = name.split("=")[0]
+    known = legal if name in legal else legal | mixtures(protocol)
+    return _named("variant", name, known, first, "see simulate --list-variants")
+
+
+def _named(what: str, name: str, known: dict[str, Fault], first: str, see: str) -> Fault:
+    """Return a fault by its name; names in which its `first` part stands may be meant."""
+    if name in known:
+        return known[name]
+    near = [one for one in known if first and first.lower() in one.lower()]
+    perhaps = f", perhaps {', '.join(near[:3])}" if near else ""
+    raise ValueError(f"there is no {what} {name!r}{perhaps}; {see}")
 
 
 def listed_faults(protocol: Protocol) -> str:
@@ -58,31 +65,9 @@ def listed_variants(protocol: Protocol) -> str:
     width = max(len(name) for name in known)
     lines = [f"legal variants ({len(known)})"]
     for name, variant in known.items():
-        option = f" (needs --allow {variant.allow})" if variant.allow else ""
-        lines.append(f"  {name:{width}}  {variant.doc}{option}")
+        option = f" (needs --allow {variant.row.allow})" if variant.row.allow else ""
+        lines.append(f"  {name:{width}}  {variant.row.doc}{option}")
     lines += ["", f"mixtures of two choices, which do not conform ({len(mixed)})"]
     for name, fault in mixed.items():
         lines += [f"  {name}", f"      {fault.doc}"]
     return "\n".join(lines)
-
-
-def find_variant(protocol: Protocol, name: str) -> Fault:
-    """Return the named legal variant or mixture. Raises ValueError if there is none."""
-    known = variants(protocol)
-    if name in known:
-        return known[name].fault
-    if name.startswith(MIXTURE):
-        return find_mixture(protocol, name)
-    near = [one for one in known if name and name.split("=")[0].lower() in one.lower()]
-    raise ValueError(f"there is no variant {name!r}{_perhaps(near)}; see simulate --list-variants")
-
-
-def find_mixture(protocol: Protocol, name: str) -> Fault:
-    """Return the named mixture. Raises ValueError, in one sentence, if there is none."""
-    parts = name.removeprefix(MIXTURE).split(":")
-    variant = variants(protocol).get(parts[0])
-    known = {fault.name: fault for fault in mixtures_of(protocol, variant)} if variant else {}
-    if name not in known:
-        some = ", ".join(list(known) or list(mixtures(protocol))[:3])
-        raise ValueError(f"there is no mixture {name!r}, perhaps {some}")
-    return known[name]

@@ -287,35 +287,22 @@ class FaultDraw:
 
 
 @cache
-def random_fault(protocol: Protocol, seed: int) -> Fault:
-    """Return the fault `random:SEED`."""
-    return _fault(protocol, f"{PREFIX}{seed}", FaultDraw(protocol, seed).simple())
-
-
-@cache
-def drawn_fault(protocol: Protocol, seed: int, number: int) -> Fault:
-    """Return the fault `random:SEED.NUMBER`, drawn from the wider families."""
-    drawn = FaultDraw(protocol, f"{seed}.{number}").wide()
-    return _fault(protocol, f"{PREFIX}{seed}.{number}", drawn)
-
-
-def _fault(protocol: Protocol, name: str, drawn: Drawn) -> Fault:
-    when = ", ".join(term for term in drawn.when if term)
-    doc = f"{when or 'always'}: {drawn.what}"
-    clauses = ("safety", "responses", "instructions", "header")
-    row = Row(doc, drawn.what, when)
-    return Fault(name, drawn.family, doc, ("*",), clauses=clauses, **hooks(protocol, row))
-
-
 def find_random_fault(protocol: Protocol, name: str) -> Fault:
     """Return the random fault of that name. Raises ValueError, in one sentence, for any other."""
     parts = name.removeprefix(PREFIX).split(".")
     numbers = [int(part) for part in parts if part.isascii() and part.isdigit()]
+    seed = ".".join(map(str, numbers))
     if len(numbers) == len(parts) == 1:
-        return random_fault(protocol, numbers[0])
-    if len(numbers) == len(parts) == 2:
-        return drawn_fault(protocol, *numbers)
-    raise ValueError(
-        f"there is no fault {name!r}; a random one is {PREFIX}SEED or {PREFIX}SEED.NUMBER, each a "
-        f"whole number, for example {PREFIX}7 or {PREFIX}7.1"
-    )
+        drawn = FaultDraw(protocol, numbers[0]).simple()
+    elif len(numbers) == len(parts) == 2:
+        drawn = FaultDraw(protocol, seed).wide()
+    else:
+        raise ValueError(
+            f"there is no fault {name!r}; a random one is {PREFIX}SEED or {PREFIX}SEED.NUMBER, "
+            f"each a whole number, for example {PREFIX}7 or {PREFIX}7.1"
+        )
+    when = ", ".join(term for term in drawn.when if term)
+    doc = f"{when or 'always'}: {drawn.what}"
+    clauses = ("safety", "responses", "instructions", "header")
+    made = hooks(protocol, Row(doc, drawn.what, when))
+    return Fault(f"{PREFIX}{seed}", drawn.family, doc, ("*",), clauses=clauses, **made)

@@ -26,7 +26,12 @@ MIXTURE = "mixture:"
 
 
 class VariantRow(Row, frozen=True, forbid_unknown_fields=True):
-    """A variant as data; `chooses` are the words of choices by open point, `=` between them."""
+    """A variant as data; `chooses` are the words of choices by open point, `=` between them.
+
+    `allow` names the option (`--allow`) without which the choice fails, "" if it is legal without
+    one. `mixes` is true for a choice that a device must make the same way each time, as it must
+    those of `chooses`: mixtures of it are faults.
+    """
 
     chooses: str = ""
     allow: str = ""
@@ -37,34 +42,12 @@ class VariantRow(Row, frozen=True, forbid_unknown_fields=True):
 class Variant:
     """A legal variant: a choice other than the default at one reading.
 
-    `name` is the reading's id, `=` and the choice. `allow` names the option (`--allow`) without
-    which the choice fails, "" if it is legal without one. `mixes` is true for a choice that a
-    device must make the same way each time, so that mixtures of it are faults.
+    `name` is the reading's id, `=` and the choice.
     """
 
     protocol: Protocol
     name: str
     row: VariantRow
-
-    @property
-    def doc(self) -> str:
-        """What the device does."""
-        return self.row.doc
-
-    @property
-    def allow(self) -> str:
-        """The option that it needs."""
-        return self.row.allow
-
-    @property
-    def mixes(self) -> bool:
-        """Whether to mix it with the default is a fault."""
-        return self.row.mixes or bool(self.row.chooses)
-
-    @property
-    def reading(self) -> str:
-        """The reading's id."""
-        return self.name.split("=")[0]
 
     @property
     def words(self) -> tuple[tuple[str, str], ...]:
@@ -75,7 +58,7 @@ class Variant:
     @cached_property
     def fault(self) -> Fault:
         """The fault that makes a simulator take this choice each time."""
-        return self.taking("", self.name, self.doc)
+        return self.taking("", self.name, self.row.doc)
 
     def taking(self, when: str, name: str, doc: str) -> Fault:
         """Return the fault that takes this choice at frames of this trigger."""
@@ -115,19 +98,12 @@ _TIMES = 12  # how often the point arises before the device changes its choice
 @cache
 def mixtures(protocol: Protocol) -> dict[str, Fault]:
     """Return every mixture by name."""
-    found = [
-        fault
-        for variant in variants(protocol).values()
-        if variant.mixes
-        for fault in mixtures_of(protocol, variant)
-    ]
-    return {fault.name: fault for fault in found}
+    mixed = (v for v in variants(protocol).values() if v.row.mixes or v.row.chooses)
+    return {fault.name: fault for variant in mixed for fault in _mixtures_of(protocol, variant)}
 
 
-def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
+def _mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
     """Yield the mixtures of one variant: by frame, by count, by ID and by motion, if both show."""
-    if not variant.mixes:
-        return
     ids, motions = _where_it_arises(protocol, variant)
     rows = [
         ("by-frame", "every second time", "times !& 1"),
@@ -147,7 +123,7 @@ def mixtures_of(protocol: Protocol, variant: Variant) -> Iterator[Fault]:
         rows.append(("by-motion", words, f"motion {' '.join(moves)}"))
     for name, words, when in rows:
         fault = variant.taking(
-            when, f"{MIXTURE}{variant.name}:{name}", f"{variant.doc}, but only {words}"
+            when, f"{MIXTURE}{variant.name}:{name}", f"{variant.row.doc}, but only {words}"
         )
         yield replace(
             fault,

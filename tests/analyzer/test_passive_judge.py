@@ -272,7 +272,7 @@ def test_no_legal_variant_is_accused(name: str, protocol: Protocol) -> None:
     violations = of_run(protocol, variant, *SOME, "recovery/*").violations
 
     # What the suite accepts only with --allow, and running drained bytes, are violations here too.
-    fails = bool(variants(protocol)[name].allow) or name == "R-drain-unused=run"
+    fails = bool(variants(protocol)[name].row.allow) or name == "R-drain-unused=run"
     assert bool(violations) == fails, violations
 
 

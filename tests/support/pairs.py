@@ -23,7 +23,7 @@ def pairs(protocol: Protocol) -> dict[str, Fault]:
     Left out are variants that need an option, two choices of one reading or at one point, and pairs
     that a simulated device cannot be, since it has each hook once.
     """
-    legal = [variant for variant in variants(protocol).values() if not variant.allow]
+    legal = [variant for variant in variants(protocol).values() if not variant.row.allow]
     found = (_both(one, other) for one, other in combinations(legal, 2) if _fit(one, other))
     return {fault.name: fault for fault in found}
 
@@ -31,18 +31,18 @@ def pairs(protocol: Protocol) -> dict[str, Fault]:
 def _fit(one: Variant, other: Variant) -> bool:
     points, others = ({point for point, _ in variant.words} for variant in (one, other))
     hooks = hooks_of(one.fault).keys() & hooks_of(other.fault)
-    return one.reading != other.reading and points.isdisjoint(others) and not hooks
+    return _reading(one) != _reading(other) and points.isdisjoint(others) and not hooks
 
 
 def _both(one: Variant, other: Variant) -> Fault:
     """Return the device that is both: each reacts to what the one before has made of a frame."""
     first, second = sorted((one, other), key=_place)
     reacts = [variant.fault.react for variant in (first, second) if variant.fault.react]
-    joined = behind if first.reading == _ORDER[0] else then
+    joined = behind if _reading(first) == _ORDER[0] else then
     return replace(
         Fault("", FAMILY, "", exit=0),
         name=f"{one.name} and {other.name}",
-        doc=f"{one.doc}; {other.doc}",
+        doc=f"{one.row.doc}; {other.row.doc}",
         react=joined(*reacts) if len(reacts) > 1 else next(iter(reacts), None),
         **hooks_of(one.fault),
         **hooks_of(other.fault),
@@ -51,7 +51,12 @@ def _both(one: Variant, other: Variant) -> Fault:
 
 def _place(variant: Variant) -> tuple[int, bool]:
     """Return where its reaction comes among those of a device."""
-    return _ORDER.index(variant.reading if variant.reading in _ORDER else ""), not variant.words
+    reading = _reading(variant)
+    return _ORDER.index(reading if reading in _ORDER else ""), not variant.words
+
+
+def _reading(variant: Variant) -> str:
+    return variant.name.split("=")[0]
 
 
 def behind(lossy: React, reacts: React) -> React:

@@ -249,13 +249,6 @@ def test_words_of_cases_stand_for_globs() -> None:
     assert globs("truncated valid/*") == (*truncated, "valid/*")
 
 
-def test_a_fault_is_one_cause_that_names_it_and_shows(protocol: Protocol) -> None:
-    found = explained(protocol, ["no-stop-on-bad-data"], "smoke", 1)
-    assert (found.causes, found.named, found.of, found.shown) == (1, 1, 1, True)
-    assert found.failed > 1
-    assert found.unexplained == 0
-
-
 def test_a_mixture_is_compared_with_what_the_device_has_chosen(protocol: Protocol) -> None:
     found = explained(protocol, ["mixture:R-fault-state=speed-zeroed:by-motion"], "smoke", 1)
     assert (found.causes, found.named, found.of, found.shown) == (1, 1, 1, True)

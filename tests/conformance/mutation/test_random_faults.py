@@ -11,7 +11,6 @@ import pytest
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.random_faults import drawn_fault, random_fault
 from bilprov.spec.protocol import Protocol, load
 from tests.support.grammars import short_grammar, still_grammar
 
@@ -42,7 +41,7 @@ def test_a_name_draws_the_same_fault_for_ever(protocol: Protocol, name: str) -> 
 
 
 def test_the_faults_of_300_seeds_are_many_different_ones(protocol: Protocol) -> None:
-    docs = [random_fault(protocol, seed).doc for seed in range(1, 301)]
+    docs = [find_fault(protocol, f"random:{seed}").doc for seed in range(1, 301)]
 
     assert len(set(docs)) > 270
     for word in ("moves", "previous", "pipelined", "faults", "every", "led", "turns-bits", "gap"):
@@ -50,13 +49,13 @@ def test_the_faults_of_300_seeds_are_many_different_ones(protocol: Protocol) -> 
 
 
 def test_the_wider_faults_are_of_six_families_and_many_different_ones(protocol: Protocol) -> None:
-    faults = [drawn_fault(protocol, 5, number) for number in range(1, 301)]
+    faults = [find_fault(protocol, f"random:5.{number}") for number in range(1, 301)]
 
     families = Counter(fault.family for fault in faults)
     assert families.keys() == FAMILIES
     assert min(families.values()) >= 8, families
     assert len({fault.doc for fault in faults}) > 280
-    assert {fault.doc for fault in faults} != {drawn_fault(protocol, 6, 1).doc}
+    assert {fault.doc for fault in faults} != {find_fault(protocol, "random:6.1").doc}
     for word in ("-byte", "size", "after-truncated", "every 1000", "wheels", "led &"):
         assert sum(word in fault.doc for fault in faults) >= 3, word
 
@@ -65,7 +64,7 @@ def test_the_wider_faults_are_of_six_families_and_many_different_ones(protocol: 
 def test_wider_faults_follow_any_grammar(each_protocol: Protocol) -> None:
     names = {spec.name for spec in each_protocol.instructions}
     for number in range(1, 201):
-        fault = drawn_fault(each_protocol, 1, number)
+        fault = find_fault(each_protocol, f"random:1.{number}")
         named = re.search("instruction ([A-Za-z]+)", fault.doc)
         assert named is None or named[1] in names
         device = Simulator(each_protocol, fault)
@@ -81,8 +80,8 @@ def test_faults_are_drawn_of_a_grammar_with_few_lengths_or_without_motions(
     small = load(edited(grammar_text), "small.py")
     lengths = {length for _, length in small.headers}
 
-    docs = [random_fault(small, seed).doc for seed in range(1, 121)]
-    docs += [drawn_fault(small, 5, number).doc for number in range(1, 121)]
+    docs = [find_fault(small, f"random:{seed}").doc for seed in range(1, 121)]
+    docs += [find_fault(small, f"random:5.{number}").doc for number in range(1, 121)]
 
     assert len(set(docs)) > 100
     announced = [int(n) for doc in docs for n in re.findall(r"length (\d+)", doc)]

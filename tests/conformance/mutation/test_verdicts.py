@@ -56,7 +56,7 @@ def line_of(device: tuple[str, str]) -> str:
     if variant:
         report = run_suite(
             device_target(protocol, Simulator(protocol, variant.fault)),
-            Options(level=level, allow=(variant.allow,) if variant.allow else ()),
+            Options(level=level, allow=(variant.row.allow,) if variant.row.allow else ()),
             logged=False,
         )
         return f"{level} {report.verdict.label} {name}"

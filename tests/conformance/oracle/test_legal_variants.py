@@ -9,7 +9,7 @@ from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
-from bilprov.conformance.mutation.catalogue import find_fault, find_mixture, find_variant
+from bilprov.conformance.mutation.catalogue import find_fault, find_variant
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.judge import look_words
 from bilprov.conformance.oracle.verdicts import Verdict
@@ -96,7 +96,7 @@ def test_every_variant_has_its_verdict_here_and_every_other_choice_its_variant(
 
     assert set(known) == set(VERDICTS)
     for variant in known.values():
-        assert (VERDICTS[variant.name] is FAIL) is bool(variant.allow)
+        assert (VERDICTS[variant.name] is FAIL) is bool(variant.row.allow)
     # Where the readings let another choice pass, there is a device that takes it.
     legal = {
         reading.id
@@ -105,7 +105,7 @@ def test_every_variant_has_its_verdict_here_and_every_other_choice_its_variant(
             verdict.split()[0] != "fail" or "allowed" in verdict for _, verdict in reading.others
         )
     }
-    assert legal == {variant.reading for variant in known.values()}
+    assert legal == {variant.name.split("=")[0] for variant in known.values()}
 
 
 class TellingItsWheels(Simulator):
@@ -183,7 +183,7 @@ MS = 1_000_000
 
 def speeds_after_stops(protocol: Protocol, name: str, *movers: str) -> list[int]:
     """The speed that is left after each Stop: Speed 99, a motion, Stop, and again."""
-    device, now, found = Simulator(protocol, find_mixture(protocol, name)), 0, []
+    device, now, found = Simulator(protocol, find_variant(protocol, name)), 0, []
     for mover in movers:
         now += 10 * MS
         frames = (build(protocol, "Speed", {"speed": 99}), build(protocol, mover))
@@ -213,7 +213,7 @@ def test_by_id_it_depends_on_the_instruction(protocol: Protocol) -> None:
     name = "mixture:R-unused-length=too-many:by-id"
     codes = []
     for identity in protocol.unused_ids:
-        device = Simulator(protocol, find_mixture(protocol, name))
+        device = Simulator(protocol, find_variant(protocol, name))
         device.receive(raw_frame(protocol, identity, 1, b"\0"), 0)
         codes.append(device.advance(0)[0])
 
@@ -225,7 +225,7 @@ def test_by_id_it_depends_on_the_instruction(protocol: Protocol) -> None:
     "name", ["mixture:", "mixture:R-stop-speed=zeroed:by-id", "mixture:x:by-frame"]
 )
 def test_a_mixture_that_is_none_is_refused(protocol: Protocol, name: str) -> None:
-    with pytest.raises(ValueError, match="there is no mixture"):
+    with pytest.raises(ValueError, match="there is no variant"):
         find_fault(protocol, name)
 
 

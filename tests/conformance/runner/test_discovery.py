@@ -162,7 +162,7 @@ def test_each_variant_shows_its_own_choices_and_no_other(
     protocol: Protocol, name: str | None
 ) -> None:
     variant = variants(protocol)[name] if name else None
-    allow = [variant.allow] if variant and variant.allow else []
+    allow = [variant.row.allow] if variant and variant.row.allow else []
 
     run = probed(protocol, variant.fault if variant else None, *allow)
 
@@ -200,7 +200,7 @@ def test_a_watchdogs_time_is_measured(protocol: Protocol) -> None:
 def test_with_pipelining_no_nothing_is_sent_ahead(protocol: Protocol) -> None:
     variant = variants(protocol)["R-pipelining=no"]
 
-    found = readings(probed(protocol, variant.fault, variant.allow))
+    found = readings(probed(protocol, variant.fault, variant.row.allow))
 
     assert max(result.verdict for result in found.values()) is PASS
     assert not {i for i in found if i.startswith(("reading/pipelining", "reading/drain"))}
