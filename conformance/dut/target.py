@@ -47,11 +47,6 @@ class TargetName:
         """The probe that the simulator or a board brings, None for a port."""
         return None if self.kind == PORT else self.kind
 
-    @property
-    def virtual(self) -> bool:
-        """Whether it runs in virtual time, in process."""
-        return self.kind in (SIM, SIMAVR)
-
 
 def target_named(text: str) -> TargetName:
     """Parse the name of a target.

@@ -141,7 +141,7 @@ class Bench(RunListener):
         It is not called for the simulator or an emulated board, which move nothing. Raises
         LinkError, ProbeError and EmulatorError, in one sentence.
         """
-        if self._name.virtual:
+        if self._name.own_probe:
             with self._opened():  # raises if the firmware cannot be run
                 return
         self._port = self._stack.enter_context(self._open_target())

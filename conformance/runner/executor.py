@@ -89,7 +89,8 @@ class Runner:
             yield from self._judge_all()
         except Ended as ended:
             self.ended = ended
-            if ended.error and self._left and not self._charged():
+            charged = any(result.verdict is Verdict.ERROR for result in run.results)
+            if ended.error and self._left and not charged:
                 self._result(Verdict.ERROR, "not judged", str(ended))
             self._not_run(Verdict.INCONCLUSIVE, str(ended))
         run.release(str(self.ended or ""))
@@ -189,7 +190,7 @@ class Runner:
         if virtual and not told:
             return
         cases = sum(map(self._cost, self._left))
-        more = self._probes() + min(cases, self._whole)
+        more = min(cases, self._whole) + (before_the_cases(pace) if self._discover else 0.0)
         about = f"the run takes about {more:.0f} s more"
         if cases > self._whole:
             about = (
@@ -267,10 +268,6 @@ class Runner:
         answer, timeout = (profile.round_trip or 0) / 1e9, self.run.waiting.timeout / 1e9
         return Pace(timeout, 0.0, answer, look, few_looks=not config.observable)
 
-    def _probes(self) -> float:
-        """About how long (s) the probes before the cases take with this device."""
-        return before_the_cases(self._pace()) if self._discover else 0.0
-
     def _cost(self, case: AnyCase) -> float:
         """About how long (s) a case takes with this device."""
         return seconds(self.run.protocol, case, self._pace())
@@ -291,10 +288,6 @@ class Runner:
             verdict = Verdict.SKIPPED if skipped else Verdict.INCONCLUSIVE
             run.conclude(case, {"answer": Axis(verdict, "", "not run", why)})
         self._left = [case for case in self._left if case.id in kept]
-
-    def _charged(self) -> bool:
-        """Whether a case already has the verdict that the kit, the port or the probe failed."""
-        return any(result.verdict is Verdict.ERROR for result in self.run.results)
 
     def _enough(self) -> bool:
         return self._fail_fast and any(r.verdict is Verdict.FAIL for r in self.run.results)
