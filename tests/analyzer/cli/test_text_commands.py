@@ -206,6 +206,12 @@ def test_every_frame_of_the_document_is_decoded_as_typed_by_hand() -> None:
     ]
 
 
+def test_text_in_a_pipe_has_no_colour_codes() -> None:
+    run = command("decode", "81 09 90 20", FORCE_COLOR="1")
+
+    assert b"\x1b" not in run.stdout
+
+
 def test_a_narrow_locale_gets_plain_arrows() -> None:
     run = process("decode", "20", env={"PYTHONIOENCODING": "ascii"})
 

@@ -427,6 +427,15 @@ def test_an_anomaly_is_told_with_its_reason(protocol: Protocol, show: Open, tmp_
 
 
 @needs_chromium
+def test_a_recording_of_nothing_is_shown_without_a_complaint(
+    page: Page, show: Open, tmp_path: Path
+) -> None:
+    show(written(tmp_path / "c.mcap", []))
+    click(page, "in")
+    assert page.complaints == []
+
+
+@needs_chromium
 @pytest.mark.usefixtures("little_room")  # so that what is told is as long as it gets
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("width", [1280, 900, 400])

@@ -13,6 +13,7 @@ from textual.pilot import Pilot
 from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
+from bilprov.analyzer.filters.values import offset
 from bilprov.analyzer.output.console import NARROW
 from bilprov.analyzer.output.row_columns import RowStyle, chosen_columns, columns_of
 from bilprov.analyzer.screen.browser import Browser
@@ -134,20 +135,27 @@ def test_keys_move_through_the_rows(screen: Browser) -> None:
         ("301 ms", 301),
         ("14:03:20.3", 300),
         ("14:03:20", 0),
-        ("2026-11-22 14:03:21", 1000),
+        ("2026-11-22T14:03:21Z", 1000),
         ("14:03:19", 86_399_000),  # on the next day
     ],
 )
 def test_a_place_is_a_row_or_a_time(text: str, found: int) -> None:
     start = 1_795_356_200 * 10**9  # 2026-11-22 14:03:20 in UTC
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TZ", "UTC")
-        time.tzset()
-        assert row_of(text, start, True, lambda t: t // MS) == found
-    time.tzset()
+    assert row_of(text, start, True, lambda t: t // MS) == found
     with pytest.raises(ValueError, match="give a row like 120"):
         row_of("soon", start, True, lambda t: t // MS)
+
+
+def test_a_time_of_day_is_that_of_the_clock_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "<+01>-1")
+        time.tzset()
+        offset.cache_clear()
+        found = row_of("01:00:00.3", 10**9, False, lambda t: t // MS)
+    time.tzset()
+    offset.cache_clear()
+    assert found == 86_399_300  # it began a second later than one in the morning
 
 
 ANSWERED = {

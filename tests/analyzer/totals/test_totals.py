@@ -241,6 +241,19 @@ def test_latencies_out_of_range_count_for_its_ends(protocol: Protocol) -> None:
     assert spread.median == (1_234_000 - 1_000) // 2  # the mean of the middle two
 
 
+def test_totals_take_no_more_memory_for_more_frames(protocol: Protocol) -> None:
+    found = Totals(protocol)
+    sizes = []
+    for seed in range(3):
+        for part in told(StreamDecoder(protocol), answered(protocol, 300, seed), [50]):
+            found.add(part)
+        sizes.append(vars(found)["_headers"].nbytes)
+
+    assert len(set(sizes)) == 1
+    assert len(vars(found)["_answers"]) <= 256
+    assert not any(isinstance(value, list) for value in vars(found).values())
+
+
 def test_counts_by_time_are_bounded_however_long_a_recording_is() -> None:
     rates, times = Rates("frames"), [5 * SECOND, 6 * SECOND, 7000 * SECOND, 1 << 62]
 
