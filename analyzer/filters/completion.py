@@ -22,8 +22,7 @@ class Completion(NamedTuple):
     says: str = ""
 
 
-_BEGUN = re.compile(r"(?:(?<![\w.'\"])|(?<=\.\.))[^\W\d][\w.]*$")  # a word at the end
-_QUOTES = re.compile(r"'[^']*'|\"[^\"]*\"")
+_BEGUN = re.compile(r"(?:(?<![\w.])|(?<=\.\.))[^\W\d][\w.]*$")  # a word at the end
 _SIGNS = {
     "in": "is one of {1, 2} or 1..2",
     "contains": "has it inside",
@@ -38,7 +37,8 @@ def completions(text: str, cursor: int, protocol: Protocol) -> list[Completion]:
     kind may come, as behind `speed >`.
     """
     text = text[:cursor]
-    start = _begun(text)
+    begun = _BEGUN.search(text)
+    start = begun.start() if begun else len(text)
     place, same = place_at_end(text[:start], bytes_names(protocol)), folded(text[start:])
     if place is None:
         return []
@@ -49,14 +49,6 @@ def completions(text: str, cursor: int, protocol: Protocol) -> list[Completion]:
         for word, says in _words(place, protocol, same)
         if folded(word).startswith(same)
     ]
-
-
-def _begun(text: str) -> int:
-    """Where the word begins that the text ends with; its end if that is none."""
-    # Blanked out, what stands in quotes has neither quotes nor words, and the same length.
-    blank = _QUOTES.sub(lambda quoted: "." * len(quoted[0]), text)
-    begun = _BEGUN.search(blank)
-    return begun.start() if begun else len(text)
 
 
 def _written(word: str, blank: str) -> str:
