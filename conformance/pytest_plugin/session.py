@@ -109,6 +109,8 @@ class RobotSession:
         self._config = config
         _require_one_process(config)
         option = config.getoption
+        if option("setuponly") or option("setupplan"):
+            raise pytest.UsageError("a robot has no set-up to show: leave --robot-port out")
         try:
             protocol = load_protocol(option("robot_grammar"))
             require_family(protocol, "the suite")

@@ -254,6 +254,7 @@ WRONG = [
     (("--robot-port", "sim", "--robot-grammar", "none.py"), "none.py"),
     (("--robot-port", "/dev/no-such-port", *SMOKE), "/dev/no-such-port"),
     (("--robot-port", "/dev/x", "--robot-probe", "ask"), "cannot be used under pytest"),
+    (("--robot-port", "sim", "--setup-plan"), "no set-up to show"),
     (("--robot-port", "sim", "--robot-baud", "0"), "baud is 0"),
     (("--robot-port", "sim", "--robot-allow", "x=1"), "'x=1' cannot be allowed"),
     (("--robot-port", f"emulator:simavr:{__file__}", *SMOKE), "is not an ELF file"),

@@ -79,7 +79,7 @@ def test_a_last_pause_that_is_cut_short_is_told_too(
             command.stdout.readline()
         code, _, err = command.end(number)
 
-    assert (code, err) == (status, b"stopped before the end of the last pause\n")
+    assert (code, err) == (status, b"stopped before the end\n")
     assert not device.state.moving
 
 
