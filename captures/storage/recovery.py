@@ -22,6 +22,10 @@ from bilprov.captures.storage.records import CHUNK_BYTES, ChannelRecord, CutOff,
 SKIPPED: Final = -1
 """Opcode of a record that was skipped because it is larger than allowed."""
 
+UNPACKED_FREE: Final = 2 * CHUNK_BYTES
+UNPACKED_SHARE: Final = 1024
+"""All chunks of a file may unpack to UNPACKED_FREE bytes and this many times the file's size."""
+
 HEAD_ROOM: Final = 64  # bytes before a chunk's packed data, more than enough
 WINDOW: Final = 1024 * 1024
 
@@ -89,8 +93,9 @@ class RecordFile:
     `own` is true if bilprov wrote the file: then records that bilprov never writes are rejected.
     `past_data` is true after the end of the data: before it, records of an index are rejected.
 
-    What is held of a file at once is bounded. The time is not: a hostile file may unpack to a
-    thousand times its size.
+    What is held of a file at once is bounded, and so is the work, by the file's size. Where a
+    hostile file would unpack to more, that is damage, and after it no further chunk is found. No
+    capture of a line comes near: its messages take more than 4 bytes each, packed.
     """
 
     def __init__(self, file: BufferedReader, size: int) -> None:
@@ -100,6 +105,7 @@ class RecordFile:
         self._file = file
         # A false chunk front may cost 16 MiB of reading, and a hostile file has millions of them.
         self._patience = 4 * size + 4 * CHUNK_BYTES
+        self._unpacked = UNPACKED_FREE + UNPACKED_SHARE * size
         self._zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
 
     def record(self, offset: int, only: Collection[int] | None = None) -> Found:
@@ -223,6 +229,11 @@ class RecordFile:
                 raise Damaged(f"a chunk is larger than the {CHUNK_BYTES} bytes allowed")
             note = f"the chunk at byte {offset} holds {size} bytes, allowed are {CHUNK_BYTES}"
             return Found(SKIPPED, end, note=f"{note}: left out")
+        self._unpacked -= size
+        if self._unpacked < 0:
+            self._patience = 0
+            free = UNPACKED_FREE >> 20
+            raise Damaged(f"it unpacks to more than {free} MiB and {UNPACKED_SHARE} x its size")
         content = front + self._content(length - len(front))
         data = self._unpack(memoryview(content)[fields.start :], fields.compression, size)
         if len(data) != size:

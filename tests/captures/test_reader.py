@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.captures.storage import records
+from bilprov.captures.storage import records, recovery
 from bilprov.captures.storage.recovery import RecordFile
 from bilprov.captures.topics import TOPICS
 from bilprov.captures.writer import CaptureWriter
@@ -459,3 +459,20 @@ def test_a_chunk_that_stands_twice_is_read_once(small: Path, tmp_path: Path, at:
     assert [m.sequence for m in messages(capture)] == list(range(24))
     assert not [event for event in capture if isinstance(event, Line) and event.event == "gap"]
     assert capture.damage == ("28 messages are there, the file's statistics count 24",)
+
+
+def test_a_file_that_unpacks_to_far_more_than_its_size_is_read_up_to_a_limit(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recovery, "UNPACKED_SHARE", 100)
+    whole = small.read_bytes()
+    foreign = whole[: chunk_offsets(whole)[0]].replace(b"bilprov 1", b"nothing 1")
+    message = struct.pack("<BQHIQQ", records.MESSAGE, 22 + 60_000, 1, 0, START, START)
+    large = whole_chunk((message + bytes(60_000)) * 200)
+    path = with_bytes(tmp_path / "u.mcap", foreign + large * 5)
+
+    capture = open_capture(path)
+
+    assert "unpacks to more than 32 MiB and 100 x its size" in capture.damage[0]
+    room = recovery.UNPACKED_FREE + recovery.UNPACKED_SHARE * path.stat().st_size
+    assert 0 < sum(capture.contents.sizes.values()) <= room
