@@ -18,7 +18,15 @@ from bilprov.analyzer.client.rest import home_once
 from bilprov.captures.schemas import MS, look_class
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes
-from bilprov.conformance.causes.exchanges import ANSWER, MOTION, Bag, Deviation, Exchanges, Timing
+from bilprov.conformance.causes.exchanges import (
+    ANSWER,
+    MOTION,
+    WHEELS,
+    Bag,
+    Deviation,
+    Exchanges,
+    Timing,
+)
 from bilprov.conformance.causes.features import Literal, features, matches
 from bilprov.conformance.causes.relations import relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
@@ -184,6 +192,18 @@ def test_what_was_seen_before_a_frame_is_no_evidence_for_it(protocol: Protocol) 
     found = Exchanges(Model(protocol, Choices()), events, timing)
     assert found.bags == []
     assert [one.looked for one in found.all] == [False, True, True]
+
+
+def test_a_look_shows_the_wheels_of_frames_that_turn_them_alike(protocol: Protocol) -> None:
+    look = look_class(protocol.state_type)(300 * MS, moving=True)
+    events: list[Done | Mark] = [
+        Done(Send(bytes.fromhex("11 ff 20 41 ff 41 00")), 10 * MS),
+        Done(None, Received(((12 * MS, 0),) * 4, 20 * MS)),
+        Done(None, Observation(300 * MS, 300 * MS, look)),
+    ]
+    found = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS)).all
+    assert [MOTION in one.right for one in found] == [False, True, True, True]
+    assert [WHEELS in one.right for one in found] == [False, True, False, True]
 
 
 @pytest.mark.parametrize(("pause", "certain"), [(30, True), (49, False)])
