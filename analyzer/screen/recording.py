@@ -47,7 +47,7 @@ class PackedBatch:
         file = BytesIO()
         pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
         # A persistent id is asked for each object: packing records would be twice as slow.
-        pickler.dispatch_table = dict.fromkeys(_SHARED, self._share)
+        pickler.dispatch_table = {np.ndarray: _steps, **dict.fromkeys(_SHARED, self._share)}
         pickler.dump(batch)
         self._packed = zstandard.ZstdCompressor(_LEVEL).compress(file.getbuffer())
 
@@ -66,6 +66,23 @@ class PackedBatch:
     def nbytes(self) -> int:
         """How much memory it takes, in bytes."""
         return len(self._packed)
+
+
+def _steps(array: NDArray[Any]) -> Any:
+    """How an array is packed: 64-bit integers as steps, in as few bytes as each of them takes."""
+    if array.dtype != np.int64 or array.ndim != 1 or not len(array):
+        return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+    steps = np.diff(array)
+    ends = (steps.min(initial=0), steps.max(initial=0))
+    small = np.result_type(*map(np.min_scalar_type, ends))
+    return _summed, (int(array[0]), steps.astype(small))
+
+
+def _summed(first: int, steps: NDArray[np.integer]) -> NDArray[np.int64]:
+    """The integers with these steps between them."""
+    array = np.empty(len(steps) + 1, np.int64)
+    array[0], array[1:] = first, steps
+    return array.cumsum(out=array)
 
 
 def _shared(place: int) -> Any:
