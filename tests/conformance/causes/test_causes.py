@@ -318,10 +318,13 @@ def test_what_keeps_it_moving_joins_only_what_the_same_frames_cause(protocol: Pr
     assert [cause.when for cause in causes] == found
 
 
-def test_one_cause_names_no_rare_deviation_that_its_rule_leaves_out(protocol: Protocol) -> None:
-    rare = find_fault(protocol, "mixture:R-stop-speed=zeroed:by-frame")
-    report = report_of(protocol, both(find_fault(protocol, "double-answer-to-faults"), rare))
-    assert [cause.when.partition(",")[0] for cause in report.causes] == ["a faulty frame", "Stop"]
+def test_a_rare_deviation_that_the_rule_of_another_leaves_out_is_a_cause(
+    protocol: Protocol,
+) -> None:
+    bank = fault_bank(protocol)
+    rare, frequent = bank["forward-ignored-after-speed"], bank["led-sticks-after-255-frames"]
+    report = report_of(protocol, both(frequent, rare))
+    assert [cause.when.partition(",")[0] for cause in report.causes] == ["Forward", "LED"]
 
 
 def test_that_it_answers_no_more_is_a_cause_beside_others(protocol: Protocol) -> None:
