@@ -20,6 +20,7 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.causes.causes import Cause, find_causes
 from bilprov.conformance.causes.exchanges import (
     ANSWER,
+    ASTRAY,
     MOTION,
     WHEELS,
     Bag,
@@ -28,7 +29,7 @@ from bilprov.conformance.causes.exchanges import (
     Timing,
 )
 from bilprov.conformance.causes.features import Literal, features, matches
-from bilprov.conformance.causes.relations import relations
+from bilprov.conformance.causes.relations import Relation, relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
 from bilprov.conformance.causes.trace import Done, Mark, Trace
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
@@ -204,6 +205,8 @@ def test_a_look_shows_the_wheels_of_frames_that_turn_them_alike(protocol: Protoc
     found = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS)).all
     assert [MOTION in one.right for one in found] == [False, True, True, True]
     assert [WHEELS in one.right for one in found] == [False, True, False, True]
+    astray = Relation(MOTION, "changed", "", seen=ASTRAY)
+    assert [astray.shows(one, 0) for one in found] == [False, True, False, True]
 
 
 @pytest.mark.parametrize(("pause", "certain"), [(30, True), (49, False)])
