@@ -92,7 +92,9 @@ class Machine:
 
     def device(self, name: str) -> str:
         """The path of the device that a name leads to: links resolved, as /proc shows it."""
-        here, root = str(self.file(str(Path(name).absolute())).resolve()), str(self._root.resolve())
+        # realpath, since Path.resolve raises for links in a circle.
+        here = os.path.realpath(self.file(str(Path(name).absolute())))
+        root = os.path.realpath(self._root)
         return here.removeprefix(root) if here.startswith(f"{root}/") else here
 
     def title(self, name: str) -> str:

@@ -98,6 +98,12 @@ def test_where_a_system_has_no_such_files_nothing_is_known(tmp_path: Path) -> No
 # Who holds it
 
 
+def test_links_in_a_circle_lead_to_no_device(tmp_path: Path) -> None:
+    circle = tmp_path / "circle"
+    circle.symlink_to("circle")
+    assert Machine().device(str(circle)) == str(circle)
+
+
 def test_holders_of_several_ports_are_found_at_once(machine: FakeMachine) -> None:
     machine.run(42, "minicom", "/dev/null", "/dev/ttyUSB0", line="minicom\0-D\0/dev/ttyUSB0\0")
     machine.run(43, "socat", "/dev/ttyUSB1", "/dev/ttyUSB0")
