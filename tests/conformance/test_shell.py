@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -331,6 +332,23 @@ def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, 
             terminal.wait_for("LED 5")
             terminal.type(CTRL_C + CTRL_D)
             assert terminal.end() == 0
+
+
+def test_lines_are_done_whose_history_cannot_be_kept_any_more(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    state = tmp_path / "state"
+    with (
+        car(protocol) as (_, port, _),
+        on_terminal("send", port, "--yes", XDG_STATE_HOME=str(state)) as terminal,
+    ):
+        terminal.wait_for("led 0>")
+        shutil.rmtree(state)
+        terminal.type("LED 5\r")
+        terminal.wait_for("led 5>")
+        terminal.type(CTRL_D)
+        assert terminal.end() == 0
+    assert "Traceback" not in terminal.shown
 
 
 def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(

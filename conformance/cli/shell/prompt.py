@@ -172,6 +172,14 @@ class _Completer(Completer):
         return candidates(self._protocol, self._words, document.text_before_cursor)
 
 
+class _FileHistory(FileHistory):
+    """A history in a file; a line that cannot be kept there, as on a full disk, is left out."""
+
+    def store_string(self, string: str) -> None:
+        with suppress(OSError):
+            super().store_string(string)
+
+
 def _keys() -> KeyBindings:
     r"""Ctrl-\, which is no signal while a line is typed, ends the shell as the signal does."""
     keys = KeyBindings()
@@ -187,5 +195,5 @@ def _history() -> History:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             file = folder / "shell_history"
             file.open("a+b").close()  # raises where it cannot be read or written
-            return FileHistory(file)
+            return _FileHistory(file)
     return InMemoryHistory()
