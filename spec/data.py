@@ -76,6 +76,8 @@ class Many(msgspec.Struct, frozen=True):
     def build(self, value: Any) -> bytes:
         """The field's bytes. Raises ValueError, TypeError or OverflowError for a wrong value."""
         if self.element is None:
+            if isinstance(value, int):  # of which bytes() makes so many zeros
+                raise TypeError("one number is given")
             data = bytes.fromhex(value) if isinstance(value, str) else bytes(value)
         else:
             data = b"".join(self.element.build(one) for one in value)

@@ -162,6 +162,12 @@ def test_a_count_that_is_not_that_of_its_values_is_refused(
     assert judge(modbus, build(modbus, name, {**asked, "quantity": 1})).valid
 
 
+def test_one_number_in_place_of_bytes_is_refused() -> None:
+    coils = {"address": 1, "start": 0, "quantity": 40, "coils": 5}
+    with pytest.raises(ValueError, match="coils is 5, allowed are bytes in hex"):
+        build(load_protocol("modbus-rtu"), "WriteMultipleCoils", coils)
+
+
 def test_nobody_is_meant_by_such_a_request(relay: Protocol) -> None:
     judgement = judge(relay, TO_NINE)
     told = explain(relay, TO_NINE).frames[0]
