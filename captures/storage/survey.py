@@ -7,10 +7,12 @@ from collections.abc import Iterator
 from io import BufferedReader
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.captures import topics
+from bilprov.captures.schemas import Line
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, blocks_of
 from bilprov.captures.storage.messages import Contents
@@ -19,6 +21,7 @@ from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile, 
 from bilprov.captures.text import printable
 
 DAMAGE_NOTES: Final = 20  # sentences about damage; further damaged places are only counted
+OWN_LINE: Final = topics.BY_VALUE[Line].channel
 
 
 def surveyed(file: BufferedReader, size: int, damage: str = "", *, front: bool = False) -> Contents:
@@ -52,12 +55,14 @@ class Survey:
         self._sizes: Counter[int] = Counter()
         self._times: list[int] = []  # first, earliest, latest
         self._too_long = 0
+        self._bad_lines = 0
         self._in_order = True
         self._held = np.zeros(0, np.uint64)  # times, of a foreign file in order of time
         self._passed = np.uint64(0)
         self._late = 0
         self._notes = [damage] if damage else []
         self._more_notes = 0
+        self._lines: set[int] = set()
         self._left_out = False  # whether a note tells of records that are not read
         self._stated: int | None = None  # messages that the file's statistics count
 
@@ -97,6 +102,8 @@ class Survey:
                 f"{self._too_long} messages hold more than the {records.MESSAGE_BYTES} bytes "
                 "allowed and are left out"
             )
+        if self._bad_lines:
+            self._note(f"{self._bad_lines} messages on /line cannot be decoded and are left out")
         if unknown:
             self._note(f"{unknown} messages are on channels that the file does not describe")
         self._put_in_order(np.zeros(0, np.uint64))
@@ -155,6 +162,8 @@ class Survey:
         elif found.opcode == records.HEADER:
             self._library = records.header_library(found.content)
             self._records.own = self._library.startswith(records.OWN_LIBRARY)
+            if self._records.own:
+                self._lines = {OWN_LINE}
         elif found.opcode == records.CHANNEL:
             self._learn(records.channel_record(found.content), verified=False)
         elif found.opcode == records.METADATA:
@@ -187,6 +196,11 @@ class Survey:
             self._in_order &= first >= before[2] and bool((times[1:] >= times[:-1]).all())
             self._put_in_order(times)
         self._times = [before[0], min(before[1], earliest), max(before[2], latest)]
+        for line in block.rows(np.isin(block.channel, list(self._lines))).single():
+            try:
+                msgspec.json.decode(line.data, type=Line)
+            except records.JSON_ERRORS:
+                self._bad_lines += 1
 
     def _put_in_order(self, times: NDArray[np.uint64]) -> None:
         """Count the messages that come too late to be put in order as reading does it."""
@@ -205,6 +219,9 @@ class Survey:
             return
         if known is None or (verified and channel.id not in self._verified):
             self._channels[channel.id] = channel
+            self._lines.discard(channel.id)
+            if channel.topic == topics.LINE:
+                self._lines.add(channel.id)
         if verified:
             self._verified.add(channel.id)
             start = channel.metadata.get(topics.CHANNEL_START_KEY)
