@@ -31,8 +31,8 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.pytest_plugin.bench import Bench
 from bilprov.conformance.report.run_report import evidence_lines, reproducer
 from bilprov.spec.by_effect import effect_words
-from bilprov.spec.errors import one_line
-from bilprov.spec.protocol import GrammarError, Protocol, require_family
+from bilprov.spec.errors import UserError, one_line
+from bilprov.spec.protocol import Protocol, require_family
 
 NAME = "conformance"
 
@@ -123,7 +123,7 @@ class RobotSession:
                 fault=_fault(protocol, option("robot_port"), option("robot_fault")),
             )
             self._wanted = self._asked_for()
-        except (GrammarError, ValueError, OSError) as error:
+        except (UserError, ValueError, OSError) as error:
             raise pytest.UsageError(one_line(error)) from error
         self._left: list[str] = []
         self._signals = ExitStack()
