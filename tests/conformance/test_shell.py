@@ -76,6 +76,19 @@ def car(protocol: Protocol, more: bytes = b"") -> Iterator[tuple[Car, str, str]]
         yield device, port, probe
 
 
+# -- lines from a pipe ----------------------------------------------------------------------------
+
+
+def test_a_line_that_is_too_long_ends_it_and_is_told(protocol: Protocol) -> None:
+    with car(protocol) as (device, port, _):
+        lines = "Speed 80\n" + "81 05 " * 20_000
+        result = command("send", port, "--yes", stdin=lines.encode())
+
+    assert result.returncode == 2
+    assert "a line is longer than 65536 bytes" in sentence(result)
+    assert device.heard.strip(b"\x00") == b"\x11\x50"
+
+
 # -- limits ---------------------------------------------------------------------------------------
 
 

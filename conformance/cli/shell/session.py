@@ -82,6 +82,7 @@ def _on_terminal() -> bool:
 
 
 _PIECE = 1 << 12  # bytes
+_LONGEST = 1 << 16  # bytes of a line
 _TURN = 0.5  # s
 
 
@@ -125,3 +126,5 @@ def _lines(driving: Driving, stopper: Stopper) -> Iterator[bytes]:
             yield line
         if not data:
             return
+        if len(held) > _LONGEST:
+            raise ScriptError(f"a line is longer than {_LONGEST} bytes; end lines with a newline")
