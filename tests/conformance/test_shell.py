@@ -19,7 +19,8 @@ from bilprov.conformance.cli.shell.prompt import candidates
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
-from tests.support.robots import PATIENCE, ProbeServer, served_here, until
+from tests.support.commands import command
+from tests.support.robots import PATIENCE, ProbeServer, sentence, served_here, until
 from tests.support.terminals import (
     CONTINUE,
     CTRL_C,
