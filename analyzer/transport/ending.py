@@ -8,12 +8,15 @@ REQUESTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """The usual requests to end: a command that they end has an exit code of its own for that."""
 
 
-ENDINGS: tuple[int, ...] = (
-    *REQUESTS,
-    *(signal.SIGQUIT, signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM),
-    *(signal.SIGPROF, signal.SIGXCPU, signal.SIGIO, signal.SIGPWR, signal.SIGSTKFLT),
-    *range(signal.SIGRTMIN, signal.SIGRTMAX + 1),
-)
+def _endings() -> tuple[int, ...]:
+    names = "SIGQUIT SIGUSR1 SIGUSR2 SIGALRM SIGVTALRM SIGPROF SIGXCPU SIGIO SIGPWR SIGSTKFLT"
+    others = [getattr(signal, name) for name in names.split() if hasattr(signal, name)]
+    first = getattr(signal, "SIGRTMIN", 0)
+    realtime = range(first, signal.SIGRTMAX + 1) if first else ()
+    return (*REQUESTS, *others, *realtime)
+
+
+ENDINGS = _endings()
 """Every signal that ends a process unless it is handled.
 
 SIGKILL cannot be handled. SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGSYS and SIGTRAP are how a

@@ -1,7 +1,7 @@
 """What this machine tells of its serial ports and who holds them; opens no port, changes nothing.
 
 Read from /sys, /proc, /dev and /run/udev, without being root. Where a system has no such files
-(a container) nothing is known, and nothing is guessed.
+(macOS, a container) nothing is known, and nothing is guessed.
 """
 
 from __future__ import annotations
@@ -190,8 +190,8 @@ class Machine:
 
     def may_open(self, name: str) -> bool:
         """Whether this process may read and write the device."""
-        device = self.file(self.device(name))
-        return os.access(device, os.R_OK | os.W_OK, effective_ids=True)
+        device, effective = self.file(self.device(name)), os.access in os.supports_effective_ids
+        return os.access(device, os.R_OK | os.W_OK, effective_ids=effective)
 
     # The adapter
 
