@@ -122,7 +122,10 @@ class RobotSession:
                 probe=option("robot_probe"),
                 fault=_fault(protocol, option("robot_port"), option("robot_fault")),
             )
-            self._wanted = self._asked_for()
+            with ExitStack() as refused:
+                refused.callback(self.bench.close)
+                self._wanted = self._asked_for()
+                refused.pop_all()
         except (UserError, ValueError, OSError) as error:
             raise pytest.UsageError(one_line(error)) from error
         self._left: list[str] = []
