@@ -411,10 +411,9 @@ def _allowed(name: str, declared: Construct, number: Number) -> dict[str, Any]:
         names = tuple((str(name), int(value)) for name, value in inner.encmapping.items())
     flags = tuple(inner.flags.items()) if isinstance(inner, FlagsEnum) else ()
     low, high = (ranged.low, ranged.high) if ranged else (number.low, number.high)
-    if low > high:
-        raise WrongValue(f"{name} has the range {low} to {high}, which holds nothing")
     if not number.low <= low <= high <= number.high:
-        raise WrongValue(f"{name} cannot carry its range {low} to {high}")
+        reach = f"from low to high within {number.low} to {number.high}"
+        raise WrongValue(f"{name} has the range {low} to {high}, allowed is one {reach}")
     bits = ranged.bits if ranged else ""
     if len(bits) > 8 * number.size:
         raise WrongValue(f"{name} names {len(bits)} bits, it has {8 * number.size}")

@@ -246,7 +246,7 @@ class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
         """The response for each outcome, NO_ANSWER where there is none."""
         found = {outcome: spec for spec in reversed(self.responses) for outcome in spec.outcomes}
         plain = PLAIN_ANSWER if self.reply.part("code") is None else NO_ANSWER
-        return {Outcome.VALID: plain, **dict.fromkeys(tuple(Outcome)[1:], NO_ANSWER), **found}
+        return {**dict.fromkeys(Outcome, NO_ANSWER), Outcome.VALID: plain, **found}
 
     @cached_property
     def uncoded(self) -> frozenset[int]:

@@ -48,6 +48,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
         read('"n" / Byte, "text" / Bytes(this.m), '),
         "Read.text is counted by 'm'; allowed are this.n",
     ),
+    (read('"text" / Bytes(0), '), "the count of Read.text is 0, allowed"),
     (read('"text" / Bytes(asked.n), '), "Read.text is counted by 'n'; allowed are a number or"),
     (
         read('"n" / Byte, ', 'Struct("text" / Bytes(asked.m))'),
@@ -181,13 +182,13 @@ ELSEWHERE: list[tuple[dict[str, str], str, str]] = [
 LIDAR = (
     """
 from construct import Byte, Checksum, Const, Int16ul, RawCopy, Struct, Switch, this
-from bilprov.spec.fields import Clauses, Instruction, LineDefaults, Sum, Timing
+from bilprov.spec.fields import Clauses, Instruction, LineDefaults, Ranged, Sum, Timing
 
 NAME, VERSION, DOCUMENT = "lidar", "1", "TFmini, its standard frames"
 INSTRUCTIONS = {
     0x59: "Distance"
     / Instruction(
-        "distance" / Int16ul, "strength" / Int16ul, "mode" / Byte, "spare" / Byte,
+        "distance" / Int16ul, "strength" / Int16ul, "mode" / Ranged(Byte, 2, 2), "spare" / Byte,
         document="frame", answer=None,
     )
     * "Measured by itself, a hundred times a second.",
