@@ -107,7 +107,7 @@ class Capture:
     damage: tuple[str, ...]
     contents: Contents = field(repr=False)
     volumes: tuple[Volume, ...] = field(repr=False)
-    indexes: tuple[Index, ...] = field(default=(), repr=False)
+    indexes: tuple[Index, ...] = ()
     surveys: list[Survey] | None = field(default=None, repr=False)
     walked: list[int] = field(default_factory=lambda: [0], repr=False, compare=False)
 

@@ -105,8 +105,7 @@ def _read_index(file: BufferedReader, size: int) -> Index:
                 raise Damaged("there are too many channels")
             channels.append(records.channel_record(summary[at + 9 : at + 9 + length], own=True))
         elif opcode == records.STATISTICS:
-            content = summary[at + 9 : at + 9 + min(length, 4096)]
-            stated = records.statistics_record(content, own=True)
+            stated = records.statistics_record(summary[at + 9 : at + 9 + length], own=True)
         elif opcode not in _PASSED:
             raise Damaged("what stands there is no record of a summary")
         at += 9 + length

@@ -220,8 +220,6 @@ def chunk_fields(content: bytes) -> ChunkFields:
     """Parse a chunk, or its front."""
     try:
         size, crc, length = _CHUNK.unpack_from(content)
-        if length > 16:
-            raise Damaged("the name of a chunk's compression is too long")
         start = _CHUNK.size + length + _U64.size
         compression = content[_CHUNK.size : _CHUNK.size + length].decode("ascii", "replace")
         packed: int = _U64.unpack_from(content, start - _U64.size)[0]

@@ -113,6 +113,10 @@ def test_sniffed_captures_are_evidence_too(tmp_path: Path) -> None:
 
     assert not evidence.capture.unfinished
     assert evidence.attachments == {"note.txt": b"hello"}
+    content = path.read_bytes()
+    path.write_bytes(content[:-24] + b"\1" + content[-23:])  # its summary begins behind the end
+    with pytest.raises(CaptureError, match=TELLS):
+        open_evidence(path, ())
 
 
 def test_an_attachment_over_the_limit_is_left_out_and_that_is_said(tmp_path: Path) -> None:
