@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from bilprov.analyzer.decode.decoded_share import Checked, declared, fitting_check, near_miss
+from bilprov.analyzer.decode.decoded_share import Checked, fitting_check, near_miss
 from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Chunk, Line
-from bilprov.spec.checks import Crc, Sum
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT
@@ -43,7 +42,7 @@ def test_an_answer_is_paired_with_its_instruction(protocol: Protocol, name: str)
     assert kinds(records).count("unanswered") == len(hosts(records)) - len(pairs)
 
 
-ERROR, WARNING, INFO = Severity.ERROR, Severity.WARNING, Severity.INFO
+ERROR, WARNING, INFO = Severity(4), Severity(3), Severity(2)  # Foxglove's numbers
 
 
 def test_an_early_answer_comes_out_after_its_instruction(protocol: Protocol) -> None:
@@ -192,17 +191,33 @@ def test_a_valid_frame_is_no_near_miss() -> None:
 def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
     layout = load_protocol("dynamixel1").layout
     frames = [Checked(bytes.fromhex(f"FFFF 0{to} 02 01 0{to + 3}")) for to in (1, 2)]
-    negative = [Checked(frame[:-1] + bytes([-sum(frame[2:-1]) & 0xFF])) for frame, _ in frames]
+    two, one = (
+        [Checked(frame[:-1] + bytes([base - sum(frame[2:-1]) & 0xFF])) for frame, _ in frames]
+        for base in (0, -1)
+    )
 
     assert fitting_check(layout, frames[:1]) == ""
     assert fitting_check(layout, frames) == '"sum" / Checksum(Byte, Sum(8), this.covered.data)'
-    assert "Checksum(Byte, Sum(8, complement=2), this" in fitting_check(layout, negative)
+    assert "Checksum(Byte, Sum(8, complement=2), this" in fitting_check(layout, two)
+    assert "Checksum(Byte, Sum(8, complement=1), this" in fitting_check(layout, one)
 
 
-def test_a_check_is_told_as_it_is_declared() -> None:
-    crc = Crc(16, 0x1021, 0xFFFF, reflected=True, xorout=0xFFFF)
+# What each makes of the digits 1 to 9, as catalogues of CRCs have it.
+CRCS = {
+    "BB3D": "0x8005, 0x0000, reflected=True",
+    "4B37": "0x8005, 0xFFFF, reflected=True",
+    "FEE8": "0x8005, 0x0000",
+    "AEE7": "0x8005, 0xFFFF",
+    "31C3": "0x1021, 0x0000",
+    "29B1": "0x1021, 0xFFFF",
+    "2189": "0x1021, 0x0000, reflected=True",
+    "906E": "0x1021, 0xFFFF, reflected=True, xorout=0xFFFF",
+}
 
-    assert eval(declared(crc), {"Crc": Crc}) == crc
-    for complement in (0, 1, 2):
-        total = Sum(8, complement=complement)
-        assert eval(declared(total), {"Sum": Sum}) == total
+
+@pytest.mark.parametrize("right", CRCS)
+def test_a_usual_crc_is_told_as_it_is_declared(right: str) -> None:
+    frame = Checked(b"123456789" + bytes.fromhex(right))
+
+    found = fitting_check(load_protocol("modbus-rtu").layout, [frame])
+    assert f"Checksum(Int16ub, Crc(16, {CRCS[right]}), this." in found
