@@ -30,19 +30,6 @@ DROPPED = {
 }
 """A sentence for each former command that has no new name."""
 
-DROPPED_OPTIONS = {
-    "--ask": (
-        "ports --ask is gone: bilprov send PORT FRAME --baud RATE asks once at a rate, and at a "
-        "wrong one a device may do anything"
-    ),
-    "--csv": "stats --csv is gone: stats --json has the same figures",
-    "--budget": (
-        "conform --budget is gone: what a slow line cannot hold is left out by itself, and --only "
-        "or --level smoke make any run shorter"
-    ),
-}
-"""A sentence for each former option."""
-
 
 def former_name(name: str, arguments: Sequence[str] = ()) -> str:
     """A sentence with what a command is called now, and its arguments; "" if it is no former name.

@@ -452,8 +452,7 @@ def _built_part(owner: str, part: Part, given: dict[str, Any]) -> int:
         if part.role == "other":
             return 0
         raise ValueError(
-            f"{owner} needs {part.name}={part.low}..{part.high}, for example "
-            f"{owner} {part.name}={part.low}"
+            f"{owner} needs {part.name}: {part.allowed}, for example {owner} {part.name}={part.low}"
         )
     value = given.pop(part.name)
     if part.role == "address" and not part.reaches(value):

@@ -116,6 +116,16 @@ def test_each_file_that_cannot_be_written_is_named_and_the_others_are_whole(tmp_
     assert b"conforms" in result.stderr
 
 
+def test_a_grammar_that_was_changed_is_not_overwritten(tmp_path: Path) -> None:
+    mine = tmp_path / "horn.py"
+    mine.write_bytes(b"mine")
+
+    refused(command("spec", "emit", "grammar", "-o", str(mine)), mine)
+    assert mine.read_bytes() == b"mine"
+    assert command("spec", "emit", "grammar", "-o", str(mine), "--force").returncode == 0
+    assert b"INSTRUCTIONS" in mine.read_bytes()
+
+
 # -- links -----------------------------------------------------------------------------------------
 
 

@@ -16,6 +16,7 @@ from bilprov.analyzer.cli.command import argument, command, option, protocol_in_
 from bilprov.analyzer.cli.options import (
     compiled,
     filter_option,
+    half_duplex_option,
     only_for_bytes,
     request_option,
     sender_option,
@@ -54,6 +55,7 @@ class DecodeOptions(msgspec.Struct, frozen=True):
         help="Text lines or JSON lines.",
     )
     expression: str | None = filter_option()
+    half_duplex: bool = half_duplex_option()
 
 
 @command(DecodeOptions)
@@ -72,6 +74,8 @@ def decode(options: DecodeOptions) -> None:
     if not options.words and sys.stdin.isatty():
         raise click.UsageError("nothing to decode: give HEX, a FILE or - for standard input")
     source = _source(options.words)
+    if options.half_duplex and (isinstance(source, bytes) or _kind(source) == "bytes"):
+        raise click.UsageError("--half-duplex is for captures and JSON lines, which have times")
     if isinstance(source, bytes):
         protocol = protocol_in_use()
         out = stream_output(options.style, protocol)
@@ -128,11 +132,11 @@ def _decoded(path: Path | None, options: DecodeOptions) -> tuple[Iterator[Batch]
         raise click.UsageError(f"{kind} have the requests: leave out --request")
     if kind == "JSON lines":
         protocol = protocol_in_use()
-        return _of_lines(path, options.sender, protocol), 0, protocol
+        return _of_lines(path, options, protocol), 0, protocol
     only_for_bytes()
     from bilprov.analyzer.replay.capture_decoding import opened_whole
 
-    (capture,), protocol = opened_captures([path])
+    (capture,), protocol = opened_captures([path], half_duplex=options.half_duplex)
     batches = opened_whole(capture, protocol).decoded()
     return batches, capture.start, protocol
 
@@ -145,19 +149,23 @@ def _kind(path: Path | None) -> Literal["bytes", "captures", "JSON lines"]:
         return "captures" if path and kept_parts(path) else "bytes"
     try:
         with path.open("rb") as file:
-            if file.read(len(MAGIC)) == MAGIC:
+            if path.suffix == ".mcap" or file.read(len(MAGIC)) == MAGIC:
                 return "captures"
         return "JSON lines" if are_json_lines(path) else "bytes"
     except OSError as error:
         raise _unreadable(path, error) from error
 
 
-def _of_lines(path: Path, sender: Direction, protocol: Protocol) -> Iterator[Batch]:
+def _of_lines(path: Path, options: DecodeOptions, protocol: Protocol) -> Iterator[Batch]:
     """Yield what is decoded from a file of JSON lines."""
     from bilprov.analyzer.decode.stream import StreamDecoder
+    from bilprov.analyzer.taps.half_duplex import separated
 
-    chunks = recorded_chunks(path, sender)
-    decoder = StreamDecoder(protocol, heard=frozenset(chunk.direction for chunk in chunks))
+    chunks = recorded_chunks(path, options.sender)
+    if options.half_duplex:
+        chunks = separated(protocol, chunks)
+    heard = frozenset(chunk.direction for chunk in chunks)
+    decoder = StreamDecoder(protocol, heard=heard, skew=0)  # one clock stamped them all
     yield from decoder.feed(chunks)
     yield from decoder.finish()
 

@@ -16,7 +16,6 @@ from collections.abc import Iterator
 import click
 from click import exceptions
 
-from bilprov.analyzer.former_names import DROPPED_OPTIONS
 from bilprov.spec.errors import UserError, one_line
 
 _AGAIN = 0.05  # s
@@ -91,8 +90,6 @@ def plain_words(text: str) -> str:
 
 def _usage(error: click.ClickException) -> str:
     """Convert click's message to one sentence that also says what to do next."""
-    if isinstance(error, exceptions.NoSuchOption) and error.option_name in DROPPED_OPTIONS:
-        return DROPPED_OPTIONS[error.option_name]
     text = error.message if isinstance(error, _NO_SUCH) else error.format_message()
     text = plain_words(text)
     if isinstance(error, click.BadParameter) and error.ctx and error.param:

@@ -18,7 +18,12 @@ from bilprov.analyzer.cli.options import (
     sender_option,
     text_format_option,
 )
-from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, write_output
+from bilprov.analyzer.cli.output_files import (
+    STANDARD_OUTPUT,
+    force_option,
+    require_writable,
+    write_output,
+)
 from bilprov.analyzer.cli.typed_input import file_or_bytes, recorded_chunks
 from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share
 from bilprov.analyzer.decode.session import Session
@@ -26,7 +31,7 @@ from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_proto
 from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.console import facts, heading, show_as
 from bilprov.captures.parts import kept_parts
-from bilprov.captures.schemas import MS, Chunk, Direction
+from bilprov.captures.schemas import Chunk, Direction
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -69,6 +74,7 @@ class GrammarOptions(msgspec.Struct, frozen=True):
 
     name: str | None = argument(metavar="[NAME]", required=False, type=click.Choice(list(SHIPPED)))
     written: EmitOption = group(EmitOption)
+    force: bool = force_option()
 
 
 @command(FormatOption)
@@ -196,6 +202,7 @@ def grammar(options: GrammarOptions) -> None:
     NAME is one of bilprov spec grammars; without it, the grammar in use is written. The changed
     text is named with --grammar.
     """
+    require_writable([("-o", options.written.output)], force=options.force)
     protocol = load_protocol(options.name) if options.name else protocol_in_use()
     options.written.write(protocol.source)
 
@@ -256,12 +263,11 @@ def _records(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) ->
     else:
         chunks = recorded_chunks(source, sender)
     if half_duplex:
-        from bilprov.analyzer.taps.half_duplex import HalfDuplex
+        from bilprov.analyzer.taps.half_duplex import separated
 
-        wire = HalfDuplex(protocol, round(protocol.timing.truncation_timeout * MS))
-        known = [part for chunk in chunks for part in wire.feed(chunk.data, chunk.t)]
-        chunks = known + wire.rest()
-    session = Session(protocol, heard=frozenset(chunk.direction for chunk in chunks))
+        chunks = separated(protocol, chunks)
+    heard = frozenset(chunk.direction for chunk in chunks)
+    session = Session(protocol, heard=heard, skew=0)  # one clock stamped them all
     for chunk in chunks:
         yield from session.feed(chunk)
     yield from session.finish()

@@ -260,7 +260,10 @@ def are_json_lines(path: Path) -> bool:
 
 
 def recorded_chunks(path: Path, sender: Direction) -> list[Chunk]:
-    """The bytes in a file of JSON lines, or of hex text from a sender. Raises ClickException."""
+    """The bytes in a file of JSON lines, by their times, or of hex text from a sender.
+
+    Raises ClickException.
+    """
     try:
         text = read_bounded(path, _MOST).decode()
     except (OSError, UnicodeDecodeError) as error:
@@ -277,7 +280,7 @@ def recorded_chunks(path: Path, sender: Direction) -> list[Chunk]:
             raise click.ClickException(f"{what}: {error}") from None
     lines = enumerate(text.splitlines(), 1)
     chunks = [_chunk(path, number, line) for number, line in lines if line.strip()]
-    return [chunk for chunk in chunks if chunk.data]
+    return sorted((chunk for chunk in chunks if chunk.data), key=lambda chunk: chunk.t)
 
 
 def _chunk(path: Path, number: int, line: str) -> Chunk:

@@ -210,7 +210,6 @@ class AnswerCheck:
         """Add a record of the run."""
         if isinstance(record, DeviceRecord) and len(self._heard) < len(self._asked):
             self._heard += record.data
-            self.echoed |= self._heard.startswith(self._asked)
         if isinstance(record, HostRecord):
             self._asked, self._heard = record.data, b""
             self.sent += record.sequence is not None
@@ -222,6 +221,7 @@ class AnswerCheck:
                 self.first_wrong = self.first_wrong or record.reason
         elif isinstance(record, DeviceRecord):
             self._unpaired += len(record.data)
+            self.echoed |= bool(self._asked) and self._heard.startswith(self._asked)
             # Bytes of which only the end is uncertain are unasked all the same.
             doubts = {fault.kind for fault in record.faults if fault.severity is Severity.INFO}
             if doubts <= {UNCERTAIN}:

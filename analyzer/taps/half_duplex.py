@@ -5,6 +5,7 @@ It uses no port and no clock: times are integers in ns.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import groupby
 from operator import itemgetter
 
@@ -13,6 +14,13 @@ from bilprov.spec.codec import FRAMING_FAULTS, Judgement, judge
 from bilprov.spec.framing import frame_size
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import GIVES_UP, read_reply, reply_size
+
+
+def separated(protocol: Protocol, chunks: Iterable[Chunk]) -> list[Chunk]:
+    """What was heard of one wire, each part with who sent it."""
+    wire = HalfDuplex(protocol, round(protocol.timing.truncation_timeout * MS))
+    known = [part for chunk in chunks for part in wire.feed(chunk.data, chunk.t)]
+    return known + wire.rest()
 
 
 class HalfDuplex:

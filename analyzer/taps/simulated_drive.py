@@ -68,3 +68,4 @@ class SimulatedDrive(Source):
         while self._next.t <= self.now():
             events.append(self._next)
             self._next = next(self._chunks)
+        self.seen = self.now()  # nothing is missed where the program is late

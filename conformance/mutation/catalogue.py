@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
+
 from bilprov.conformance.dut.simulator import Fault
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.random_faults import PREFIX, find_random_fault
@@ -18,23 +20,22 @@ def find_fault(protocol: Protocol, name: str) -> Fault:
         return find_random_fault(protocol, name)
     if name.startswith(MIXTURE) or "=" in name:
         return find_variant(protocol, name)
-    first = name.split("-")[0]
-    return _named("fault", name, fault_bank(protocol), first, "simulate --list-faults names all")
+    return _named("fault", name, fault_bank(protocol), "simulate --list-faults names all")
 
 
 def find_variant(protocol: Protocol, name: str) -> Fault:
     """Return the named legal variant or mixture. Raises ValueError if there is none."""
     legal = {known: variant.fault for known, variant in variants(protocol).items()}
-    first = name.split("=")[0]
     known = legal if name in legal else legal | mixtures(protocol)
-    return _named("variant", name, known, first, "see simulate --list-variants")
+    return _named("variant", name, known, "see simulate --list-variants")
 
 
-def _named(what: str, name: str, known: dict[str, Fault], first: str, see: str) -> Fault:
-    """Return a fault by its name; names in which its `first` part stands may be meant."""
+def _named(what: str, name: str, known: dict[str, Fault], see: str) -> Fault:
+    """Return a fault by its name; names that begin so, or are most alike, may be meant."""
     if name in known:
         return known[name]
-    near = [one for one in known if first and first.lower() in one.lower()]
+    near = [one for one in known if name and one.startswith(name)]
+    near = near or get_close_matches(name, known)
     perhaps = f", perhaps {', '.join(near[:3])}" if near else ""
     raise ValueError(f"there is no {what} {name!r}{perhaps}; {see}")
 

@@ -147,6 +147,7 @@ def _signal(number: signal.Signals) -> Callable[[Terminal], None]:
 WAYS_OUT: dict[str, Callable[[Terminal], None]] = {
     "Ctrl-D": lambda terminal: terminal.type(CTRL_D),
     "quit": lambda terminal: terminal.type("quit\r"),
+    "exit": lambda terminal: terminal.type("exit\r"),
     "Ctrl-C twice": lambda terminal: terminal.type(CTRL_C + CTRL_C),
     "Ctrl-\\": lambda terminal: terminal.type("\x1c"),
     "SIGTERM": _signal(signal.SIGTERM),

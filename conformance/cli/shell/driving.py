@@ -127,6 +127,7 @@ class Driving(Closing):
             "look": (self._tell_look, "shows what the probe sees"),
             **stopping,
             "quit": (self._quit, f"{stops}leaves, as Ctrl-D does"),
+            "exit": (self._quit, "does the same"),
         }
         self._stopper = stopper
         self._output = stream_output(options.style, protocol)

@@ -237,12 +237,27 @@ def test_a_file_of_json_lines_is_read_as_such(tmp_path: Path, own: bool) -> None
     lines = [json.dumps({"t": t, key: side, "hex": data}) for t, side, data in rows]
     if own:  # a fault has no bytes
         lines.append(json.dumps({"t": 0.2, "direction": None, "hex": ""}))
-    (tmp_path / "rows.jsonl").write_text("\n".join(lines))
+    (tmp_path / "rows.jsonl").write_text("\n".join(reversed(lines)))  # in any order
 
     done = command("decode", "rows.jsonl", "--format", "jsonl", cwd=tmp_path)
 
     found = [(one["t"], one["direction"], one["hex"]) for one in json_lines(done.stdout)]
     assert found[:3] == [(t, side, bytes.fromhex(data).hex(" ")) for t, side, data in rows]
+
+
+def test_one_clock_stamped_json_lines_so_no_answer_comes_before_its_request(tmp_path: Path) -> None:
+    """The first request is damaged on the tap alone: its answer is not that of the next."""
+    asked, answer = "010303e80002447b", "010304526657077566"
+    rows = [(0.0, "host", asked[:-2] + "7a"), (0.011, "device", answer)]
+    rows += [(0.024, "host", asked), (0.036, "device", answer)]
+    lines = [json.dumps({"t": t, "dir": side, "hex": data}) for t, side, data in rows]
+    (tmp_path / "rows.jsonl").write_text("\n".join(lines))
+
+    words = ("decode", "rows.jsonl", "--format", "jsonl", "--grammar", "modbus-rtu")
+    done = command(*words, cwd=tmp_path)
+
+    answers = [one["answers"] for one in json_lines(done.stdout) if one["direction"] == "device"]
+    assert answers == [None, 1]
 
 
 def test_bytes_that_begin_with_a_brace_are_bytes_where_they_are_no_json(tmp_path: Path) -> None:

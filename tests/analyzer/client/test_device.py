@@ -349,7 +349,7 @@ def test_the_line_is_silent_before_the_next_after_a_bad_answer(
 
 def test_a_wrong_use_sends_nothing() -> None:
     meter, device, _ = driver("modbus-rtu")
-    with pytest.raises(ValueError, match=r"needs address=1\.\.247"):
+    with pytest.raises(ValueError, match=r"needs address: 1 to 247, and 0 for all"):
         meter.read_coils(0, 1)
     with pytest.raises(ValueError, match="address is 250, allowed are 1 to 247, and 0 for all"):
         meter.read_coils(0, 1, address=250)

@@ -11,11 +11,13 @@ from pathlib import Path
 import pytest
 
 from bilprov import Device, LinkError
+from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.replay.comparison import AnswerCheck
 from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.ports import open_port
-from bilprov.captures.schemas import MS
+from bilprov.captures.schemas import MS, Chunk, Direction
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.report.json_report import read_report
@@ -170,6 +172,22 @@ def test_commands_that_send_take_the_echo_away(tmp_path: Path) -> None:
     assert b" sent, 0 differences\n" in again.stderr
     assert without.returncode == 1
     assert b"8 bytes came without an instruction; what was sent came back" in without.stderr
+
+
+def test_an_answer_that_repeats_its_request_is_no_echo() -> None:
+    """Modbus acknowledges a write so; what comes unasked later is something else."""
+    protocol = load_protocol("modbus-rtu")
+    write, read = bytes.fromhex("11050003ff007eaa"), bytes.fromhex("1103000000010000")
+    stray = bytes.fromhex("0086041263")
+    check, session = AnswerCheck(), Session(protocol)
+    sides: tuple[Direction, ...] = ("host", "device")
+    for t, data in enumerate((write, write, read, stray)):
+        for record in session.feed(Chunk(t * 200 * MS, sides[t % 2], data)):
+            check.record(record)
+    for record in session.finish():
+        check.record(record)
+
+    assert check.unasked_words == "5 bytes came without an instruction"
 
 
 class EchoedCar(Simulator):

@@ -14,6 +14,7 @@ from unittest.mock import Mock
 import pytest
 
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
 from bilprov.analyzer.taps.sources import (
     LATE,
     Bridge,
@@ -25,10 +26,12 @@ from bilprov.analyzer.taps.sources import (
 )
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.spec.protocol import Protocol
 from tests.support.wires import master_gives, read_from
 
 pytestmark = pytest.mark.waits
@@ -164,6 +167,19 @@ def test_a_reader_that_comes_too_late_notes_since_when_nothing_was_read(
     assert (waited.event, waited.t) == ("waited", before.t)
     assert isinstance(after, Chunk)
     assert taps.seen == after.t
+
+
+def test_a_simulated_drive_misses_nothing_where_the_program_is_late(
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drive = SimulatedDrive(protocol, line_settings(protocol))
+    late = drive._start - 5_000 * MS
+    monkeypatch.setattr(drive, "_start", late)
+
+    events = drive.poll(0.05)
+
+    assert events
+    assert not lines(events)
 
 
 def test_a_poll_with_nothing_to_hear_ends(taps: Taps) -> None:
