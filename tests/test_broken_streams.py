@@ -271,6 +271,32 @@ def test_a_robot_is_left_at_rest_and_not_judged_where_the_screen_broke(
         assert not report["ended"]
 
 
+@pytest.mark.sample(1)
+def test_a_signal_stops_the_robot_while_its_terminal_takes_no_output() -> None:
+    drive = ["Speed 255", "Forward", *(["LED 1", "pause=100"] * 200)]
+    with simulate() as robot, open_pty() as terminal:
+        slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
+        words = [sys.executable, "-m", "bilprov", "send", robot.port, *drive, "--yes"]
+        process = subprocess.Popen(words, stdin=slave, stdout=slave, stderr=slave)
+        _until(lambda: robot.state()["moving"])
+        termios.tcflow(slave, termios.TCOOFF)  # as Ctrl-S does
+        time.sleep(0.5)
+        process.terminate()
+        _until(lambda: not robot.state()["moving"])
+        termios.tcflow(slave, termios.TCOON)
+        process.wait(PATIENCE)
+        os.close(slave)
+
+    assert process.returncode == 1
+
+
+def _until(seen: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + PATIENCE
+    while not seen():
+        assert time.monotonic() < give_up
+        time.sleep(0.01)
+
+
 QUIET = [
     ("decode", "00"),
     ("spec", "show"),

@@ -18,8 +18,6 @@ from click import exceptions
 
 from bilprov.spec.errors import UserError, one_line
 
-_AGAIN = 0.05  # s
-
 
 @contextlib.contextmanager
 def interrupts_kept() -> Iterator[None]:
@@ -38,7 +36,7 @@ def interrupts_kept() -> Iterator[None]:
         while True:
             # On a busy machine it may come before its timer's thread is known to have started.
             with contextlib.suppress(KeyboardInterrupt):
-                threading.Timer(_AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
+                threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
                 break
 
     sys.unraisablehook = ignored
@@ -51,7 +49,9 @@ def interrupts_kept() -> Iterator[None]:
 def report(error: BaseException) -> int:
     """Print what went wrong, in one sentence on standard error, and return the exit code."""
     if isinstance(error, (KeyboardInterrupt, click.Abort)):
-        _drop_output()
+        # So that it does not wait for a slow reader. A test that captures output has no such file.
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 130
     if isinstance(error, exceptions.NoArgsIsHelpError):
         click.echo(error.format_message(), err=True)
@@ -107,10 +107,3 @@ def _usage(error: click.ClickException) -> str:
 
 
 _NO_SUCH = (exceptions.NoSuchOption, exceptions.NoSuchCommand)
-
-
-def _drop_output() -> None:
-    """Discard buffered output, so that an interrupted command does not wait for a slow reader."""
-    # There is nothing to do if standard output is not a real one, as in a test that captures it.
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

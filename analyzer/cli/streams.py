@@ -9,7 +9,8 @@ writes to a stream that was closed before the command began. Later output to it 
   full disk there is an error (2). A broken standard error, and a stream that was closed from the
   start, do not matter.
 
-A reader that is slow is waited for, also where a stream is non-blocking.
+A reader that is slow is waited for, also where a stream is non-blocking. If a signal asks the
+command to end meanwhile, its robot is stopped at once.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.output.console import NARROW
+from bilprov.analyzer.transport.signals import halt_if_ending
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -46,16 +48,20 @@ class _Descriptor(io.FileIO):
         """Write to the descriptor. Raises SystemExit if it breaks and the command should end."""
         if self.broke is None:
             try:
-                # Another program may have made the pipe or terminal that it shares with this one
-                # non-blocking, and then nothing is written while there is no room.
-                while (written := super().write(data)) is None:
-                    select.select([], [self], [])
+                while (written := self._written(data)) is None:
+                    halt_if_ending()
                 return written
             except OSError as error:
                 self.broke = error
                 if self.needed and not self.verdict and not self.was_closed:
                     raise SystemExit(0) from None
         return memoryview(data).nbytes
+
+    def _written(self, data: ReadableBuffer) -> int | None:
+        """How much was written; None where nobody has read for a while, as after Ctrl-S."""
+        # Another program may have made the pipe or terminal that it shares with this one
+        # non-blocking, and then nothing is written while there is no room.
+        return super().write(data) if select.select([], [self], [], 0.2)[1] else None
 
     @property
     def was_closed(self) -> bool:

@@ -210,8 +210,9 @@ class Port(Closing):
                 give_up = now + WRITE_TIMEOUT
             elif now >= give_up:
                 raise writing_failed(self.name, TimeoutError(), WRITE_TIMEOUT)
-            else:  # waits are short, since a UART reports room long after it could take some bytes
-                self._wait_writable()
+            elif self._fd is not None:
+                # Waits are short, since a UART reports room long after it could take some bytes.
+                select.select([], [self._fd], [], 0.02)
 
     def _take_echo(self) -> None:
         """Read the echo of all that was written, also by a signal handler meanwhile."""
@@ -255,10 +256,6 @@ class Port(Closing):
             select.select([self._fd], [], [], 0.02)
         else:
             time.sleep(POLL_STEP)
-
-    def _wait_writable(self) -> None:
-        if self._fd is not None:
-            select.select([], [self._fd], [], 0.02)
 
 
 def is_pty(name: str) -> bool:

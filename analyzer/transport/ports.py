@@ -88,12 +88,8 @@ def wait_readable(
     while True:
         full = [port for port in looked_at if port.has_input()]
         left = None if give_up is None else max(0.0, give_up - time.monotonic())
-        step = left
-        if full:
-            step = 0
-        elif looked_at:
-            step = POLL_STEP if left is None else min(left, POLL_STEP)
-        found = select.select([*waited, *also], [], [], step)[0]
+        step = POLL_STEP if left is None else min(left, POLL_STEP)
+        found = select.select([*waited, *also], [], [], 0 if full else step)[0]
         if found or full or left == 0:
             ready = [port for port in ports if port in full or port.fileno() in found]
             return ready, [fd for fd in also if fd in found]

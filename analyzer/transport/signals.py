@@ -15,12 +15,13 @@ from contextlib import ExitStack, contextmanager
 from types import FrameType
 from typing import Any, Self
 
-from bilprov.analyzer.transport.ending import ENDINGS, SUSPENDING, note_ending
+from bilprov.analyzer.transport.ending import ENDINGS, SUSPENDING, ending_requested, note_ending
 from bilprov.captures.closing import Closing
 
 Handler = Callable[[int, FrameType | None], object]
 
 _lasting: list[Any] = [signal.SIG_DFL, signal.default_int_handler]
+_halts: list[Callable[[], object]] = []
 
 
 class Stopper(Closing):
@@ -90,6 +91,8 @@ class Stopper(Closing):
             as_usual(number)
 
         self._handlers.enter_context(handled(unhandled(SUSPENDING), suspend))
+        _halts.append(halt)
+        self._handlers.callback(_halts.remove, halt)
 
     def pass_on(self) -> None:
         """Raise the signals that asked for a stop again, once this is closed."""
@@ -149,6 +152,12 @@ def unhandled(numbers: Iterable[int]) -> list[int]:
     return [number for number in numbers if signal.getsignal(number) in _lasting]
 
 
+def halt_if_ending() -> None:
+    """Stop each robot if a signal has asked the command to end, which cannot go on by itself."""
+    for halt in _halts if ending_requested() else ():
+        halt()
+
+
 def as_usual(number: int) -> None:
     """End or suspend the process by a signal; returns once a suspended one is continued."""
     handler = signal.signal(number, signal.SIG_DFL)
@@ -162,10 +171,9 @@ def in_main_thread() -> bool:
 
 
 def _restore_wakeup(descriptor: int) -> None:
-    try:
+    signal.set_wakeup_fd(-1)
+    with contextlib.suppress(OSError):  # the old wakeup descriptor was closed in the meantime
         signal.set_wakeup_fd(descriptor)
-    except OSError:  # the old wakeup descriptor was closed in the meantime
-        signal.set_wakeup_fd(-1)
 
 
 def _heeded() -> set[int]:
