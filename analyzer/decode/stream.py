@@ -33,10 +33,10 @@ _SHORTEST = 64  # events tried at once after an irregular one
 
 def preload(protocol: Protocol) -> None:
     """Make now what decoding needs, and not in the first busy moment of a line."""
-    from bilprov.spec.arrays.answers import answer_tables
+    from bilprov.analyzer.decode.columns import ColumnDecoder
 
     with suppress(OverflowError):  # it does not fit into columns
-        answer_tables(protocol)
+        ColumnDecoder(protocol, timeout=0, skew=SKEW, paired=True)
 
 
 class StreamDecoder:
@@ -65,6 +65,7 @@ class StreamDecoder:
         self._unfit = False  # whether this protocol does not fit into columns
         self._carry: Carry | None = None  # what the last batch left, while the Session rests
         self._direct = _FEWEST
+        self._alone = 0  # events still to come that go through the Session
         self._window = _MOST
 
     @property
@@ -80,17 +81,14 @@ class StreamDecoder:
             from bilprov.captures.events import Events
 
             return self.decode(Events.of(events))
-        batches: list[Batch] = []
-        self._feed_session(events, batches)
-        return batches
+        return self._feed_session(events)
 
     def decode(self, events: Events) -> list[Batch]:
         """Take the next events and return what they complete."""
         batches: list[Batch] = []
         at = 0
         while at < len(events):
-            direct = self._direct
-            if self._enter_columns():
+            if not self._alone and self._enter_columns():
                 window = events.part(at, self._stop(events, at))
                 assert self._regular is not None
                 assert self._carry is not None
@@ -101,9 +99,11 @@ class StreamDecoder:
                     self._direct, self._window = _FEWEST, self._window * 2
                     continue
                 self._window = max(_SHORTEST, 2 * used)
-            self._direct = min(_MOST, 2 * direct)
-            after = min(at + direct, len(events))
-            self._feed_session(list(events.part(at, after).single()), batches)
+            if not self._alone:
+                self._alone, self._direct = self._direct, min(_MOST, 2 * self._direct)
+            after = min(at + self._alone, len(events))
+            self._alone -= after - at
+            batches += self._feed_session(list(events.part(at, after).single()))
             at = after
         self._window = max(self._window, _MOST)
         return batches
@@ -136,10 +136,9 @@ class StreamDecoder:
         fit = int(events.end.searchsorted(begun + _BYTES, "right"))
         return min(at + self._window, max(fit, at + 1))
 
-    def _feed_session(self, events: Sequence[Chunk | Line], batches: list[Batch]) -> None:
+    def _feed_session(self, events: Sequence[Chunk | Line]) -> list[Batch]:
         session = self._leave_columns()
-        records = [record for event in events for record in session.feed(event)]
-        batches += _batch(records)
+        return _batch([record for event in events for record in session.feed(event)])
 
     def _enter_columns(self) -> bool:
         """Hand over from the Session, if it can be; return whether the columns are in charge."""

@@ -152,6 +152,21 @@ def test_one_oddity_leaves_the_rest_to_columns(each_protocol: Protocol, seed: in
     assert 0 < odd < 100
 
 
+def test_a_silent_device_is_not_tried_as_columns_with_each_read(
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = []
+    carry = columns.ColumnDecoder.carry
+    monkeypatch.setattr(
+        columns.ColumnDecoder, "carry", lambda *given: (tried.append(given), carry(*given))[1]
+    )
+    frame = bytes([protocol.pad_byte])
+
+    same(protocol, [Chunk(turn * MS, "host", frame) for turn in range(3000)], [20])
+
+    assert len(tried) < 20
+
+
 # The answer's deadline, when it is given up, when a pause in a frame can cut it short: the ends.
 LATE, LONGEST, SHORT, CUT = 100 * MS, 1000 * MS, 20 * MS, 50 * MS
 ENDS = [end + more for end in (LATE, LONGEST, SHORT, CUT) for more in (-1, 0, 1)]
