@@ -1,13 +1,14 @@
 """`sniff` is killed at any moment: how much of what it was given before is not in its capture.
 
-SIGKILL comes at a moment drawn by the seed, while bytes are written into its port at a steady rate.
-At most the last 0.1 s may be lost, and as long as this machine let its processes wait meanwhile:
-that is measured by how late the feeder itself was. What is kept must be what was fed, byte by byte.
+SIGKILL comes at a moment drawn by the seed, while as many bytes as 115,200 baud carry are written
+into its port. At most the last 0.1 s may be lost, and as long as `sniff` waited for a processor
+meanwhile, which Linux counts. What is kept must be what was fed, byte by byte.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
 import time
 from contextlib import ExitStack, suppress
@@ -15,7 +16,7 @@ from pathlib import Path
 from random import Random
 from statistics import median
 from subprocess import TimeoutExpired
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from benchmarks.torture.harm import Harm, Progress, Row
 from benchmarks.torture.unplugged_taps import Listener
@@ -27,22 +28,19 @@ from bilprov.captures.schemas import Chunk
 PROMISED = 0.1  # s, at most so much is lost
 _STEP = 0.005  # s between two writes
 _AFTER = 0.3, 2.5  # s of feeding after which the kill comes
-_BYTES = {"two taps": 50, "two taps, --rotate": 1000, "--bridge": 50}  # of a write
+_BYTES = 50  # of a write
+_FORMS = "two taps", "two taps, --rotate", "--bridge"
 
 
-class Fed(NamedTuple):
-    """What was written into the port: all bytes, when so many were there, the longest delay (s)."""
-
-    data: bytes
-    moments: list[tuple[float, int]]
-    late: float
+# When so many bytes had been written, and how long (s) `sniff` had waited for a processor by then.
+Moment: TypeAlias = tuple[float, int, float]
 
 
 class Kill(NamedTuple):
-    """What one kill came to: seconds of traffic lost, how late the feeder was, what is wrong."""
+    """What one kill came to: seconds of traffic lost, and waited meanwhile; what is wrong."""
 
     lost: float
-    late: float
+    waited: float
     wrong: str = ""
 
 
@@ -55,62 +53,70 @@ def killed(form: str, seed: int) -> Kill:
         stack.callback(host.close)
         stack.callback(device.close)
         ports = ["--bridge", device.name] if form == "--bridge" else [host.name, device.name]
-        rotated = ["--rotate", "100kB"] if "--rotate" in form else []
+        rotated = ["--rotate", "1s"] if "--rotate" in form else []
         sniff = Listener(stack, folder, *ports, *rotated, "--yes")
         port = host.master
         if form == "--bridge":
             port = os.open(sniff.served, os.O_RDWR | os.O_NOCTTY)
             stack.callback(os.close, port)
         time.sleep(0.3)  # for the ports, which are opened about then
-        fed = _feed(port, draw, time.monotonic() + draw.uniform(*_AFTER), _BYTES[form])
-        sniff.process.kill()
+        pid, until = sniff.process.pid, time.monotonic() + draw.uniform(*_AFTER)
+        data, moments = _feed(port, draw, until, pid)
+        sniff.process.send_signal(signal.SIGSTOP)  # for the last that Linux counts of it
         end = time.monotonic()
+        os.waitpid(pid, os.WUNTRACED)
+        moments.append((end, len(data), _waited(pid)))
+        sniff.process.kill()
         sniff.process.wait()
-        return judged(sniff.capture, fed, end)
+        return judged(sniff.capture, data, moments)
 
 
-def _feed(port: int, draw: Random, until: float, size: int) -> Fed:
-    """Write at a steady rate until that moment."""
-    data, moments, late = bytearray(), [], 0.0
+def _feed(port: int, draw: Random, until: float, pid: int) -> tuple[bytes, list[Moment]]:
+    """Write at a steady rate until that moment; returns what was written, and when."""
+    data, moments = bytearray(), []
     due = time.monotonic()
     while due < until:
-        late = max(late, time.monotonic() - due)
-        block = draw.randbytes(size)
+        block = draw.randbytes(_BYTES)
+        waited = _waited(pid)
         with suppress(BlockingIOError):  # what is not taken is not fed
             data += block[: os.write(port, block)]
-        moments.append((time.monotonic(), len(data)))
+        moments.append((time.monotonic(), len(data), waited))
         due += _STEP
         time.sleep(max(0.0, due - time.monotonic()))
-    return Fed(bytes(data), moments, late)
+    return bytes(data), moments
 
 
-def judged(path: Path, fed: Fed, end: float) -> Kill:
-    """What is in the capture of a `sniff` that was killed at `end`, beside what it was fed."""
+def _waited(pid: int) -> float:
+    """How long (s) the threads of a process could have run, but had no processor."""
+    counts = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return sum(int(count.read_text().split()[1]) for count in counts) / 1e9
+
+
+def judged(path: Path, data: bytes, moments: list[Moment]) -> Kill:
+    """What is in the capture of a `sniff` that was killed at the last moment, beside its `data`."""
+    end, _, waited = moments[-1]
     try:
         capture = open_capture(path)
         events = capture.events()
         sides = [one for one in events if isinstance(one, Chunk) and one.direction == "host"]
         damage = [*capture.damage, *(loss.what for loss in capture.losses())]
     except CaptureError as error:
-        return Kill(end - fed.moments[0][0], fed.late, f"unreadable: {error}")
+        return Kill(end - moments[0][0], 0.0, f"unreadable: {error}")
     kept = b"".join(chunk.data for chunk in sides)
-    if not fed.data:
-        return Kill(0.0, fed.late, "the port took no byte")
-    if fed.data[: len(kept)] != kept:
-        return Kill(0.0, fed.late, "a byte is wrong or there twice")
-    lost = next((end - at for at, count in fed.moments if count > len(kept)), 0.0)
+    if not data or data[: len(kept)] != kept:
+        return Kill(0.0, 0.0, "the port took no byte, or a byte is wrong or there twice")
+    first = next((one for one in moments if one[1] > len(kept)), moments[-1])
+    lost, waited = end - first[0], waited - first[2]
     if damage:
-        return Kill(lost, fed.late, f"it is damaged: {damage[0]}")
-    much = lost > PROMISED + fed.late
-    said = f"{lost:.3f} s are lost, the feeder was {fed.late * 1e3:.0f} ms late"
-    return Kill(lost, fed.late, said if much else "")
+        return Kill(lost, waited, f"it is damaged: {damage[0]}")
+    said = f"{lost:.3f} s are lost, it waited for a processor for {waited:.3f} s"
+    return Kill(lost, waited, said if lost > PROMISED + waited else "")
 
 
 def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
-    forms = list(_BYTES)
-    held: dict[str, list[Kill]] = {form: [] for form in forms}
+    held: dict[str, list[Kill]] = {form: [] for form in _FORMS}
     for run in range(runs):
-        form = forms[run % len(forms)]
+        form = _FORMS[run % len(_FORMS)]
         try:
             held[form].append(killed(form, seed + run))
         except (OSError, ValueError, TimeoutExpired) as error:
@@ -124,8 +130,8 @@ def _row(form: str, kills: list[Kill]) -> Row:
     return Row(
         f"`sniff -w` of {form} killed by SIGKILL while traffic comes",
         len(kills),
-        f"the last {median(lost) * 1e3:.0f} ms, {max(lost) * 1e3:.0f} ms at most (the feeder was "
-        f"{max(one.late for one in kills) * 1e3:.0f} ms late at most)",
+        f"the last {median(lost) * 1e3:.0f} ms, {max(lost) * 1e3:.0f} ms at most (it waited for a "
+        f"processor for {max(one.waited for one in kills) * 1e3:.0f} ms of that at most)",
         tuple(one.wrong for one in kills if one.wrong),
     )
 
