@@ -87,7 +87,7 @@ class CaseOptions(msgspec.Struct, frozen=True):
     )
     soak: int = option(
         metavar="N",
-        type=click.IntRange(0),
+        type=click.IntRange(0, 1_000_000),
         default=0,
         help="Add N faults, in a random sequence for every 1,000 of them.",
     )

@@ -24,7 +24,7 @@ class ReportError(UserError):
 def as_json(report: Report) -> bytes:
     """The report as JSON: one object in which every key is always present."""
     bare = msgspec.to_builtins(msgspec.structs.replace(report, results=(), file=msgspec.UNSET))
-    sums = {"counts": report.counts, "unexplained": report.unexplained}
+    sums = {"exit": report.exit, "counts": report.counts, "unexplained": report.unexplained}
     head = _open(bare | {"verdict": report.verdict.label} | sums)
     cases = b",\n".join(map(_case, report.results))
     return escape_json(head + (b"\n" + cases + b"\n ]" if cases else b"]") + b"\n}\n")
@@ -61,8 +61,8 @@ def read_report(path: str) -> Report:
 def parse_report(data: bytes, path: str) -> Report:
     """The report that the JSON of a file of that name holds. Raises ReportError, in one sentence.
 
-    What comes out is safe, whatever the file holds: every text prints and is bounded. Its verdict
-    and counts are those of its cases, whatever the file says.
+    What comes out is safe, whatever the file holds: every text prints and is bounded. Its verdict,
+    exit code and counts are those of its cases, whatever the file says.
     """
     try:
         report = from_json(data, Report)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -75,17 +75,17 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     `kit` is the version that judged. `link` has at least `kind` (`port` or `virtual`), `line`,
     `probe` and `fault`, and `echo` where the line has one. `verdict` is the worst of the results,
-    ERROR where nothing could be judged, `counts` how many results have each verdict; both follow
-    from the results. `unusable` says why nothing could be judged, `ended` why the run ended early;
-    `ended_by` is then `error` (the kit, the port or the probe failed), `user`, or `time` (it took
-    three times what was announced). `timing` says where the time went (see `Meter`), `profile` what
-    was measured. `proof` is what the level `complete` has proven. `comparison` is that with a file
-    of expected failures. `begun` is when the run began (ISO 8601, UTC), `took_s` how long it took
-    (real time), `host` the machine's name, `versions` those of Python, its platform and libraries.
-    `unseen` says what the probe did not show, and from which look on, `notices` what else the user
-    should know of device, line and probe. `causes` explain the failed cases, the worst first;
-    `unexplained` is how many of them no cause explains. `file` is where the report was read from;
-    it is not in the JSON, nor set for a run of this process.
+    ERROR where nothing could be judged, `counts` how many results have each verdict, `exit` the
+    exit code; these follow from the results. `unusable` says why nothing could be judged, `ended`
+    why the run ended early; `ended_by` is then `error` (the kit, the port or the probe failed),
+    `user`, or `time` (it took three times what was announced). `timing` says where the time went
+    (see `Meter`), `profile` what was measured. `proof` is what the level `complete` has proven.
+    `comparison` is that with a file of expected failures. `begun` is when the run began (ISO 8601,
+    UTC), `took_s` how long it took (real time), `host` the machine's name, `versions` those of
+    Python, its platform and libraries. `unseen` says what the probe did not show, and from which
+    look on, `notices` what else the user should know of device, line and probe. `causes` explain
+    the failed cases, the worst first; `unexplained` is how many of them no cause explains. `file`
+    is where the report was read from; it is not in the JSON, nor set for a run of this process.
     """
 
     kit: str
@@ -95,7 +95,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     options: Options
     seed: int
     verdict: Verdict = Verdict.SKIPPED
-    exit: Annotated[int, msgspec.Meta(ge=0, le=3)]
+    exit: int = 0
     unusable: str | None = None
     ended: str | None = None
     ended_by: str | None = None
@@ -126,6 +126,22 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
         known = {ident for cause in self.causes for ident in cause.cases}
         left = sum(r.verdict is Verdict.FAIL and r.id not in known for r in self.results)
         msgspec.structs.force_setattr(self, "unexplained", left)
+        msgspec.structs.force_setattr(self, "exit", self._exit())
+
+    def _exit(self) -> int:
+        """The exit code of the run: only failures that are not expected decide it.
+
+        A stale entry makes it 1. An interrupted run with nothing failed has 3, because the rest was
+        not judged.
+        """
+        if self.comparison and self.comparison.stale:
+            return 1
+        left_out = self.comparison is not None
+        counted = (r.verdict for r in self.results if not (left_out and r.expected_failure))
+        code = exit_code(counted, strict=self.options.strict)
+        if self.unusable or (self.ended_by == "error" and code != 1):
+            return 2
+        return 3 if self.ended_by and code == 0 else code
 
     def send_line(self, cause: Cause) -> str:
         """The command that shows a cause; with a probe it prints what that sees, too."""
@@ -157,7 +173,6 @@ def make_report(
 
     `device` and `link` are those of the run's environment, `facts` further fields of the report.
     """
-    ended_by = None if ended is None else ended.by
     figures = profile.figures()
     device, link = safe(device), safe(link)
     command = reproducer(protocol.origin, device, link, options)
@@ -169,8 +184,7 @@ def make_report(
         grammar=Grammar(protocol.name, protocol.version, protocol.sha256, protocol.origin),
         options=options,
         seed=options.seed,
-        exit=decided_exit(results, options, unusable, ended_by),
-        ended_by=ended_by,
+        ended_by=None if ended is None else ended.by,
         profile=figures,
         coverage=coverage(protocol, results, cases),
         results=tuple(
@@ -182,32 +196,12 @@ def make_report(
 
 
 def compared(report: Report, comparison: Comparison, expected: Container[str]) -> Report:
-    """The report with a comparison: only failures that are not expected decide its exit code.
-
-    `expected` are the ids of the cases that fail as expected. A stale entry makes the exit code 1.
-    """
+    """The report with a comparison; `expected` are the ids of the cases that fail as expected."""
     results = tuple(
         msgspec.structs.replace(result, expected_failure=result.id in expected)
         for result in report.results
     )
-    counted = [result for result in results if not result.expected_failure]
-    code = decided_exit(counted, report.options, report.unusable, report.ended_by)
-    if comparison.stale:
-        code = 1
-    return msgspec.structs.replace(report, exit=code, comparison=comparison, results=results)
-
-
-def decided_exit(
-    results: Sequence[CaseResult], options: Options, unusable: str | None, ended_by: str | None
-) -> int:
-    """The exit code of a run with these results; `unusable` and `ended_by` as in a Report.
-
-    An interrupted run with nothing failed has exit code 3, because the rest was not judged.
-    """
-    code = exit_code((r.verdict for r in results), strict=options.strict)
-    if unusable or (ended_by == "error" and code != 1):
-        return 2
-    return 3 if ended_by and code == 0 else code
+    return msgspec.structs.replace(report, comparison=comparison, results=results)
 
 
 def coverage(

@@ -76,7 +76,7 @@ def every_verdict(protocol: Protocol, *, strict: bool = False) -> Report:
     results += [a_case(f"more/{n}", Verdict.FAIL, f"reason {n}", "R-led-id") for n in (1, 2)]
     base = a_run(protocol, "valid/LED/1")
     options = dataclasses.replace(base.options, strict=strict)
-    return replace(base, results=tuple(results), options=options, exit=1)
+    return replace(base, results=tuple(results), options=options)
 
 
 def hostile(protocol: Protocol, evil: str) -> Report:
@@ -111,7 +111,6 @@ def hostile(protocol: Protocol, evil: str) -> Report:
         proof=evil,
         comparison=Comparison(evil, 0, 1, (evil,)),
         results=(case, unsure),
-        exit=1,
     )
     return parse_report(as_json(report), evil)
 

@@ -68,7 +68,7 @@ def test_what_is_no_plain_pass_says_its_verdict_reading_and_how_to_try_it_again(
 
 
 def test_an_unusable_line_is_an_error_and_never_an_empty_success(protocol: Protocol) -> None:
-    report = replace(every_verdict(protocol), results=(), unusable="the line is an echo", exit=2)
+    report = replace(every_verdict(protocol), results=(), unusable="the line is an echo")
     xml = parsed([report], protocol)
 
     assert (xml.tests, xml.errors) == (1, 1)

@@ -127,7 +127,7 @@ def a_sent(t: float, kind: str = "sent") -> list[dict[str, object]]:
     ("path", "value"),
     [
         ("verdict", "fine"),
-        ("exit", 7),
+        ("exit", "7"),
         ("cases", {}),
         ("cases.0.log", a_sent(0, "eaten")),
         ("cases.0.log", a_sent(1e300)),
@@ -155,7 +155,9 @@ def test_the_sums_of_a_file_are_those_of_its_cases(protocol: Protocol, tmp_path:
 
     report = read_report(str(file))
 
-    assert (report.verdict, report.counts["fail"]) == (Verdict.FAIL, 1)
+    assert document["exit"] == 0
+    assert (report.verdict, report.exit, report.counts["fail"]) == (Verdict.FAIL, 1, 1)
+    assert json.loads(as_json(report))["exit"] == 1
 
 
 @pytest.mark.parametrize("content", [b"", b"[" * 100_000])
@@ -323,7 +325,7 @@ def rows_of_the_matrix(page: str) -> list[str]:
 @pytest.mark.parametrize("first", [0, 1])
 def test_a_case_stands_under_the_same_clause_on_every_page(protocol: Protocol, first: int) -> None:
     base = every_verdict(protocol)
-    runs = [replace(base, results=(case,), exit=1) for case in failing_walk()]
+    runs = [replace(base, results=(case,)) for case in failing_walk()]
     runs = runs[first:] + runs[:first]
 
     pages = [as_html(some, protocol) for some in (runs, runs[:1], runs[1:])]
@@ -351,7 +353,7 @@ def test_both_clauses_are_read_back_and_an_old_report_has_but_one(
     protocol: Protocol, tmp_path: Path
 ) -> None:
     _, failed = failing_walk()
-    file = saved(replace(every_verdict(protocol), results=(failed,), exit=1), tmp_path)
+    file = saved(replace(every_verdict(protocol), results=(failed,)), tmp_path)
     document = json.loads(file.read_bytes())
     (case,) = document["cases"]
 

@@ -126,7 +126,7 @@ def table(text: str) -> list[list[str]]:
 def test_what_was_not_judged_is_told_by_reason(protocol: Protocol) -> None:
     results = [a_case(f"x/{n}", Verdict.INCONCLUSIVE, "not observable") for n in range(30)]
     results += [a_case("y/1", Verdict.INCONCLUSIVE, "flaky")]
-    text = as_markdown([replace(every_verdict(protocol), results=tuple(results), exit=3)], protocol)
+    text = as_markdown([replace(every_verdict(protocol), results=tuple(results))], protocol)
 
     assert "- 30 cases, `x/0` is the first: not observable" in text
     assert "- 1 case, `y/1` is the first: flaky" in text
