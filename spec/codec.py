@@ -90,9 +90,7 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
             shown = [field_words(specs[name], value) for name, value in self.fields]
             shown += [field_words(spec, value) for spec, value in self.registers]
             return f"{to}{self.name} {' '.join(shown)}"
-        if self.instruction and self.valid:
-            return f"{to}{self.name}"
-        if self.id < 0:
+        if (self.instruction and self.valid) or self.id < 0:
             return f"{to}{self.name}"
         if self.truncated:
             arrived = max(0, len(self.frame) - self.head)

@@ -389,14 +389,6 @@ def test_the_times_of_a_foreign_file_are_those_of_all_its_chunks(tmp_path: Path)
     assert (capture.contents.first, capture.contents.last) == (10, 90)
 
 
-def test_a_clock_step_does_not_change_the_order_of_our_own_files(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as capture:
-        for t in (3, 4, 5, 0, 1, 2):
-            capture.chunk(Chunk(t, "host", b"x"))
-    assert [event.t for event in open_capture(path)] == [3, 4, 5, 0, 1, 2]
-
-
 def test_a_file_that_changes_while_it_is_read_is_an_error_of_ours(tmp_path: Path) -> None:
     path, much = tmp_path / "a.mcap", random.Random(1).randbytes(1 << 16)
     with CaptureWriter(path, start_wall=START, metadata={}, version="1") as writer:

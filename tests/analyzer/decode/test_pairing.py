@@ -191,15 +191,11 @@ def test_a_valid_frame_is_no_near_miss() -> None:
 def test_one_frame_says_little_of_a_check_of_one_byte() -> None:
     layout = load_protocol("dynamixel1").layout
     frames = [Checked(bytes.fromhex(f"FFFF 0{to} 02 01 0{to + 3}")) for to in (1, 2)]
-    two, one = (
-        [Checked(frame[:-1] + bytes([base - sum(frame[2:-1]) & 0xFF])) for frame, _ in frames]
-        for base in (0, -1)
-    )
+    negative = [Checked(frame[:-1] + bytes([-sum(frame[2:-1]) & 0xFF])) for frame, _ in frames]
 
     assert fitting_check(layout, frames[:1]) == ""
     assert fitting_check(layout, frames) == '"sum" / Checksum(Byte, Sum(8), this.covered.data)'
-    assert "Checksum(Byte, Sum(8, complement=2), this" in fitting_check(layout, two)
-    assert "Checksum(Byte, Sum(8, complement=1), this" in fitting_check(layout, one)
+    assert "Checksum(Byte, Sum(8, complement=2), this" in fitting_check(layout, negative)
 
 
 # What each makes of the digits 1 to 9, as catalogues of CRCs have it.

@@ -43,7 +43,7 @@ def _events(drawn: Iterable[tuple[int, tuple[str, bytes]]]) -> list[Event]:
 
 
 @given(EVENTS, st.booleans())
-def test_every_byte_is_in_exactly_one_record_in_order(
+def test_every_byte_is_in_one_record_and_each_instruction_is_answered_once_in_order(
     protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]], attached: bool
 ) -> None:
     events = _events(drawn)
@@ -56,6 +56,8 @@ def test_every_byte_is_in_exactly_one_record_in_order(
     assert b"".join(record.data for record in hosts(records)) == sent
     assert b"".join(bytes.fromhex(record.value.hex) for record in hosts(records)) == sent
     assert [(record.value.t, record.value.byte) for record in devices(records)] == answered
+    paired = [r.value.instruction for r in devices(records) if r.value.instruction is not None]
+    assert paired == sorted(set(paired))
 
 
 @given(
@@ -102,16 +104,6 @@ def test_bytes_of_one_moment_may_be_cut_in_any_way(
 
     whole = decoded(Session(protocol, attached=attached), events)
     assert decoded(Session(protocol, attached=attached), cut) == whole
-
-
-@given(EVENTS)
-def test_each_instruction_is_answered_at_most_once_and_in_order(
-    protocol: Protocol, drawn: list[tuple[int, tuple[str, bytes]]]
-) -> None:
-    records = devices(decoded(Session(protocol), _events(drawn)))
-    answered = [r.value.instruction for r in records if r.value.instruction is not None]
-
-    assert answered == sorted(set(answered))
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def passing(test: Filter, records: list[Record]) -> list[Any]:
         ("data == '' and faulty", []),
         ("data[1] >= 0 and len == 1", []),
         ("data[0] & 0x40 and data[0] < 0x7f", ["41 40"]),
-        ("hex contains 81 09 or hex[1] == 0x7f", ["11 7f", "81 09"]),
+        ("hex contains 81 09 or hex[1] == 0x7f or hex == 01", ["11 7f", "81 09", "01"]),
         ("hex == 81:09", ["81 09"]),
         ("'81 09' in hex", ["81 09"]),
         ("faulty and latency > 0.5 ms", ["00", "01"]),
