@@ -1,4 +1,4 @@
-"""What commands are called now that once had another name, and what stands in for dropped ones."""
+"""What commands are called now that once had another name."""
 
 from __future__ import annotations
 
@@ -22,26 +22,16 @@ FORMER = {
 }
 """What commands are called now, by their former names."""
 
-DROPPED = {
-    "merge": (
-        "bilprov merge is gone, and so is conform --shard: test each robot in a run of its own and "
-        "compare them with bilprov report A.json B.json"
-    ),
-}
-"""A sentence for each former command that has no new name."""
-
 
 def former_name(name: str, arguments: Sequence[str] = ()) -> str:
     """A sentence with what a command is called now, and its arguments; "" if it is no former name.
-
-    For one that was dropped the sentence says what to do instead.
 
     >>> former_name("cut", ["a.mcap", "b.mcap"])
     'bilprov cut is now bilprov capture cut: bilprov capture cut a.mcap b.mcap'
     """
     new = FORMER.get(name)
     if new is None:
-        return DROPPED.get(name, "")
+        return ""
     if name == "doctor" and any(word.endswith(".mcap") for word in arguments):
         new = ("capture", "check")
     words = [*new, *(word for word in arguments if word != "--decoded")]

@@ -164,8 +164,18 @@ def _fields(kind: Any) -> Iterator[tuple[str, _Declared]]:
 def protocol_in_use() -> Protocol:
     """Load the protocol of the grammar that the command line names. Raises GrammarError."""
     from bilprov.analyzer.grammar_file import load_protocol
+    from bilprov.spec.protocol import GrammarError
 
-    return load_protocol(click.get_current_context().obj)
+    context = click.get_current_context()
+    try:
+        return load_protocol(context.obj)
+    except GrammarError as error:
+        if context.meta.get(TYPED_GRAMMAR):
+            raise
+        from bilprov.analyzer.cli.settings import user_file
+        from bilprov.captures.text import printable
+
+        raise GrammarError(f"{printable(user_file())}: {error}") from None
 
 
 def typed_protocol() -> Protocol | None:
