@@ -92,9 +92,8 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
-noise: setup ## no false fail and no wrong pass over a bad line: 100 seeded runs, and 100 of the firmware
+noise: setup ## no false fail and no wrong pass over a bad line: 100 seeded runs
 	$(BIN)/python -m benchmarks.torture noise --runs 50
-	$(BIN)/python -m benchmarks.torture board
 
 fuzz: setup ## 30 times as many random inputs for each property as in make test, and damaged captures
 	$(BIN)/python -m pytest $(PYTEST_ARGS) -m hypothesis --whole --examples 1200 --timeout 1200

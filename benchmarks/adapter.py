@@ -13,11 +13,29 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from bilprov.analyzer.transport.port import PtyPair, open_pty
+from bilprov.analyzer.transport.port import open_pty
 from bilprov.analyzer.transport.ports import open_port, wait_readable
 
 _SLOW = 0.01  # s that a byte takes whose reader is slow
 _DRAINED = 0.06  # s without a byte, after which none is on its way
+
+
+class Plug:
+    """A port under a path that stays the same."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.plug()
+
+    def plug(self) -> None:
+        """Plug it in."""
+        self.pair = open_pty()
+        self.path.symlink_to(self.pair.name)
+
+    def pull(self) -> None:
+        """Unplug it."""
+        self.pair.close()
+        self.path.unlink(missing_ok=True)
 
 
 class Adapter(AbstractContextManager["Adapter"]):
@@ -36,7 +54,7 @@ class Adapter(AbstractContextManager["Adapter"]):
         away: float | None = None,
         late: float = 0.0,
     ) -> None:
-        self._link, self._line = link, open_port(line)
+        self._plug, self._line = Plug(link), open_port(line)
         self._away, self._late = away, late
         self.unplugged = threading.Event()
         """Whether it has been unplugged."""
@@ -50,34 +68,23 @@ class Adapter(AbstractContextManager["Adapter"]):
         """Whether answers are held back, and whether the host's bytes are taken one by one."""
         self._after = list(after)
         self._over = threading.Event()
-        self._pair: PtyPair | None = None
-        self._plug()
+        self._wait_for_bytes()
         self._thread = threading.Thread(target=self._relay)
         self._thread.start()
 
-    def _plug(self) -> None:
-        self._pair = open_pty()
-        self._link.symlink_to(self._pair.name)
+    def _wait_for_bytes(self) -> None:
         self._left = self._after.pop(0) if self._after else None
         self._due: float | None = None  # when it is unplugged, once its bytes have passed
 
-    def _unplug(self) -> None:
-        assert self._pair is not None
-        self._pair.close()
-        self._pair = None
-        self._link.unlink()
-        self.unplugged.set()
-
     def _relay(self) -> None:
         while not self._over.is_set():
-            assert self._pair is not None
-            ready = wait_readable([self._line], 0.01, [self._pair.master])
-            said = self._taken(self._pair) if ready[1] else b""
+            ready = wait_readable([self._line], 0.01, [self._plug.pair.master])
+            said = self._taken() if ready[1] else b""
             handed = said if self._left is None or self._late else said[: self._left]
             self._line.write(handed)
             self.passed += len(handed)
             heard = self._line.read()
-            self._pair.write_some(b"" if self.withheld else heard)
+            self._plug.pair.write_some(b"" if self.withheld else heard)
             if said or heard:
                 self.last = time.monotonic()
             if self._left is None:
@@ -86,17 +93,19 @@ class Adapter(AbstractContextManager["Adapter"]):
             if self._left <= 0 and self._due is None:
                 self._due = time.monotonic() + self._late
             if self._due is not None and time.monotonic() >= self._due:
-                self._unplug()
+                self._plug.pull()
+                self.unplugged.set()
                 if self._over.wait(self._away) or self._away is None:
                     return
-                self._plug()
+                self._plug.plug()
+                self._wait_for_bytes()
                 self.plugged_again.set()
 
-    def _taken(self, pair: PtyPair) -> bytes:
+    def _taken(self) -> bytes:
         if not self.slow:
-            return pair.read()
+            return self._plug.pair.read()
         time.sleep(_SLOW)
-        return os.read(pair.master, 1)
+        return os.read(self._plug.pair.master, 1)
 
     @property
     def quiet(self) -> float:
@@ -105,13 +114,11 @@ class Adapter(AbstractContextManager["Adapter"]):
 
     def drained(self) -> None:
         """Wait until all that the host has sent has arrived."""
-        assert self._pair is not None
-        while select.select([self._pair.master], [], [], 0)[0] or self.quiet < _DRAINED:
+        while select.select([self._plug.pair.master], [], [], 0)[0] or self.quiet < _DRAINED:
             time.sleep(0.01)
 
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
-        if self._pair:
-            self._unplug()
+        self._plug.pull()
         self._line.close()

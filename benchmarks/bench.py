@@ -1,6 +1,6 @@
 """The command: measures every row beside its peers in one run, and prints the table.
 
-`python -m benchmarks.bench [--only NAME] [--seconds N] [--publish]`. With --publish a run of all
+`python -m benchmarks.bench [--only NAME] [--publish]`. With --publish a run of all
 rows also renews the table in docs/performance.md. Exit status: 1 if a row failed; no figure is
 asserted.
 """
@@ -53,14 +53,14 @@ def main() -> int:
     options = _options()
     on, rows = machine(), []
     with tempfile.TemporaryDirectory(prefix="bilprov-bench-") as folder:
-        setting = Setting(Path(folder), FULL, options.seconds)
+        setting = Setting(Path(folder), FULL)
         for work in WORKS:
             if fnmatch(work.name, options.only):
                 rows.append(measured(setting, work))
     tell(as_markdown(rows, on))
     if options.publish and len(rows) == len(WORKS):
         text = _PAGE.read_text(encoding="utf-8")
-        _PAGE.write_text(between_markers(text, as_markdown(rows, on, short=True)), encoding="utf-8")
+        _PAGE.write_text(between_markers(text, as_markdown(rows, on)), encoding="utf-8")
         tell(f"renewed: the table in {_PAGE}")
     return int(any(row.ours is None for row in rows))
 
@@ -68,7 +68,6 @@ def main() -> int:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", default="*", metavar="NAME", help="rows by name, * for any")
-    parser.add_argument("--seconds", type=float, default=60, metavar="N", help="on the fast line")
     parser.add_argument("--publish", action="store_true", help="renew docs/performance.md")
     options = parser.parse_args()
     if not any(fnmatch(work.name, options.only) for work in WORKS):

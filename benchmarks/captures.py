@@ -1,4 +1,4 @@
-"""Into captures and out of them, beside construct, the plain mcap library and the C loop."""
+"""Into captures and out of them, beside construct and the plain mcap library."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from zlib import crc32
 
 from benchmarks import peers, product, traffic
 from benchmarks.commands import ROOT, medians, run
-from benchmarks.report import C_LOOP, CONSTRUCT, OURS, Goal, Row, times
+from benchmarks.report import CONSTRUCT, OURS, Goal, Row, times
 from benchmarks.setting import Made, Setting, Work
 from benchmarks.traffic import reads, waited
 from bilprov.captures.reader import open_capture
@@ -26,10 +26,6 @@ _SAMPLES = 4  # times the sample for construct, so that opening the file does no
 _CHUNK = 2_000 * 33  # bytes of a chunk of a capture with one message a frame
 
 _KEPT = ROOT / "build/bench"
-
-Maker = Callable[[Setting], Made]
-Figures = tuple[float, float]
-"""Frames/s, and bytes in the file for each frame."""
 
 
 def sniffed(
@@ -51,34 +47,29 @@ def sniffed(
     byte_time = byte_time or setting.byte_time
     chunks = list(reads(said, setting.protocol, read, byte_time, start=_CALM))
     few = _with_frames(chunks, setting.sample.frames)
-    on_disk: dict[str, float] = {}
-    name_json, name_raw = f"{CONSTRUCT} + JSON message a frame", "raw chunks alone"
-    works: dict[str, Callable[[Path], Figures]] = {
-        OURS: lambda path: _ours(setting, path, before, chunks),
-        name_json: lambda path: _peer(
-            path, lambda: peers.json_written(path, setting.construct, few)
-        ),
-        name_raw: lambda path: _peer(path, lambda: peers.raw_written(path, chunks)),
-    }
+    name_json = f"{CONSTRUCT} + JSON message a frame"
+    on_disk: list[float] = []
 
-    def measured(name: str) -> float:
-        speed, on_disk[name] = works[name](setting.new_file("sniffed.mcap"))
+    def ours() -> float:
+        speed, size = _ours(setting, setting.new_file("sniffed.mcap"), before, chunks)
+        on_disk.append(size)
         return speed
+
+    def by_json() -> float:
+        path = setting.new_file("by_json.mcap")
+        return _rate(lambda: peers.json_written(path, setting.construct, few))
 
     gc.collect()
     gc.freeze()  # what was made for all of them is nobody's garbage
-    rounds = min(3, setting.sizes.rounds)
-    rates = medians(rounds, {name: lambda name=name: measured(name) for name in works})  # type: ignore[misc]
+    rates = medians(min(3, setting.sizes.rounds), {OURS: ours, name_json: by_json})
     gc.unfreeze()
-    size_of_ours = on_disk.pop(OURS)
+    size_of_ours = max(on_disk)
     return work.row(
         work.words,
         "frames/s",
         rates,
         times(rates, name_json, times_construct),
         Goal(f"at most {most_bytes} B a frame", size_of_ours, most_bytes, at_most=True),
-        figures={"B a frame on disk": size_of_ours},
-        beside={f"B a frame ({name})": size for name, size in on_disk.items()},
     )
 
 
@@ -102,7 +93,10 @@ def _with_frames(chunks: list[Chunk], frames: int) -> list[Chunk]:
     return chunks
 
 
-def _ours(setting: Setting, path: Path, before: list[Chunk], chunks: list[Chunk]) -> Figures:
+def _ours(
+    setting: Setting, path: Path, before: list[Chunk], chunks: list[Chunk]
+) -> tuple[float, float]:
+    """Frames/s, and bytes in the file for each frame."""
     frames = 0
     with product.sniffing(path, setting.protocol) as take:
         for chunk in before:
@@ -118,49 +112,25 @@ def _ours(setting: Setting, path: Path, before: list[Chunk], chunks: list[Chunk]
     return frames / (time.perf_counter() - begun), (path.stat().st_size - size) / frames
 
 
-def _peer(path: Path, write: Callable[[], int]) -> Figures:
-    begun = time.perf_counter()
-    frames = write()
-    return frames / (time.perf_counter() - begun), path.stat().st_size / frames
-
-
-def small(setting: Setting) -> Made:
-    """The small capture of this run."""
-    return _sniffed(setting, "small", setting.sizes.replay_sample)
-
-
 def big(setting: Setting) -> Made:
-    """The big capture of this run."""
-    return _sniffed(setting, "big", setting.sizes.replay)
-
-
-def _sniffed(setting: Setting, name: str, size: int) -> Made:
     """A capture as `sniff -w` writes it, made when it is first asked for."""
-    if name not in setting.made:
-        said = setting.said.first(setting.protocol, size)
+    if setting.big is None:
+        said = setting.said.first(setting.protocol, setting.sizes.replay)
         chunks = [*_calm(setting), *reads(said, setting.protocol, _PAGE, FAST, start=_CALM)]
         frames = sum(len(chunk.data) for chunk in chunks if chunk.direction == "device")
-        path = setting.new_file(f"{name}.mcap")
+        path = setting.new_file("big.mcap")
         with product.sniffing(path, setting.protocol) as take:
             for chunk in chunks:
                 take(chunk)
-        setting.made[name] = Made(path, frames, chunks[-1].t)
-    return setting.made[name]
-
-
-def few_waited(setting: Setting) -> Made:
-    """A small capture of a host that waits for its answers, in chunks of 0.1 s as `sniff -w`'s."""
-    frames = setting.sizes.replay_sample * 10 // 17
-    path = setting.folder / "waited.mcap"
-    if not path.exists():
-        with product.logging(path, setting.protocol) as take:
-            for chunk in waited(setting.protocol, frames):
-                take(chunk)
-    return Made(path, frames)
+        setting.big = Made(path, frames, chunks[-1].t)
+    return setting.big
 
 
 def much_waited(setting: Setting) -> Made:
-    """The big one, in chunks of 2,000 messages; it is kept, since it takes a minute to make."""
+    """A host that waits for each answer, in chunks of 2,000 messages.
+
+    It is kept, since it takes a minute to make.
+    """
     about = product.metadata(setting.protocol) | {START_KEY: "0"}
     return _kept(setting, "waited", about=about)
 
@@ -181,8 +151,9 @@ def _kept(
         _KEPT.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part")
         part.unlink(missing_ok=True)
-        chunks = waited(setting.protocol, frames, together)
-        peers.raw_written(part, chunks, about, _CHUNK if about else 1 << 20)
+        with peers.PlainWriter(part, about, _CHUNK if about else 1 << 20) as file:
+            for chunk in waited(setting.protocol, frames, together):
+                file.write(chunk.direction, chunk.t, chunk.data)
         part.replace(path)
     return Made(path, frames)
 
@@ -193,33 +164,19 @@ def replayed(
     *,
     words: Callable[[Path], list[str]],
     times_construct: float,
-    captures: tuple[Maker, Maker] = (small, big),
+    capture: Callable[[Setting], Made] = big,
 ) -> Row:
     """A whole command on the big capture.
 
     Beside it is construct on a sample of the one with reads of 4 KiB, on which it is the fastest.
     """
-    few, made = (make(setting) for make in captures)
-    reads_of_4k = big(setting).path
-    lines = words is product.replayed
-    little = run(words(few.path), keep=lines)
-    if lines and little.output.count("\n") < 2 * few.frames:
-        raise RuntimeError(f"{few.frames} frames and their answers gave fewer lines")
+    made, reads_of_4k = capture(setting), big(setting).path
     ended = run(words(made.path))
     start, most = open_capture(reads_of_4k).start + _CALM, _SAMPLES * setting.sample.frames
     with Path(os.devnull).open("wb") as nowhere:
-        out = nowhere if lines else None
-        speed = {
-            CONSTRUCT: lambda: _rate(
-                lambda: peers.construct_replayed(reads_of_4k, setting.construct, start, most, out)
-            )
-        }
-        # To read a message for each frame takes the library minutes.
-        if captures[1] is big:
-            speed[f"mcap + {C_LOOP}"] = lambda: _rate(
-                lambda: peers.ceiling_replayed(made.path, setting.ceiling)
-            )
-        rates = medians(min(3, setting.sizes.rounds), speed)
+        out = nowhere if words is product.replayed else None
+        read = partial(peers.construct_replayed, reads_of_4k, setting.construct, start, most, out)
+        rates = medians(min(3, setting.sizes.rounds), {CONSTRUCT: partial(_rate, read)})
     rates[OURS] = made.frames / ended.seconds
     return work.row(
         _with_frames_of(made, work),
@@ -227,11 +184,6 @@ def replayed(
         rates,
         times(rates, CONSTRUCT, times_construct),
         Goal("at most 300 MB", ended.memory / 1e6, 300, at_most=True),
-        figures={
-            "MB at peak": ended.memory / 1e6,
-            "MB with the small capture": little.memory / 1e6,
-            "frames/s with the small capture": few.frames / little.seconds,
-        },
     )
 
 
@@ -239,11 +191,10 @@ def _with_frames_of(made: Made, work: Work) -> str:
     return f"{made.frames / 1e6:.3g} M frames, {work.words}"
 
 
-_WAITED = (few_waited, much_waited)
 to_statistics = partial(replayed, words=product.statistics, times_construct=200)
 to_jsonl = partial(replayed, words=product.replayed, times_construct=10)
-waited_to_statistics = partial(to_statistics, times_construct=40, captures=_WAITED)
-waited_to_jsonl = partial(to_jsonl, times_construct=8, captures=_WAITED)
+waited_to_statistics = partial(to_statistics, times_construct=40, capture=much_waited)
+waited_to_jsonl = partial(to_jsonl, times_construct=8, capture=much_waited)
 
 
 def foreign_to_statistics(setting: Setting, work: Work) -> Row:

@@ -5,64 +5,41 @@ from __future__ import annotations
 import sys
 from functools import partial
 
-from benchmarks import captures, peers, product
-from benchmarks.commands import bilprov_words, first_line, medians, timed
+from benchmarks import captures, product
+from benchmarks.commands import bilprov_words, first_line, medians
 from benchmarks.report import OURS, Goal, Row
-from benchmarks.setting import Made, Setting, Work
-from bilprov.captures.reader import open_capture
+from benchmarks.setting import Setting, Work
 
 _BEFORE_THE_END = 5_000_000  # ns
-_SEEK, _LONGEST = 150, 6  # ms; times the patience of a row
+_SEEK = 150  # ms
 _PYTHON = [sys.executable, "-c", "print()"]
 
 
 def seek(setting: Setting, work: Work) -> Row:
-    """`replay --start` shortly before the end of the small and of the big capture."""
-    few, made = captures.small(setting), captures.big(setting)
-    for one in (few, made):
-        first_line(_seeking(one), _LONGEST * setting.sizes.patience + 5)
-    start = open_capture(made.path).start + made.end - _BEFORE_THE_END
-    found = medians(
-        setting.sizes.rounds,
-        {
-            OURS: lambda: first_line(_seeking(made)) * 1e3,
-            "small": lambda: first_line(_seeking(few)) * 1e3,
-            "python alone": lambda: first_line(_PYTHON) * 1e3,
-            "the mcap library's index alone": lambda: (
-                timed(partial(peers.first_after, made.path, start)) * 1e3
-            ),
-        },
-    )
-    more = {f"ms with {few.frames / 1e6:.3g} M frames": found.pop("small")}
-    return _row(work, f"{work.words}, {made.frames / 1e6:.3g} M frames", found, _SEEK, more)
+    """`replay --start` shortly before the end of the big capture."""
+    made = captures.big(setting)
+    command = product.replayed(made.path, (made.end - _BEFORE_THE_END) / 1e9)
+    words = f"{work.words}, {made.frames / 1e6:.3g} M frames"
+    return _beside_python(work, words, command, setting.sizes.rounds, _SEEK)
 
 
-def _row(
-    work: Work, words: str, found: dict[str, float], most: float, more: dict[str, float]
-) -> Row:
-    """The row of a command that may take so many ms longer than Python alone."""
+def _start(setting: Setting, work: Work, *, words: list[str], over: float) -> Row:
+    return _beside_python(work, work.words, bilprov_words(*words), setting.sizes.starts, over)
+
+
+help_page = partial(_start, words=["--help"], over=60)
+decoded = partial(_start, words=["decode", "2111"], over=100)
+
+
+def _beside_python(work: Work, words: str, command: list[str], rounds: int, most: float) -> Row:
+    """A command to its first line, which may take so many ms longer than Python alone."""
+    first_line(command)  # its files are compiled and cached now
+    works = {OURS: command, "python alone": _PYTHON}
+    found = medians(rounds, {name: partial(_milliseconds, one) for name, one in works.items()})
     over = found[OURS] - found["python alone"]
     goal = Goal(f"python + {most:g} ms", over, most, at_most=True)
-    return work.row(words, "ms", found, goal, figures={"ms over python": over} | more)
+    return work.row(words, "ms", found, goal)
 
 
-def _seeking(made: Made) -> list[str]:
-    return product.replayed(made.path, (made.end - _BEFORE_THE_END) / 1e9)
-
-
-def start(setting: Setting, work: Work, *, words: list[str], over: float) -> Row:
-    """A command to its first line, which may take so many ms longer than Python alone."""
-    command = bilprov_words(*words)
-    first_line(command)  # its files are compiled and cached now
-    found = medians(
-        setting.sizes.starts,
-        {
-            OURS: lambda: first_line(command) * 1e3,
-            "python alone": lambda: first_line(_PYTHON) * 1e3,
-        },
-    )
-    return _row(work, work.words, found, over, {})
-
-
-help_page = partial(start, words=["--help"], over=60)
-decoded = partial(start, words=["decode", "2111"], over=100)
+def _milliseconds(command: list[str]) -> float:
+    return first_line(command) * 1e3

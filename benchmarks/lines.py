@@ -20,11 +20,10 @@ from typing import NamedTuple
 from benchmarks.commands import Stream, cpu_time, holds_open, started
 from benchmarks.traffic import Traffic, reads
 from bilprov.analyzer.transport.port import PtyPair, open_pty
-from bilprov.captures.schemas import Direction
 from bilprov.spec.protocol import Protocol
 
 _PERIOD = 1_000_000  # ns between two bursts, about; the least that USB adapters wait
-BUFFER = 1 << 16  # bytes that wait for a slow reader; a driver's buffer is ten times as large
+_BUFFER = 1 << 16  # bytes that wait for a slow reader; a driver's buffer is ten times as large
 _PATIENCE = 30.0  # s to begin, and to end
 _STARTS = 0.5  # s from when a listener has opened its lines until traffic begins
 _SETTLES = 0.25  # s that are waited for the last bytes
@@ -40,19 +39,11 @@ class Bursts(NamedTuple):
     period: int
 
 
-class Sent(NamedTuple):
-    """Bytes that were sent on each line, and those of them that found no room."""
-
-    host: int
-    device: int
-    lost: int
-
-
 class Heard(NamedTuple):
-    """What listening took, in parts of a core, and what was sent meanwhile."""
+    """What listening took, in parts of a core, and how many bytes were sent meanwhile."""
 
     share: float
-    sent: Sent
+    sent: int
 
 
 class Wires(NamedTuple):
@@ -87,24 +78,18 @@ class _End:
     def __init__(self, line: PtyPair) -> None:
         self._line = line
         self._waiting = bytearray()
-        self.sent = self.lost = 0
+        self.sent = 0
 
     def push(self, data: bytes) -> bool:
         """Send what there is room for; returns whether nothing waits."""
         self.sent += len(data)
-        room = BUFFER - len(self._waiting)
-        self.lost += max(0, len(data) - room)
-        self._waiting += data[:room]
+        self._waiting += data[: _BUFFER - len(self._waiting)]
         del self._waiting[: self._line.write_some(bytes(self._waiting))]
         return not self._waiting
 
-    def give_up(self) -> None:
-        """Nothing is waited for any more."""
-        self.lost += len(self._waiting)
 
-
-def send(on: Wires, traffic: Bursts, seconds: float) -> Sent:
-    """Send bursts in their time, over and over, for so many seconds."""
+def send(on: Wires, traffic: Bursts, seconds: float) -> int:
+    """Send bursts in their time, over and over, for so many seconds; returns how many bytes."""
     host, device = _End(on.host), _End(on.device)
     ready, period = traffic
     begun, count = time.monotonic_ns(), 0
@@ -117,9 +102,7 @@ def send(on: Wires, traffic: Bursts, seconds: float) -> Sent:
     until = time.monotonic() + _SETTLES
     while time.monotonic() < until and not (host.push(b"") & device.push(b"")):
         time.sleep(period / 1e9)
-    for end in (host, device):
-        end.give_up()
-    return Sent(host.sent, device.sent, host.lost + device.lost)
+    return host.sent + device.sent
 
 
 def await_listener(process: subprocess.Popen[bytes], on: Wires) -> None:
@@ -179,12 +162,8 @@ def screen() -> Iterator[int]:
         os.close(ours)
 
 
-def shown(path: Path) -> dict[Direction, int]:
-    """How many bytes of each direction the JSON lines of a file hold."""
-    counts: dict[Direction, int] = {"host": 0, "device": 0}
+def shown(path: Path) -> int:
+    """How many bytes of both directions the JSON lines of a file hold."""
     with path.open("rb") as file:
-        for line in file:
-            told = json.loads(line)
-            if told.get("direction") in counts and told.get("hex"):
-                counts[told["direction"]] += len(told["hex"].split())
-    return counts
+        rows = map(json.loads, file)
+        return sum(len(row["hex"].split()) for row in rows if row.get("hex"))

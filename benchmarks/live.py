@@ -24,22 +24,19 @@ def _full(
 
     The share of a core that `sniff` takes may be so many percent.
     """
-    byte_time, seconds = (
-        (FAST, setting.seconds) if fast else (setting.byte_time, setting.sizes.line)
-    )
+    byte_time = FAST if fast else setting.byte_time
+    seconds = setting.sizes.fast_line if fast else setting.sizes.line
     baud = "12 Mbaud" if fast else f"{setting.protocol.line.baud:,} baud"
     said = setting.said.first(setting.protocol, _DISTINCT)
     ready = lines.bursts(said, setting.protocol, byte_time)
-    share, lost, late = _ours(setting, ready, seconds, style, write)
-    bare_share, bare_lost = _bare(setting, ready, min(seconds, _BARE_SECONDS), write)
+    share, lost = _ours(setting, ready, seconds, style, write)
+    bare_share = _bare(setting, ready, min(seconds, _BARE_SECONDS), write)
     return work.row(
         f"{work.words}, {baud}, {seconds:g} s",
         "% of a core",
         {OURS: share * 100, "bare reader": bare_share * 100},
         Goal(f"at most {percent:g} % of a core", share * 100, percent, at_most=True),
         Goal("no byte lost", lost, 0, at_most=True),
-        figures={"B lost": lost, "B of them found no room": late},
-        beside={"B lost": bare_lost},
     )
 
 
@@ -52,16 +49,16 @@ fast_line_on_screen = partial(_full, style="live", percent=60, fast=True)
 
 def _ours(
     setting: Setting, ready: lines.Bursts, seconds: float, style: str, write: bool
-) -> tuple[float, int, int]:
-    """The share of a core, the bytes lost in all, and those that found no room on the line."""
+) -> tuple[float, int]:
+    """The share of a core, and the bytes lost."""
     capture = setting.new_file("live.mcap") if write else None
     out = setting.new_file("live.out")
     with lines.wires() as on, lines.screen() as screen, out.open("xb") as file:
         words = product.sniffed(on.host.name, on.device.name, style, capture)
         output = screen if style == "live" else file
         heard = lines.listen(words, on, ready, seconds, output, screen)
-    got = _captured(capture) if capture else sum(lines.shown(out).values())
-    return heard.share, _missing(heard.sent, got), heard.sent.lost
+    got = _captured(capture) if capture else lines.shown(out)
+    return heard.share, heard.sent - got
 
 
 def _captured(path: Path) -> int:
@@ -70,15 +67,10 @@ def _captured(path: Path) -> int:
     return sizes.get(HOST_RAW, 0) + sizes.get(DEVICE_RAW, 0)
 
 
-def _bare(setting: Setting, ready: lines.Bursts, seconds: float, write: bool) -> tuple[float, int]:
+def _bare(setting: Setting, ready: lines.Bursts, seconds: float, write: bool) -> float:
+    """The share of a core that the bare reader takes."""
     log, out = setting.new_file("bare.raw"), setting.new_file("bare.out")
     more = ["--write", str(log)] if write else []
     with lines.wires() as on, lines.screen() as screen, out.open("xb") as file:
         words = [sys.executable, "-m", "benchmarks.bare_reader", on.host.name, on.device.name]
-        heard = lines.listen([*words, *more], on, ready, seconds, file, screen)
-    got = log.stat().st_size if write else sum(lines.shown(out).values())
-    return heard.share, _missing(heard.sent, got)
-
-
-def _missing(sent: lines.Sent, got: int) -> int:
-    return sent.host + sent.device - got
+        return lines.listen([*words, *more], on, ready, seconds, file, screen).share

@@ -1,6 +1,6 @@
 """Do a room's own tests notice when one thing in its code is changed? Seeded mutants, one by one.
 
-`python -m benchmarks.mutants [--seed N] [--count N] [--room NAME] [--jobs N]`: small
+`python -m benchmarks.mutants [--seed N] [--count N] [--room NAME] [--slow S]`: small
 changes (`<` to `<=`, a statement left out) are drawn from the code of six rooms, as many of each.
 Each is made in a copy of the tree, where the room's tests then run, the cheapest file first; tests
 that alone take longer than `--slow` seconds (more of them on a busy machine) are left out. Prints
@@ -27,10 +27,8 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from queue import SimpleQueue
 
 from benchmarks.commands import ROOT, tell
 
@@ -239,7 +237,6 @@ class Outcome:
     room: str
     told: str
     outcome: str
-    seconds: float
 
 
 def run_tests(tree: Path, plan: Plan) -> tuple[int, str]:
@@ -311,7 +308,6 @@ def tried(tree: Path, room: str, mutation: Mutation, plan: Plan) -> Outcome:
     """Make the change in the copy, run the room's tests, and take the change back."""
     path = tree / mutation.file
     source, status = path.read_bytes(), path.stat()
-    begin = time.monotonic()
     path.write_bytes(mutation.applied(source))
     try:
         code, told = run_tests(tree, plan)
@@ -322,7 +318,7 @@ def tried(tree: Path, room: str, mutation: Mutation, plan: Plan) -> Outcome:
     outcome = "survived" if code == 0 else "killed"
     if code == -signal.SIGXCPU or "from pytest-timeout" in told:
         outcome = "timed out"
-    return Outcome(room, mutation.told(source), outcome, time.monotonic() - begin)
+    return Outcome(room, mutation.told(source), outcome)
 
 
 def _options() -> argparse.Namespace:
@@ -331,7 +327,6 @@ def _options() -> argparse.Namespace:
     add("--seed", type=int, default=1, metavar="N", help="draws the mutants (1)")
     add("--count", type=int, default=100, metavar="N", help="mutants in all (100)")
     add("--room", action="append", choices=ROOMS, help="only this room; may be repeated")
-    add("--jobs", type=int, default=1, metavar="N", help="mutants at a time (1)")
     add("--slow", type=float, default=5, metavar="S", help="leave out tests that take longer (5)")
     return parser.parse_args()
 
@@ -341,36 +336,22 @@ def main() -> int:
     options, begin = _options(), time.monotonic()
     rooms = options.room or list(ROOMS)
     with tempfile.TemporaryDirectory() as folder:
-        first = Path(folder).resolve() / "0"
+        tree = Path(folder).resolve() / "tree"
         unneeded = shutil.ignore_patterns(".git", ".venv", ".*_cache", ".hypothesis", "__pycache__")
-        shutil.copytree(ROOT, first, symlinks=True, ignore=unneeded)
+        shutil.copytree(ROOT, tree, symlinks=True, ignore=unneeded)
         try:
-            plans = {room: planned(first, room, options) for room in rooms}
+            plans = {room: planned(tree, room, options) for room in rooms}
         except RuntimeError as error:
             tell(str(error))
             return 2
-        trees: SimpleQueue[Path] = SimpleQueue()
-        trees.put(first)
-        for number in range(1, options.jobs):  # with what the first run compiled
-            trees.put(shutil.copytree(first, first.with_name(str(number)), symlinks=True))
         outcomes: list[Outcome] = []
-
-        def one(room: str, mutation: Mutation) -> None:
-            tree = trees.get()
-            outcome = tried(tree, room, mutation, plans[room])
-            trees.put(tree)
-            outcomes.append(outcome)
-            count = f"{len(outcomes)}/{sum(map(len, drawn.values()))}"
-            tell(f"{count} {outcome.outcome} in {outcome.seconds:.0f} s: {outcome.told}")
-
         share, rest = divmod(options.count, len(rooms))
-        drawn = {
-            room: draw(first, room, share + (number < rest), options.seed)
-            for number, room in enumerate(rooms)
-        }
-        with ThreadPoolExecutor(options.jobs) as pool:
-            pairs = [(room, mutation) for room in rooms for mutation in drawn[room]]
-            list(pool.map(lambda pair: one(*pair), pairs))
+        for number, room in enumerate(rooms):
+            for mutation in draw(tree, room, share + (number < rest), options.seed):
+                outcome = tried(tree, room, mutation, plans[room])
+                outcomes.append(outcome)
+                count = f"{len(outcomes)}/{options.count}"
+                tell(f"{count} {outcome.outcome}: {outcome.told}")
     _summarise(rooms, outcomes, time.monotonic() - begin)
     return 0
 

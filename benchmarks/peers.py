@@ -17,9 +17,8 @@ from construct import ConstructError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from benchmarks.ceiling import Ceiling, Judged
 from bilprov.captures.schemas import Chunk
-from bilprov.captures.topics import CAR_STATE, DEVICE_RAW, HOST_RAW, METADATA_NAME
+from bilprov.captures.topics import DEVICE_RAW, HOST_RAW, METADATA_NAME
 from bilprov.spec.fields import From, Outcome
 from bilprov.spec.protocol import Protocol
 
@@ -80,12 +79,6 @@ class Construct:
     def response(self, byte: int) -> str:
         """The name of a response byte."""
         return str(self._space["RESPONSE"].parse(bytes([byte])))
-
-    def judged(self, data: bytes) -> Judged:
-        """The result for data from power-on on."""
-        self.state = dict(self._space["POWER_ON"].values)
-        codes = bytes(frame.code for frame in self.frames(data))
-        return Judged(codes, tuple(self.state[name] for name in CAR_STATE.variables))
 
     def _code(self, identity: int, length: int, parsed: bool) -> int:
         takes = self._lengths.get(identity)
@@ -167,60 +160,24 @@ def json_written(path: Path, construct: Construct, chunks: Iterable[Chunk]) -> i
     return frames
 
 
-def raw_written(
-    path: Path, chunks: Iterable[Chunk], about: Mapping[str, str] | None = None, size: int = 1 << 20
-) -> int:
-    """Write raw chunks alone, as PlainWriter does; returns how many frames were answered."""
-    frames = 0
-    with PlainWriter(path, about, size) as file:
-        for chunk in chunks:
-            file.write(chunk.direction, chunk.t, chunk.data)
-            frames += len(chunk.data) if chunk.direction == "device" else 0
-    return frames
-
-
-def read_by_mcap(path: Path, start: int = 0) -> Iterator[bytes]:
-    """The bytes of the host from `start` (ns) on, by the mcap library's own reader."""
-    with path.open("rb") as file:
-        for _, _, message in make_reader(file).iter_messages(topics=[HOST_RAW], starting_at=start):
-            yield message.data
-
-
-def first_after(path: Path, start: int) -> int:
-    """The time (ns) of the first message at or after `start` (ns), by the library's index alone."""
-    with path.open("rb") as file:
-        _, _, message = next(make_reader(file).iter_messages(starting_at=start))
-        return message.log_time
-
-
 def construct_replayed(
     path: Path, construct: Construct, start: int, most: int, out: Any = None
 ) -> int:
     """Decode up to `most` host frames of a capture from `start` (ns) on, where a frame begins.
 
-    With `out`, write each as a JSON line. Returns how many there were.
+    The mcap library's own reader reads it. With `out`, write each as a JSON line. Returns how many
+    there were.
     """
     frames, held = 0, b""
-    for data in read_by_mcap(path, start=start):
-        data, used = held + data, 0
-        for frame in construct.frames(data):
-            used += len(frame.data)
-            frames += 1
-            if out is not None:
-                out.write(frame_json(construct, frame, 0, None) + b"\n")
-        held = data[used:]
-        if frames >= most:
-            break
-    return frames
-
-
-def ceiling_replayed(path: Path, ceiling: Ceiling) -> int:
-    """Decode a capture's host frames with the C loop; returns how many there were."""
-    frames, held = 0, b""
-    ceiling.reset()
-    for data in read_by_mcap(path):
-        data = held + data
-        count, used = ceiling.decode(data)
-        frames += count
-        held = data[used:]
+    with path.open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages(topics=[HOST_RAW], starting_at=start):
+            data, used = held + message.data, 0
+            for frame in construct.frames(data):
+                used += len(frame.data)
+                frames += 1
+                if out is not None:
+                    out.write(frame_json(construct, frame, 0, None) + b"\n")
+            held = data[used:]
+            if frames >= most:
+                break
     return frames

@@ -8,12 +8,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy
 
 import bilprov
-from benchmarks.ceiling import MOTIONS, Judged
 from benchmarks.commands import bilprov_words
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
@@ -24,25 +23,16 @@ from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.topics import CAR_STATE
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.arrays.states import Known
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 
-OUTCOMES = tuple(Outcome)
-
 _PART = 1 << 18  # bytes that are decoded at once, so that the arrays of a part fit into a cache
 
 
-class Columns(NamedTuple):
-    """The columns of one part: an array of verdicts (places in `OUTCOMES`), and the states.
-
-    The states are an array for each variable, by its name.
-    """
-
-    verdict: Any
-    state: Any
+Columns = tuple[Any, dict[str, Any]]
+"""One part's array of verdicts (places in `Outcome`), and an array of states for each variable."""
 
 
 def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
@@ -60,7 +50,7 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
                 name: tables.states.column(name, part, found.whole, known)
                 for name in CAR_STATE.variables
             }
-            columns.append(Columns(found.whole.verdict, states))
+            columns.append((found.whole.verdict, states))
             state = state.of_codes([int(column[-1]) for column in states.values()])
             at += found.end or len(data)
         return columns
@@ -68,31 +58,24 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
     return decode
 
 
-def judged_columns(columns: list[Columns], protocol: Protocol) -> Judged:
-    """The columns' response codes and last state, to compare with those of the peers."""
-    codes = bytes(max(protocol.answers[outcome].code, 0) for outcome in OUTCOMES).ljust(256, b"\0")
-    last = {name: int(columns[-1].state[name][-1]) for name in CAR_STATE.variables}
-    state = tuple(MOTIONS[value] if name == "motion" else value for name, value in last.items())
-    verdicts = b"".join(part.verdict.tobytes() for part in columns)
-    return Judged(verdicts.translate(codes), state)
+def judged_columns(columns: list[Columns], protocol: Protocol) -> bytes:
+    """The code of the response that is due to each frame."""
+    codes = bytes(max(protocol.answers[outcome].code, 0) for outcome in Outcome).ljust(256, b"\0")
+    return b"".join(verdict.tobytes() for verdict, _ in columns).translate(codes)
 
 
-def decoded_records(path: Path) -> tuple[float, Judged]:
+def decoded_records(path: Path) -> tuple[float, bytes]:
     """The time (s) that `bilprov.decode` takes for the file's bytes, the first call in a process.
 
-    What it says of the frames is worked out after the time was taken.
+    Beside it stand the codes of the responses that are due, worked out after the time was taken.
     """
     data, protocol = path.read_bytes(), bilprov.load_protocol()
     begun = time.perf_counter()
     records = bilprov.decode(data)
     took = time.perf_counter() - begun
     codes = {spec.name: code for code, spec in protocol.codes.items()}
-    values = [r.value for r in records if hasattr(r.value, "judgement")]
-    state = records[-1].state
-    return took, Judged(
-        bytes(codes[value.judgement] for value in values if value.judgement is not None),
-        tuple(getattr(state, name) for name in CAR_STATE.variables),
-    )
+    due = (getattr(record.value, "judgement", None) for record in records)
+    return took, bytes(codes[name] for name in due if name is not None)
 
 
 @contextmanager
@@ -111,19 +94,6 @@ def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], objec
 
         yield take
         pipeline.finish()
-
-
-@contextmanager
-def logging(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
-    """A capture of the raw bytes alone, in the chunks that `sniff -w` makes."""
-    words = metadata(protocol)
-    with CaptureWriter(path, start_wall=time.time_ns(), metadata=words, version="bench") as writer:
-
-        def take(chunk: Chunk) -> None:
-            writer.chunk(chunk)
-            writer.tick(chunk.t)
-
-        yield take
 
 
 def metadata(protocol: Protocol) -> dict[str, str]:
@@ -162,8 +132,8 @@ def sniffed(host: str, device: str, style: str, capture: Path | None = None) -> 
 
 def main() -> None:
     """Decode a file in this process, which has decoded nothing yet."""
-    took, judged = decoded_records(Path(sys.argv[1]))
-    json.dump([took, judged.summary()], sys.stdout)
+    took, codes = decoded_records(Path(sys.argv[1]))
+    json.dump([took, codes.hex()], sys.stdout)
 
 
 if __name__ == "__main__":

@@ -29,11 +29,6 @@ class Goal:
     limit: float
     at_most: bool = False
 
-    @property
-    def reached(self) -> bool:
-        """Whether it is reached."""
-        return self.got <= self.limit if self.at_most else self.got >= self.limit
-
 
 def times(rates: Mapping[str, float], peer: str, least: float) -> Goal:
     """A speed to reach, as a multiple of a peer's."""
@@ -44,9 +39,8 @@ def times(rates: Mapping[str, float], peer: str, least: float) -> Goal:
 class Row:
     """One work, measured beside its peers in the same rounds.
 
-    `unit` is that of `ours` and of the `peers` (name -> figure). `figures` are others of ours,
-    `beside` others of the peers, their unit in the name. A row that failed has
-    no figure of ours, and says why in `note`.
+    `unit` is that of `ours` and of the `peers` (name -> figure). A row that failed has no figure
+    of ours, and says why in `note`.
     """
 
     name: str
@@ -54,17 +48,8 @@ class Row:
     unit: str = ""
     ours: float | None = None
     peers: dict[str, float] = field(default_factory=dict)
-    figures: dict[str, float] = field(default_factory=dict)
-    beside: dict[str, float] = field(default_factory=dict)
     goals: tuple[Goal, ...] = ()
     note: str = ""
-
-    @property
-    def ratios(self) -> dict[str, float]:
-        """Our figure as a multiple of each peer's."""
-        if self.ours is None:
-            return {}
-        return {name: self.ours / figure for name, figure in self.peers.items() if figure}
 
 
 def machine() -> str:
@@ -81,38 +66,26 @@ def machine() -> str:
     )
 
 
-def as_markdown(rows: Sequence[Row], on: str, *, short: bool = False) -> str:
-    """The table with ratios, and the machine; `short` leaves the peers' figures out."""
-    head = ["work", "bilprov", *([] if short else ["beside it, same run"]), "bilprov is", "reach"]
-    lines = [
-        f"| {' | '.join(head)} |",
-        f"|{'---|' * len(head)}",
-        *(f"| {' | '.join(cells(row, short))} |" for row in rows),
-    ]
+def as_markdown(rows: Sequence[Row], on: str) -> str:
+    """The table with ratios, and the machine."""
+    lines = ["| work | bilprov | bilprov is | reach |", "|---|---|---|---|"]
+    lines += [f"| {' | '.join(cells(row))} |" for row in rows]
     return "\n".join([*lines, "", f"Measured {on}", ""])
 
 
-def cells(row: Row, short: bool = False) -> list[str]:
-    """What the table shows of a row: work, figures, peers, ratios and what was to be reached."""
+def cells(row: Row) -> list[str]:
+    """What the table shows of a row: work, figure, multiples of the peers', goals."""
     if row.ours is None:
-        return [row.work, "", *([] if short else [""]), "", f"failed: {one_cell(row.note)}"]
-    ratios = "; ".join(f"{_short(ratio)} x {name}" for name, ratio in row.ratios.items())
+        return [row.work, "", "", f"failed: {one_cell(row.note)}"]
+    ratios = [f"{_short(row.ours / one)} x {name}" for name, one in row.peers.items() if one]
     goals = "; ".join(_reach(goal) for goal in row.goals)
-    if short:
-        return [row.work, _figure(row.ours, row.unit), ratios, goals]
-    ours = "; ".join([_figure(row.ours, row.unit), *_figures(row.figures)])
-    peers = [f"{name} {_figure(value, row.unit)}" for name, value in row.peers.items()]
-    told = f" ({one_cell(row.note)})" if row.note else ""
-    return [row.work + told, ours, "; ".join([*peers, *_figures(row.beside)]), ratios, goals]
-
-
-def _figures(figures: dict[str, float]) -> list[str]:
-    return [_figure(value, name) for name, value in figures.items()]
+    return [row.work, _figure(row.ours, row.unit), "; ".join(ratios), goals]
 
 
 def _reach(goal: Goal) -> str:
     """A goal, and whether it is reached: `400 x construct: no, 2.1`."""
-    return f"{goal.text}: {'yes' if goal.reached else '**no**'}, {_short(goal.got)}"
+    reached = goal.got <= goal.limit if goal.at_most else goal.got >= goal.limit
+    return f"{goal.text}: {'yes' if reached else '**no**'}, {_short(goal.got)}"
 
 
 def _figure(value: float, unit: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -27,13 +27,13 @@ class Sizes(NamedTuple):
     capture: int  # bytes through the path of `sniff -w`
     patience: float  # s for each of a row's slow parts
     replay: int  # bytes of the big capture
-    replay_sample: int  # bytes of the small capture
     line: float  # s on a full line
+    fast_line: float  # s on a line of 12 Mbaud
     exchanges: int  # frames one by one
     starts: int  # starts of a command
 
 
-FULL = Sizes(26_000_000, 1_700_000, 40_000, 5, 8_000_000, 5, 17_000_000, 340_000, 8, 1000, 21)
+FULL = Sizes(26_000_000, 1_700_000, 40_000, 5, 8_000_000, 5, 17_000_000, 8, 10, 1000, 21)
 
 
 class Made(NamedTuple):
@@ -46,12 +46,11 @@ class Made(NamedTuple):
 
 @dataclass
 class Setting:
-    """One run of the bench. `seconds` is how long the fast line is; `folder` is a temporary one."""
+    """One run of the bench, with a temporary folder."""
 
     folder: Path
     sizes: Sizes
-    seconds: float
-    made: dict[str, Made] = field(default_factory=dict)
+    big: Made | None = None
 
     @cached_property
     def protocol(self) -> Protocol:
@@ -103,10 +102,8 @@ class Work(NamedTuple):
         unit: str,
         measured: Mapping[str, float],
         *goals: Goal,
-        figures: dict[str, float] | None = None,
-        beside: dict[str, float] | None = None,
     ) -> Row:
         """Its row; `measured` has the figure of bilprov and those of the peers."""
         peers = dict(measured)
         ours = peers.pop(OURS)
-        return Row(self.name, work, unit, ours, peers, figures or {}, beside or {}, goals)
+        return Row(self.name, work, unit, ours, peers, goals)

@@ -20,7 +20,7 @@ from tests.support import ROOT
 
 # -- the bench ------------------------------------------------------------------------------------
 
-TINY = Sizes(60_000, 2_000, 500, 1, 20_000, 0.5, 20_000, 5_000, 0.3, 20, 1)
+TINY = Sizes(60_000, 2_000, 500, 1, 20_000, 0.5, 20_000, 0.3, 0.5, 20, 1)
 
 
 @pytest.mark.sample(1)
@@ -32,7 +32,7 @@ def test_a_row_is_measured_beside_its_peers_which_give_the_same_results(
 ) -> None:
     monkeypatch.setattr(captures, "_KEPT", tmp_path)
 
-    row = measured(Setting(tmp_path, TINY, seconds=0.5), work)
+    row = measured(Setting(tmp_path, TINY), work)
 
     assert row.ours, row.note
     assert row.goals
@@ -73,23 +73,12 @@ def test_what_was_once_failed_on_fails_no_more(use: str, path: Path) -> None:
 FEW = {"damage": 160, "changes": 140, "hostile": 1, "kills": 3, "exits": 2, "signals": 2}
 
 
-def rows_of(name: str, runs: int) -> list[Row]:
-    done: list[int] = []
-    rows = HARMS[name].measure(runs, 1, done.append)
-    assert sum(done) == runs
-    return rows
-
-
-def wrong_in(rows: list[Row]) -> list[str]:
-    return [sentence for row in rows for sentence in row.wrong]
-
-
 @pytest.mark.slow
 @pytest.mark.waits
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("name", FEW)
 def test_a_harm_is_held(name: str) -> None:
-    assert wrong_in(rows_of(name, FEW[name])) == []
+    assert [one for row in HARMS[name].measure(FEW[name], 1) for one in row.wrong] == []
 
 
 @pytest.mark.slow

@@ -10,57 +10,46 @@ import argparse
 import sys
 import time
 
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import Progress
-
-from benchmarks.commands import ROOT
+from benchmarks.commands import ROOT, tell
 from benchmarks.dispositions import usual_for_children
-from benchmarks.torture.harm import Harm, Row
-from benchmarks.torture.harms import ALONE, HARMS, page
+from benchmarks.torture.harm import Row
+from benchmarks.torture.harms import HARMS, page
 
 PAGE = ROOT / "docs" / "RELIABILITY.md"
 
 
 def main() -> int:
     """Do what the arguments ask for."""
-    harms = HARMS | ALONE
-    known = "; ".join(f"{name}: {harm.what} ({harm.runs:,})" for name, harm in harms.items())
+    known = "; ".join(f"{name}: {harm.what} ({harm.runs:,})" for name, harm in HARMS.items())
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("harm", nargs="*", help=f"these only; {known}")
     parser.add_argument("--runs", type=int, metavar="N", help="so often (the figure in brackets)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="what is drawn (1)")
     parser.add_argument("--page", action="store_true", help=f"write docs/{PAGE.name} too")
     given = parser.parse_args()
-    if unknown := [name for name in given.harm if name not in harms]:
-        parser.error(f"there is no harm {unknown[0]!r}, only {', '.join(harms)}")
-    if given.runs is not None and given.runs < 1:
-        parser.error(f"--runs {given.runs}: one at least")
+    if unknown := [name for name in given.harm if name not in HARMS]:
+        parser.error(f"there is no harm {unknown[0]!r}, only {', '.join(HARMS)}")
     usual_for_children()
     held = True
-    for harm in [harms[name] for name in given.harm or HARMS]:
+    for harm in [HARMS[name] for name in given.harm or HARMS]:
         begun, runs = time.perf_counter(), given.runs or harm.runs
-        rows = _done(harm, runs, given.seed)
+        tell(f"{harm.title}: {runs} runs")
+        rows = harm.measure(runs, given.seed)
+        _show(rows)
         held &= all(row.held for row in rows)
-        if given.page and harm.name in HARMS:
+        if given.page:
             options, took = f"--runs {runs} --seed {given.seed}", time.perf_counter() - begun
             section = harm.section(rows, options, took)
             PAGE.write_text(page({harm.name: section}, PAGE.read_text()))
     return 0 if held else 1
 
 
-def _done(harm: Harm, runs: int, seed: int) -> list[Row]:
-    """Do a harm, and print its rows."""
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(harm.name, total=runs)
-        rows = harm.measure(runs, seed, lambda count: progress.advance(task, count))
-    console = Console(highlight=False, soft_wrap=True)
+def _show(rows: list[Row]) -> None:
     for row in rows:
         state = "held" if row.held else "WRONG"
-        console.print(escape(f"{state:5}  {row.times:>9,}  {row.harm}: {row.lost}"))
+        tell(f"{state:5}  {row.times:>9,}  {row.harm}: {row.lost}")
         for sentence in row.wrong:
-            console.print(escape(f"       {sentence}"))
-    return rows
+            tell(f"       {sentence}")
 
 
 if __name__ == "__main__":

@@ -69,7 +69,7 @@ def changed_capture(random: Random, pool: Sequence[bytes]) -> bytes:
     data = random.choice(pool)
     if random.random() < 0.15:
         return _damaged(random, data, pool)
-    found, rest = _split(data[len(MAGIC) :])
+    found, rest = split(data[len(MAGIC) :])
     for _ in range(random.choice((1, 1, 1, 2, 3, 6))):
         _change(random, found, pool, inside=False)
     data = _joined(found, right=random.random() < 0.8) + rest
@@ -81,7 +81,7 @@ def changed_capture(random: Random, pool: Sequence[bytes]) -> bytes:
     return data
 
 
-def _split(data: bytes) -> tuple[list[Record], bytes]:
+def split(data: bytes) -> tuple[list[Record], bytes]:
     """The complete records in some bytes, and what is left over."""
     found, at = [], 0
     while at + RECORD_HEAD.size <= len(data):
@@ -100,10 +100,10 @@ def _change(random: Random, found: list[Record], pool: Sequence[bytes], inside: 
         at = random.randrange(len(found))
         found[at] = _changed(random, found[at], pool)
         return
-    others, _ = _split(random.choice(pool)[len(MAGIC) :])
+    others, _ = split(random.choice(pool)[len(MAGIC) :])
     chunks = [one for one in others if one.opcode == records.CHUNK]
     if inside and chunks:
-        others, _ = _split(_unpacked(random.choice(chunks).content) or b"")
+        others, _ = split(_unpacked(random.choice(chunks).content) or b"")
     _change_items(random, found, others, lambda: others[:1])
 
 
@@ -114,7 +114,7 @@ def _changed(random: Random, record: Record, pool: Sequence[bytes]) -> Record:
     if opcode == records.CHUNK and random.random() < 0.9:
         inner = _unpacked(content)
         if inner is not None:
-            parts, rest = _split(inner)
+            parts, rest = split(inner)
             for _ in range(random.choice((1, 1, 2, 3, 8))):
                 _change(random, parts, pool, inside=True)
             return Record(opcode, _packed(random, _bytes(parts) + rest, content))

@@ -16,7 +16,7 @@ from benchmarks.torture.capture_mutator import changed_capture
 from benchmarks.torture.capture_seeds import foreign_captures, loose_capture, own_captures
 from benchmarks.torture.capture_uses import edited, examined, exported, mended
 from benchmarks.torture.guard import Failed, folder, guarded, watched
-from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.harm import Harm, Row
 from bilprov.captures.errors import CaptureError
 
 CORPUS = tuple((Path(__file__).parent / "corpus").iterdir())
@@ -46,7 +46,7 @@ def used(use: str, data: bytes) -> bool | Failed:
     return guarded(act)
 
 
-def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure(runs: int, seed: int) -> list[Row]:
     """Change so many captures; a row for each use."""
     draw = Random(seed)
     seeds = [*own_captures(), *foreign_captures(), loose_capture()]
@@ -60,7 +60,6 @@ def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
             taken[use] += came is True
             if isinstance(came, Failed) and came not in wrong[use]:
                 wrong[use][came] = f"{came}: {_kept(use, data)}"
-            progress(1)
     return [
         Row(
             f"captures changed inside, {use}",

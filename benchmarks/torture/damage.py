@@ -11,14 +11,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache, partial
+from itertools import accumulate
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
+from benchmarks.torture.capture_mutator import split
 from benchmarks.torture.capture_seeds import foreign_captures, loose_capture, own_captures, parts
 from benchmarks.torture.capture_uses import examined, mended
 from benchmarks.torture.guard import folder, guarded, watched
-from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.harm import Harm, Row
 from bilprov.analyzer.doctor.finding import Grade, of_capture
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
@@ -57,12 +59,10 @@ def kinds() -> tuple[Kind, ...]:
 
 
 def _bounds(data: bytes) -> list[int]:
-    """Where the records of a whole capture begin, and where the last one ends."""
-    at, found = len(MAGIC), []
-    while at + RECORD_HEAD.size <= len(data):
-        found.append(at)
-        at += RECORD_HEAD.size + RECORD_HEAD.unpack_from(data, at)[1]
-    return [*found, at]
+    """Where the records of a capture begin, and where the last whole one ends."""
+    found, _ = split(data[len(MAGIC) :])
+    sizes = (RECORD_HEAD.size + len(one.content) for one in found)
+    return [*accumulate(sizes, initial=len(MAGIC))]
 
 
 def _data_end(data: bytes) -> int:
@@ -71,7 +71,7 @@ def _data_end(data: bytes) -> int:
 
 def _stretch(random: Random, data: bytes) -> tuple[int, int]:
     """A stretch of a file: in half of the cases of whole records, else of any bytes."""
-    places = [at for at in _bounds(data) if at <= len(data)]
+    places = _bounds(data)
     if random.random() < 0.5 and len(places) > 1:
         first = random.randrange(len(places) - 1)
         return places[first], places[min(len(places) - 1, first + random.choice((1, 1, 2, 3, 8)))]
@@ -191,7 +191,7 @@ def _outcomes(damage: Damage, runs: int, random: Random) -> Iterator[Outcome]:
         yield outcome._replace(wrong=outcome.wrong and f"run {run}, {kind.name}: {outcome.wrong}")
 
 
-def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure(runs: int, seed: int) -> list[Row]:
     """Do each kind of damage about as often as any other; a row for each."""
     rows = []
     for number, (name, damage) in enumerate(DAMAGES.items()):
@@ -199,7 +199,6 @@ def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
         with watched():
             outcomes = list(_outcomes(damage, share, Random(f"{seed} {name}")))
         rows.append(_row(name, outcomes))
-        progress(share)
     return rows
 
 

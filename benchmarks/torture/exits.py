@@ -32,7 +32,7 @@ from typing import NamedTuple
 from benchmarks.adapter import Adapter
 from benchmarks.commands import bilprov_words
 from benchmarks.product import metadata
-from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.harm import Harm, Row
 from benchmarks.torture.robots import Probe, served
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS, Chunk
@@ -93,11 +93,6 @@ def _driver(script: str) -> Command:
     return Command(lambda port, probe, folder: [sys.executable, "-c", script, port, *frames])
 
 
-def _bilprov(name: str, *more: str, typed: str = "", fault: str = "") -> Command:
-    """A command that has a port and no probe."""
-    return Command(lambda port, probe, folder: bilprov_words(name, port, *more), typed, fault)
-
-
 def _seeing(name: str, *more: str, typed: str = "", fault: str = "") -> Command:
     """A command that has a port and a probe."""
 
@@ -137,7 +132,9 @@ COMMANDS = {
     "conform, faulty": _seeing(
         *("conform", "--only", "split/*", "--only", "valid/*"), fault="led-order-reversed"
     ),
-    "send": _bilprov("send", *items(pause="pause=300"), "--yes"),
+    "send": Command(
+        lambda port, probe, folder: bilprov_words("send", port, *items(pause="pause=300"), "--yes")
+    ),
     "send, typed": _seeing("send", typed="\n".join(items(pause="pause=300")) + "\n"),
     "replay --to": Command(lambda port, probe, folder: replay_to(port, folder)),
     "lab learn": _seeing("lab learn"),
@@ -228,14 +225,13 @@ def _broken_pipe(run: Run) -> None:
     run.process.terminate()
 
 
-_SIGINT = signal.SIGINT
 WAYS: dict[str, Callable[[Run], None]] = {
-    "SIGINT": _signals(_SIGINT),
+    "SIGINT": _signals(signal.SIGINT),
     "SIGTERM": _signals(signal.SIGTERM),
     "SIGHUP": _signals(signal.SIGHUP),
-    "SIGINT twice": _signals(_SIGINT, _SIGINT),
-    "SIGINT four times": _signals(_SIGINT, _SIGINT, _SIGINT, _SIGINT),
-    "SIGTERM after SIGINT": _signals(_SIGINT, signal.SIGTERM),
+    "SIGINT twice": _signals(signal.SIGINT, signal.SIGINT),
+    "SIGINT four times": _signals(*[signal.SIGINT] * 4),
+    "SIGTERM after SIGINT": _signals(signal.SIGINT, signal.SIGTERM),
     "broken pipe": _broken_pipe,
     "hang-up": lambda run: run.hang_up(),
     "SIGTERM, slow reader": _slow,
@@ -296,11 +292,6 @@ class Exit:
     lost: bool = False
     """Whether Python itself lost the signal while it started."""
     told: str = ""
-
-    @property
-    def held(self) -> bool:
-        """Whether all is as it must be."""
-        return not (self.left_moving or self.hung)
 
 
 def ended(case: Case, seed: int) -> Exit:
@@ -393,41 +384,41 @@ def _read_all(descriptor: int) -> None:
             pass
 
 
-def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure(runs: int, seed: int) -> list[Row]:
     """End so many runs, drawn by the seed; a row for each command."""
     draw = Random(seed)
     how = "ended in any phase by a signal, a broken pipe or a hang-up"
-    return _rows([draw.choice(CASES) for _ in range(runs)], seed, progress, how)
+    return _rows([draw.choice(CASES) for _ in range(runs)], seed, how)
 
 
-def _measure_signals(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure_signals(runs: int, seed: int) -> list[Row]:
     """Send signals in so many runs, all before one comes again; a row for each command."""
     draw, cases = Random(seed), list[Case]()
     while len(cases) < runs:
         cases += draw.sample(SIGNAL_CASES, len(SIGNAL_CASES))
-    return _rows(cases[:runs], seed, progress, "sent any signal while its robot moves")
+    return _rows(cases[:runs], seed, "sent any signal while its robot moves")
 
 
-def _rows(cases: list[Case], seed: int, progress: Progress, how: str) -> list[Row]:
+def _rows(cases: list[Case], seed: int, how: str) -> list[Row]:
     """Run the cases two at a time."""
     ends = defaultdict[str, list[Exit]](list)
     with ThreadPoolExecutor(2) as pool:
         for one in pool.map(ended, cases, range(seed, seed + len(cases))):
             ends[one.case[0]].append(one)
-            progress(1)
     return [_row(name, how, ends[name]) for name in COMMANDS | SIGNALLED if name in ends]
 
 
 def _row(name: str, how: str, exits: list[Exit]) -> Row:
     moved, left = sum(one.moved for one in exits), sum(one.left_moving for one in exits)
     lost = sum(one.lost for one in exits)
+    wrong = [one for one in exits if one.left_moving or one.hung]
     return Row(
         f"`{name}` {how}",
         len(exits),
         f"{left} robots left moving, of {moved} that moved; "
         f"{sum(one.hung for one in exits)} commands did not end"
         f"{f', {lost} lost the first Ctrl-C as Python began' if lost else ''}",
-        tuple(f"{', '.join(one.case)}: {one.told.strip()[-200:]}" for one in exits if not one.held),
+        tuple(f"{', '.join(one.case)}: {one.told.strip()[-200:]}" for one in wrong),
     )
 
 

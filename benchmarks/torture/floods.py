@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from benchmarks.commands import Ended, bilprov_words, run_any
 from benchmarks.torture.exits import items, replay_to
-from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.harm import Harm, Row
 from bilprov.analyzer.client.rest import stops
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.port import PtyPair, open_pty
@@ -169,13 +169,12 @@ def flooded(name: str, peer: str, seed: int) -> Ended | str:
             return str(late)
 
 
-def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure(runs: int, seed: int) -> list[Row]:
     """Run every command at every device so often; a row for each pair."""
     came = defaultdict[tuple[str, str], list[Ended | str]](list)
     for turn in range(seed, seed + runs):
         for name, peer in PAIRS:
             came[name, peer].append(flooded(name, peer, turn))
-        progress(1)
     return [_row(name, peer, ended) for (name, peer), ended in came.items()]
 
 

@@ -17,7 +17,6 @@ from typing import NamedTuple, TypeVar
 CPU_SECONDS = 5.0  # for one input
 MEMORY = 1 << 30  # bytes of address space for all inputs, above what is in use before
 _SOURCES = ("/spec/", "/captures/", "/analyzer/", "/conformance/")
-_kept: list[tempfile.TemporaryDirectory[str]] = []
 
 Outcome = TypeVar("Outcome")
 
@@ -47,13 +46,15 @@ class Failed(NamedTuple):
 
 
 @cache
-def folder() -> Path:
-    """A folder for the files of this process, which is removed with it."""
+def _kept() -> tempfile.TemporaryDirectory[str]:
     memory = Path("/dev/shm")  # what is written is also synced to its disk
     parent = memory if memory.is_dir() else None
-    kept = tempfile.TemporaryDirectory(prefix="bilprov-torture-", dir=parent)
-    _kept.append(kept)
-    return Path(kept.name)
+    return tempfile.TemporaryDirectory(prefix="bilprov-torture-", dir=parent)
+
+
+def folder() -> Path:
+    """A folder for the files of this process, which is removed with it."""
+    return Path(_kept().name)
 
 
 def guarded(act: Callable[[], Outcome]) -> Outcome | Failed:

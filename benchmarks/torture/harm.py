@@ -24,21 +24,17 @@ class Row:
         return not self.wrong
 
 
-Progress = Callable[[int], object]
-"""Is called with how many more runs are done."""
-
-
 @dataclass(frozen=True, slots=True)
 class Harm:
     """A harm: its name on the command line, what it does, how many runs the page asks for.
 
-    `measure` takes the number of runs, a seed (the same gives the same runs) and a progress.
+    `measure` takes the number of runs and a seed; the same gives the same runs.
     """
 
     name: str
     what: str
     runs: int
-    measure: Callable[[int, int, Progress], list[Row]]
+    measure: Callable[[int, int], list[Row]]
 
     @property
     def title(self) -> str:

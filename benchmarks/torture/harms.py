@@ -29,9 +29,6 @@ HARMS = {
     )
 }
 
-ALONE = {noise.BOARD.name: noise.BOARD}
-"""What is done where it is asked for: the emulator takes hours, and the page leaves it out."""
-
 
 def page(done: Mapping[str, str], before: str = "") -> str:
     """The page with the sections of what was done, by name; of other harms those of `before`."""

@@ -19,7 +19,7 @@ import zstandard
 
 from benchmarks.commands import bilprov_words, run_any
 from benchmarks.product import metadata
-from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.harm import Harm, Row
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures import topics
 from bilprov.captures.schemas import MS, Chunk, Line
@@ -250,7 +250,7 @@ def used(words: list[str]) -> Used:
     return Used(ended.cpu, ended.memory, wrong)
 
 
-def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure(runs: int, seed: int) -> list[Row]:
     """Make the first so many files, and give each to every command; nothing is drawn."""
     held: dict[str, list[Used]] = {name: [] for name in COMMANDS}
     with tempfile.TemporaryDirectory() as folder:
@@ -266,7 +266,6 @@ def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
                 one = used(bilprov_words(*words(str(path))))
                 held[command].append(one._replace(wrong=one.wrong and f"{name}: {one.wrong}"))
             path.unlink()
-            progress(1)
     return [_row(command, rows) for command, rows in held.items()]
 
 

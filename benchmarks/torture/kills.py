@@ -18,12 +18,11 @@ from statistics import median
 from subprocess import TimeoutExpired
 from typing import NamedTuple, TypeAlias
 
-from benchmarks.torture.harm import Harm, Progress, Row
-from benchmarks.torture.unplugged_taps import Listener
-from bilprov.analyzer.transport.port import open_pty
+from benchmarks.lines import wires
+from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.unplugged_taps import Listener, heard
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
-from bilprov.captures.schemas import Chunk
 
 PROMISED = 0.1  # s, at most so much is lost
 _STEP = 0.005  # s between two writes
@@ -49,9 +48,7 @@ def killed(form: str, seed: int) -> Kill:
     draw = Random(f"{seed} {form}")
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        host, device = open_pty(), open_pty()
-        stack.callback(host.close)
-        stack.callback(device.close)
+        host, device = stack.enter_context(wires())
         ports = ["--bridge", device.name] if form == "--bridge" else [host.name, device.name]
         rotated = ["--rotate", "1s"] if "--rotate" in form else []
         sniff = Listener(stack, folder, *ports, *rotated, "--yes")
@@ -96,13 +93,10 @@ def judged(path: Path, data: bytes, moments: list[Moment]) -> Kill:
     """What is in the capture of a `sniff` that was killed at the last moment, beside its `data`."""
     end, _, waited = moments[-1]
     try:
-        capture = open_capture(path)
-        events = capture.events()
-        sides = [one for one in events if isinstance(one, Chunk) and one.direction == "host"]
+        capture, kept = open_capture(path), heard(path)["host"]
         damage = [*capture.damage, *(loss.what for loss in capture.losses())]
     except CaptureError as error:
         return Kill(end - moments[0][0], 0.0, f"unreadable: {error}")
-    kept = b"".join(chunk.data for chunk in sides)
     if not data or data[: len(kept)] != kept:
         return Kill(0.0, 0.0, "the port took no byte, or a byte is wrong or there twice")
     first = next((one for one in moments if one[1] > len(kept)), moments[-1])
@@ -113,7 +107,7 @@ def judged(path: Path, data: bytes, moments: list[Moment]) -> Kill:
     return Kill(lost, waited, said if lost > PROMISED + waited else "")
 
 
-def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure(runs: int, seed: int) -> list[Row]:
     held: dict[str, list[Kill]] = {form: [] for form in _FORMS}
     for run in range(runs):
         form = _FORMS[run % len(_FORMS)]
@@ -121,7 +115,6 @@ def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
             held[form].append(killed(form, seed + run))
         except (OSError, ValueError, TimeoutExpired) as error:
             held[form].append(Kill(0.0, 0.0, f"sniff did not record: {error}"))
-        progress(1)
     return [_row(form, kills) for form, kills in held.items() if kills]
 
 

@@ -1,32 +1,22 @@
 """The suite over lines that drop, flip and double bytes: no good robot fails, no faulty one passes.
 
-A run is one seed: a good device, and a faulty one, each over the same kind of line, at level
-standard in virtual time. The devices of the harm `noise` are the simulator and faults of its bank,
-those of `board` the firmware and its planted bugs under simavr, over a line that drops 1e-4, flips
-1e-5 and holds each byte up for 5 ms.
+A run is one seed: the simulator, and one with a fault of its bank, each over the same kind of line,
+at level standard in virtual time.
 """
 
 from __future__ import annotations
 
-import os
-import re
-import subprocess
-import sys
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
-from benchmarks.commands import ROOT
 from benchmarks.noisy_device import NoisyDevice
-from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.harm import Harm, Row
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from bilprov.conformance.dut.link import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
@@ -41,10 +31,7 @@ LINES: dict[str, Callable[[float], Noise]] = {
     "mixed": lambda rate: Noise(rate / 3, rate / 3, rate / 3),
 }
 """Kinds of line by the share of their bytes that are hurt."""
-FAR = Noise(dropped=1e-4, flipped=1e-5)
-DELAY = 5_000_000  # ns
 FAULTS = 12  # of the bank, evenly spread
-FIRMWARE = ROOT / "firmware"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,18 +42,10 @@ class Trial:
     line: str
     seed: int
     rate: float = RATES[-1]
-    firmware: Path | None = None  # None for the simulator
-
-    @property
-    def told(self) -> str:
-        """Its line in words."""
-        return "the far firmware" if self.firmware else f"bytes {self.line} at {self.rate:g}"
 
     def device(self) -> Device:
         """The device behind its line."""
         protocol = load_protocol()
-        if self.firmware:
-            return NoisyDevice(SimavrBoard(self.firmware), FAR, self.seed, DELAY)
         robot = Simulator(protocol, fault_bank(protocol)[self.fault] if self.fault else None)
         return NoisyDevice(robot, LINES[self.line](self.rate), self.seed)
 
@@ -84,7 +63,7 @@ def noisy_run(trial: Trial, level: str = "standard") -> tuple[int, str]:
     return report.exit, "; ".join(told) or report.unusable or report.ended_by or ""
 
 
-def _simulators(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure(runs: int, seed: int) -> list[Row]:
     """Run the reference over a line, and a faulty device: each seed has another kind and rate."""
     bank = [fault.name for fault in fault_bank(load_protocol()).values() if not fault.needs]
     faults = bank[:: len(bank) // FAULTS][:FAULTS]
@@ -95,37 +74,10 @@ def _simulators(runs: int, seed: int, progress: Progress) -> list[Row]:
         rate, line = pairs[place]
         fault = faults[(place + rounds) % FAULTS]  # another one for this line in each round
         trials += [Trial(what, line, seed + number, rate) for what in ("", fault)]
-    return _rows(trials, progress)
-
-
-def _boards(runs: int, seed: int, progress: Progress) -> list[Row]:
-    """Run the clean firmware for each seed, and firmware with a bug, each bug in its turn."""
-    bugs = re.findall(r"^#ifndef (BUG_\w+)$", (FIRMWARE / "bugs.h").read_text(), re.M)
-    with TemporaryDirectory() as folder:
-        trials = [
-            Trial(bug, "far", number, firmware=_built(Path(folder), bug))
-            for number in range(seed, seed + runs)
-            for bug in ("", bugs[number % len(bugs)])
-        ]
-        return _rows(trials, progress)
-
-
-def _built(folder: Path, bug: str) -> Path:
-    out = folder / (bug or "clean")
-    if not out.exists():
-        words = ["make", "-s", "-C", str(FIRMWARE), f"OUT={out}", f"BUGS={bug and '-D' + bug}"]
-        words.append(f"BILPROV={sys.executable} -m bilprov")
-        subprocess.run(words, check=True, env={**os.environ, "PYTHONPATH": str(ROOT / "src")})
-    return out / "uno.elf"
-
-
-def _rows(trials: Iterable[Trial], progress: Progress) -> list[Row]:
-    """Make the runs in two processes; a row for each kind of line and rate."""
     rows = defaultdict[str, list[tuple[Trial, int, str]]](list)
     with ProcessPoolExecutor(2) as pool:
         for trial, ended in zip(trials, pool.map(noisy_run, trials), strict=True):
-            rows[trial.told].append((trial, *ended))
-            progress(int(not trial.fault))  # a run is two trials
+            rows[f"bytes {trial.line} at {trial.rate:g}"].append((trial, *ended))
     return [_row(line, ended) for line, ended in rows.items()]
 
 
@@ -147,5 +99,4 @@ def _row(line: str, ended: list[tuple[Trial, int, str]]) -> Row:
     )
 
 
-HARM = Harm("noise", "the suite over lines that hurt bytes", 200, _simulators)
-BOARD = Harm("board", "the suite with the firmware over a line that hurts bytes", 50, _boards)
+HARM = Harm("noise", "the suite over lines that hurt bytes", 200, _measure)

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 
+from benchmarks.adapter import Plug
 from benchmarks.commands import bilprov_words, started
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.port import open_pty
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
@@ -43,28 +43,6 @@ class Unplugged:
     back: bool
     moving: bool
     wrong: tuple[str, ...]
-
-
-class Plug:
-    """A port under a path that stays the same."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.plug()
-
-    def plug(self) -> None:
-        """Plug it in."""
-        self.pair = open_pty()
-        self.path.symlink_to(self.pair.name)
-
-    def pull(self) -> None:
-        """Unplug it."""
-        self.pair.close()
-        self.path.unlink(missing_ok=True)
-
-    def write(self, data: bytes) -> None:
-        """Send bytes to whoever listens."""
-        os.write(self.pair.master, data)
 
 
 def until(what: Callable[[], bool], why: str) -> None:
@@ -165,7 +143,7 @@ class Bridge:
             self.host.write(frame)
             self._talk.wrote("host", frame)
             _passed(len(frame), self.arrived, lambda: self._plug.pair.read())
-            self._plug.write(answer)
+            os.write(self._plug.pair.master, answer)
             self._talk.wrote("device", answer)
             _passed(len(answer), self.got, self.host.read)
 
@@ -196,7 +174,7 @@ def tapped(seed: int) -> Unplugged:
 
         def said(tap: Direction, data: bytes) -> None:
             if tap in plugs:
-                plugs[tap].write(data)
+                os.write(plugs[tap].pair.master, data)
                 talk.wrote(tap, data)
 
         def exchanges(count: int) -> None:

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 from benchmarks.adapter import Adapter
 from benchmarks.commands import bilprov_words, started
 from benchmarks.torture.exits import items, replay_to
-from benchmarks.torture.harm import Harm, Progress, Row
+from benchmarks.torture.harm import Harm, Row
 from benchmarks.torture.robots import served
 from benchmarks.torture.unplugged_taps import TAPPED, Unplugged
 from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
@@ -184,15 +184,14 @@ KINDS: dict[str, Callable[[int], Unplugged]] = {
 """Each command with what unplugs it in one run."""
 
 
-def _measure(runs: int, seed: int, progress: Progress) -> list[Row]:
+def _measure(runs: int, seed: int) -> list[Row]:
     """Unplug each command so often, two at a time; a row for each."""
     came: dict[str, list[Unplugged]] = {name: [] for name in KINDS}
     rows = list(product(range(seed, seed + runs), KINDS))
     with ThreadPoolExecutor(2) as pool:
         done = pool.map(lambda row: KINDS[row[1]](row[0]), rows)
-        for number, ((_, name), one) in enumerate(zip(rows, done, strict=True), 1):
+        for (_, name), one in zip(rows, done, strict=True):
             came[name].append(one)
-            progress(int(number % len(KINDS) == 0))
     return [_row(name, runs_of) for name, runs_of in came.items()]
 
 
