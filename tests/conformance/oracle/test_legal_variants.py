@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
+
 import msgspec
 import pytest
 
@@ -12,7 +15,7 @@ from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.mutation.catalogue import find_fault, find_variant
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.oracle.judge import look_words
-from bilprov.conformance.oracle.verdicts import Verdict
+from bilprov.conformance.oracle.verdicts import LABELS, Verdict
 from bilprov.spec.codec import build, raw_frame
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import READINGS
@@ -24,62 +27,10 @@ FAIL, INFORMATIONAL = Verdict.FAIL, Verdict.INFORMATIONAL
 NON_STRICT, PASS = Verdict.NON_STRICT, Verdict.PASS
 
 ALLOWED = (NON_STRICT, PASS)  # with the option; what a device must not be sent is left out
-# The verdicts of the last column of the readings, typed by hand. One that needs an option fails
-# without it.
-VERDICTS = {
-    "R-unused-length=too-many": NON_STRICT,
-    "R-unused-length=too-few": NON_STRICT,
-    "R-competing-errors=bad-data": NON_STRICT,
-    "R-led-upper-bits=ignored": FAIL,
-    "R-led-id=9": FAIL,
-    "R-version=1.0": FAIL,
-    "R-truncated-known=silent": NON_STRICT,
-    "R-truncated-known=silent-and-others-answered": NON_STRICT,
-    "R-truncated-unused=silent": NON_STRICT,
-    "R-truncated-long=silent": NON_STRICT,
-    "R-truncated-unused=too-few": NON_STRICT,
-    "R-truncated-long=too-many": NON_STRICT,
-    "R-answer-point=header": NON_STRICT,
-    "R-truncation-timeout=3-ms": NON_STRICT,
-    "R-truncation-timeout=6-ms": PASS,
-    "R-truncation-timeout=500-ms": PASS,
-    "R-truncation-timeout=1500-ms": NON_STRICT,
-    "R-truncation-timeout=whole-frame": NON_STRICT,
-    "R-answer-deadline=60-ms": INFORMATIONAL,  # too slow to tell what it does inside a frame
-    "R-answer-deadline=150-ms": NON_STRICT,
-    "R-answer-deadline=150-ms-after-faults": NON_STRICT,
-    "R-answer-deadline=one-at-a-time": INFORMATIONAL,  # as above
-    "R-stop-point=header": PASS,
-    "R-stop-point=header-of-unused-ids": PASS,
-    "R-stop-latency=50-ms": NON_STRICT,
-    "R-watchdog=stops": INFORMATIONAL,
-    "R-drain-known=flushed": NON_STRICT,
-    "R-drain-unused=flushed": NON_STRICT,
-    "R-drain-known=flushed-after-any": NON_STRICT,
-    "R-drain-known=flushed-after-wrong-lengths": NON_STRICT,
-    "R-pipelining=flushed-after-bad-data": NON_STRICT,
-    "R-drain-unused=run": FAIL,
-    "R-pipelining=lost-after-a-fault": NON_STRICT,
-    "R-pipelining=no": FAIL,
-    "R-unsolicited=banner": INFORMATIONAL,
-    "R-fault-state=speed-zeroed": INFORMATIONAL,
-    "R-fault-state=steering-kept": INFORMATIONAL,
-    "R-fault-state=both": INFORMATIONAL,
-    "R-stop-steering=kept": NON_STRICT,
-    "R-stop-steering=kept-by-faults-too": NON_STRICT,
-    "R-stop-speed=zeroed": NON_STRICT,
-    "R-stop-speed=zeroed-by-faults-too": NON_STRICT,
-    "R-drive-steering=straight": INFORMATIONAL,
-    "R-rotate-steering=reset": INFORMATIONAL,
-    "R-rotate-steering=reset-and-drives-straight": INFORMATIONAL,
-    "R-steer-rotating=curve": INFORMATIONAL,
-    "R-led-state=off": INFORMATIONAL,
-    "R-led-state=off-after-stops": INFORMATIONAL,
-    "R-led-state=off-after-faults": INFORMATIONAL,
-    "R-speed-moving=next-motion": NON_STRICT,
-    "R-resolution=plateau": NON_STRICT,
-    "R-power-on=another-speed": INFORMATIONAL,
-}
+VARIANTS = tomllib.loads(
+    Path(__file__).parents[1].joinpath("variants.toml").read_text(encoding="utf-8")
+)
+VERDICTS = {name: LABELS[row["verdict"]] for name, row in VARIANTS.items()}
 
 
 class TellingOnlyWhetherItMoves(Simulator):

@@ -30,6 +30,7 @@ from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS
+from tests.conformance.oracle.test_legal_variants import VARIANTS
 from tests.support.faults import answers_with, late, made, reacting, sets, when
 from tests.support.robots import MS, CountingLink, new_run
 from tests.support.walking import at_frame
@@ -40,79 +41,7 @@ INCONCLUSIVE, FAIL = Verdict.INCONCLUSIVE, Verdict.FAIL
 AFTER_STOP = "reading/after-stop"
 ASKED = {"reading/version", "reading/led-id", "reading/led-upper-bits"}
 
-# What each variant shows otherwise than the kit, by hand: (point, word). What is not named here is
-# shown as the kit reads it. A measured time is not a choice.
-LOST = "lost-after-fault"
-LOSES_ALL = {
-    "R-drain-known": "flushed",
-    "R-drain-unused": "flushed",
-    "R-pipelining unused-id": LOST,
-    "R-pipelining too-few": LOST,
-    "R-pipelining bad-data": LOST,
-}
-SHOWS: dict[str, dict[str, str]] = {
-    "R-unused-length=too-many": {
-        "R-unused-length": "too-many",
-        "R-truncated-unused": "too-many",
-    },
-    "R-unused-length=too-few": {"R-unused-length": "too-few", "R-truncated-unused": "too-few"},
-    "R-competing-errors=bad-data": {"R-competing-errors": "data"},
-    "R-truncated-known=silent": {
-        "R-truncated-known": "silent",
-        "R-truncated-long": "silent",
-        "R-truncated-unused": "silent",
-    },
-    "R-truncated-known=silent-and-others-answered": {"R-truncated-known": "silent"},
-    "R-truncated-unused=silent": {"R-truncated-unused": "silent"},
-    "R-truncated-long=silent": {"R-truncated-long": "silent"},
-    "R-truncated-unused=too-few": {"R-truncated-unused": "too-few"},
-    "R-truncated-long=too-many": {"R-truncated-long": "too-many"},
-    # It judges a frame by its header, also one that is then cut short.
-    "R-answer-point=header": {"R-answer-point": "at-header", "R-truncated-long": "too-many"},
-    "R-truncation-timeout=whole-frame": {"R-truncation-timeout": "whole-frame"},
-    "R-watchdog=stops": {"R-watchdog": "stops"},
-    "R-drain-known=flushed": {
-        "R-drain-known": "flushed",
-        "R-pipelining too-few": LOST,
-        "R-pipelining bad-data": LOST,
-    },
-    "R-drain-unused=flushed": {"R-drain-unused": "flushed", "R-pipelining unused-id": LOST},
-    "R-drain-known=flushed-after-any": LOSES_ALL,
-    "R-drain-known=flushed-after-wrong-lengths": {
-        "R-drain-known": "flushed",
-        "R-pipelining too-few": LOST,
-    },
-    "R-pipelining=flushed-after-bad-data": {"R-pipelining bad-data": LOST},
-    "R-pipelining=lost-after-a-fault": LOSES_ALL,
-    "R-fault-state=speed-zeroed": {"R-fault-state speed": "zeroed"},
-    "R-fault-state=steering-kept": {"R-fault-state steering": "kept"},
-    "R-fault-state=both": {"R-fault-state speed": "zeroed", "R-fault-state steering": "kept"},
-    "R-stop-steering=kept": {"R-stop-steering": "kept"},
-    "R-stop-steering=kept-by-faults-too": {
-        "R-stop-steering": "kept",
-        "R-fault-state steering": "kept",
-    },
-    "R-stop-speed=zeroed": {"R-stop-speed": "zeroed"},
-    "R-stop-speed=zeroed-by-faults-too": {
-        "R-stop-speed": "zeroed",
-        "R-fault-state speed": "zeroed",
-    },
-    "R-drive-steering=straight": {"R-drive-steering": "straight"},
-    "R-rotate-steering=reset": {"R-rotate-steering": "reset"},
-    "R-rotate-steering=reset-and-drives-straight": {
-        "R-drive-steering": "straight",
-        "R-rotate-steering": "reset",
-    },
-    "R-steer-rotating=curve": {"R-steer-rotating": "curve"},
-    "R-led-state=off": {"R-led-state stop": "off", "R-led-state fault": "off"},
-    "R-led-state=off-after-stops": {"R-led-state stop": "off"},
-    "R-led-state=off-after-faults": {"R-led-state fault": "off"},
-    "R-speed-moving=next-motion": {"R-speed-moving": "next-motion"},
-    "R-led-upper-bits=ignored": {"R-led-upper-bits": "ignored"},
-    "R-led-id=9": {"R-led-id": "example"},
-    "R-version=1.0": {"R-version": "older"},
-    "R-drain-unused=run": {"R-drain-unused": "run"},
-}
+SHOWS = {name: row["shows"] for name, row in VARIANTS.items() if "shows" in row}
 
 
 def probed(
@@ -266,7 +195,29 @@ def test_a_state_that_is_no_choice_of_the_point_fails(
     assert word in found[AFTER_STOP].reason
 
 
-# What the tries of a probe tell, one letter each: a choice, another one, or a line too coarse.
+def found_by_tries(
+    monkeypatch: pytest.MonkeyPatch, tries: str, *, timed: bool = False
+) -> list[str]:
+    """Let the one probe of a run find a letter at each try; gives those that are left.
+
+    They stand for a choice (=), another one (!), and a line that is too coarse (?).
+    """
+    point, left = "R-truncation-timeout", list(tries)
+    kinds = {
+        "=": Finding(((point, POINTS[point].default),), "one", "one"),
+        "!": Finding(((point, "whole-frame"),), "one", "the other"),
+        "?": Finding(((point, ""),), "one", "", coarse="the line is slow"),
+    }
+
+    def make(run: Run) -> Procedure[Finding]:
+        yield from listen(0, 0)
+        return kinds[left.pop(0)]
+
+    probe = Experiment("truncation-timeout", (point,), "it keeps to one", make, timed=timed)
+    monkeypatch.setattr(discovery, "_experiments", lambda protocol: iter([probe]))
+    return left
+
+
 @pytest.mark.parametrize(
     ("tries", "verdict", "made"),
     [
@@ -289,20 +240,7 @@ def test_a_try_for_which_the_line_is_too_coarse_tells_nothing(
     verdict: Verdict,
     made: int,
 ) -> None:
-    point = "R-truncation-timeout"
-    kinds = {
-        "=": Finding(((point, POINTS[point].default),), "one", "one"),
-        "!": Finding(((point, "whole-frame"),), "one", "the other"),
-        "?": Finding(((point, ""),), "one", "", coarse="the line is slow"),
-    }
-    left = list(tries)
-
-    def make(run: Run) -> Procedure[Finding]:
-        yield from listen(0, 0)
-        return kinds[left.pop(0)]
-
-    probe = Experiment("truncation-timeout", (point,), "it keeps to one", make)
-    monkeypatch.setattr(discovery, "_experiments", lambda protocol: iter([probe]))
+    left = found_by_tries(monkeypatch, tries)
 
     result = readings(probed(protocol, None))["reading/truncation-timeout"]
 
@@ -316,16 +254,7 @@ def test_a_try_for_which_the_line_is_too_coarse_tells_nothing(
 def test_two_choices_of_a_time_may_be_those_of_a_busy_machine_in_real_time(
     protocol: Protocol, monkeypatch: pytest.MonkeyPatch, virtual: bool, verdict: Verdict
 ) -> None:
-    point = "R-truncation-timeout"
-    words = iter((POINTS[point].default, "whole-frame") * 6)
-
-    def make(run: Run) -> Procedure[Finding]:
-        yield from listen(0, 0)
-        word = next(words)
-        return Finding(((point, word),), "between two bytes", word)
-
-    probe = Experiment("truncation-timeout", (point,), "it keeps to one", make, timed=True)
-    monkeypatch.setattr(discovery, "_experiments", lambda protocol: iter([probe]))
+    found_by_tries(monkeypatch, "=!" * 6, timed=True)
 
     found = readings(probed(protocol, None, virtual=virtual))["reading/truncation-timeout"]
 
