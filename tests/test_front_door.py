@@ -330,23 +330,6 @@ def test_a_grammar_of_the_kit_is_known_by_its_name(name: str) -> None:
     assert command("spec", "emit", "grammar", "--grammar", name).stdout == text
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("conform", "sim"),
-        ("conform", "/nowhere/tty", "--yes"),
-        ("lab", "score"),
-        ("lab", "learn", "sim"),
-    ],
-)
-def test_what_is_for_the_family_of_the_car_refuses_others(words: tuple[str, ...]) -> None:
-    result = command(*words, "--grammar", "modbus-rtu")
-
-    assert (result.returncode, result.stdout) == (2, b"")
-    assert b"is for the robot car and its family" in result.stderr
-    assert result.stderr.count(b"\n") == 1
-
-
 # -- a grammar by its name and by its file ---------------------------------------------------------
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import msgspec
 import pytest
 
 from bilprov.conformance.api import Options, conform
@@ -12,18 +9,7 @@ from bilprov.conformance.cases.levels import level_cases
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command
-from tests.support.robots import failing, judged_exit, simulate
-
-
-@pytest.fixture
-def grammar(horn_text: str, tmp_path: Path) -> str:
-    """The grammar with a Horn, in a folder that is not the kit's."""
-    file = tmp_path / "elsewhere" / "horn.py"
-    file.parent.mkdir()
-    file.write_text(horn_text, encoding="utf-8")
-    return str(file)
-
+from tests.support.robots import failing
 
 # Cases about the Horn: its values, what it refuses, other lengths, truncations. The sweeps have it
 # in each of four motions: its values in one walk each,
@@ -79,26 +65,3 @@ def test_a_robot_fails_the_grammar_that_differs_by_a_horn(
     assert caught in found
     assert not [ident for ident in found if ident.startswith(("valid/LED", "bad-data/LED"))]
     assert only or {"sequence", "pipelined", "split"} <= {ident.split("/")[0] for ident in found}
-
-
-@pytest.mark.sample(1)
-@pytest.mark.parametrize(
-    ("device", "suite", "code"),
-    [(True, True, 0), (False, True, 1), (True, False, 1)],
-    ids=["both", "only the suite", "only the robot"],
-)
-def test_the_copy_goes_over_tcp(grammar: str, device: bool, suite: bool, code: int) -> None:
-    before = ["--grammar", grammar] if suite else []
-    only = "valid/Horn/*" if suite else "unused-id/9/0"
-    with simulate(grammar=grammar if device else "") as robot:
-        result = command(
-            *before,
-            *("conform", robot.port, "--probe", robot.probe, "--yes", "--json", "-"),
-            *("--level", "smoke", "--only", only, "--truncation-timeout", "50"),
-        )
-        state = robot.state()
-
-    report = msgspec.json.decode(result.stdout)
-    assert judged_exit(result.returncode, report) == code, result.stderr
-    assert report["counts"]["error"] == 0
-    assert state["moving"] is False

@@ -32,9 +32,3 @@ def test_contributing_lists_each_turn_with_what_to_write_instead() -> None:
     for (listed, instead), pattern in zip(rows, TURNS, strict=True):
         assert re.search(rf"\b(?:{pattern})\b", listed), listed
         assert turns(instead) == [], instead
-
-
-def test_what_is_code_or_written_by_a_program_is_not_prose() -> None:
-    page = "It tells.\n`tell`\n```text\nsaid\n```\n<!-- a: x -->\nsays\n<!-- end -->\nfine\n"
-
-    assert [turn.split()[1].strip(".") for turn in turns(prose(page))] == ["tells"]

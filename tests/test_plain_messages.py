@@ -94,9 +94,3 @@ def test_a_help_page_is_in_plain_english() -> None:
 @pytest.mark.parametrize("pattern", MESSAGE_TURNS)
 def test_a_turn_finds_its_example(pattern: str) -> None:
     assert message_turns(MESSAGE_TURNS[pattern])
-
-
-def test_docstrings_and_what_is_inserted_are_not_messages_and_each_string_is_seen_whole() -> None:
-    source = '"""It says."""\ndef f(told):\n    """It tells."""\n    raise E(f"a {told} b " "c")\n'
-
-    assert list(messages(source)) == [(4, "a X b c")]

@@ -12,19 +12,14 @@ from itertools import islice
 import pytest
 from msgspec.structs import replace
 
-from bilprov.analyzer.grammar_file import dissector_program
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.report.run_report import Report
-from bilprov.spec.codec import all_data, build, judge
-from bilprov.spec.emit.c import c_header
-from bilprov.spec.emit.python_stub import python_stub
-from bilprov.spec.emit.wireshark import lua_dissector
+from bilprov.spec.codec import build, judge
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import Effect, From, State
 from tests.support.drawn_grammars import Drawn, drawn
-from tests.support.grammars import use
 
 pytestmark = pytest.mark.slow
 
@@ -141,18 +136,3 @@ def test_a_fault_in_the_device_of_a_drawn_grammar_fails(seeds: range) -> None:
                 tried += 1
                 assert smoke(protocol, Simulator(faulty)).exit == 1, protocol.version
     assert tried
-
-
-@pytest.mark.sample(1)
-@pytest.mark.parametrize("seeds", CHUNKS, ids=str)
-def test_a_drawn_grammar_is_explained_encoded_and_emitted(seeds: range) -> None:
-    for protocol in protocols(seeds):
-        use(protocol, range(0, 256, 5))
-        assert protocol.name in c_header(protocol)
-        assert python_stub(protocol)
-        assert lua_dissector(protocol, 1.0, dissector_program())
-        for spec in protocol.instructions:
-            for data in list(all_data(spec))[:3]:
-                frame = build(protocol, spec.name, spec.decode(data))
-                judged = judge(protocol, frame)
-                assert (judged.valid, judged.fields) == (True, tuple(spec.decode(data).items()))

@@ -68,13 +68,6 @@ def test_what_failed_is_run_alone_until_nothing_fails(conform: Conform) -> None:
     assert cases(again).keys() == {"bad-data/LED/8"}
 
 
-def test_without_a_last_run_everything_is_run(conform: Conform) -> None:
-    run = conform("--last-failed", *BAD_DATA, "--json", "-")
-
-    assert told(run) == ALL
-    assert (run.returncode, cases(run)) == (0, {"bad-data/LED/8": "pass"})
-
-
 def test_what_failed_is_run_first_and_a_recording_of_that_is_judged_the_same(
     conform: Conform, tmp_path: Path
 ) -> None:

@@ -18,12 +18,11 @@ from bilprov.captures.reader import open_capture
 from bilprov.conformance.api import Options
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.json_report import as_json
-from bilprov.spec.protocol import GrammarError, Protocol, load
-from tests.support import ROOT
+from bilprov.spec.protocol import GrammarError, Protocol
 from tests.support.commands import command
+from tests.support.faults import BANK
 from tests.support.messages import Message, messages
 from tests.support.recordings import attachments_of, forged, recorded
 from tests.support.robots import FEW_LOOKS, judged_exit, sentence, simulate, simulated
@@ -44,9 +43,6 @@ def same(path: Path, report: Any) -> None:
 
 
 # -- the same -------------------------------------------------------------------------------------
-
-
-BANK = fault_bank(load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8")))
 
 
 FAMILIES = {fault.family: name for name, fault in BANK.items()}
@@ -201,12 +197,6 @@ def with_run(
     to = faulty.with_name("forged.mcap")
     to.unlink(missing_ok=True)
     return forged(faulty, to, *changes, run_json=json.dumps(run).encode())
-
-
-def test_a_recording_written_anew_without_a_change_is_the_same(
-    faulty: Path, tmp_path: Path
-) -> None:
-    assert recheck(str(forged(faulty, tmp_path / "f.mcap"))).exit == 0
 
 
 @pytest.mark.parametrize(

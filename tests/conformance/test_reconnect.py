@@ -13,11 +13,10 @@ import pytest
 from benchmarks.adapter import Adapter
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Line
-from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol
-from tests.support.commands import command, process
-from tests.support.robots import sentence, served_here, simulated
+from tests.support.commands import process
+from tests.support.robots import served_here, simulated
 
 pytestmark = pytest.mark.waits
 
@@ -113,22 +112,3 @@ def test_nothing_goes_on_before_the_first_case(judge_unplugged: Judge) -> None:
 
     assert (run.code, run.report["ended_by"]) == (2, "error")
     assert run.moving is False
-
-
-@pytest.mark.parametrize(
-    ("target", "why"),
-    [
-        ("sim", "--reconnect is for ports; sim is not a port"),
-        ("PTY", "--reconnect is for paths of adapters and for links to them"),
-    ],
-)
-def test_it_is_refused_where_nothing_can_be_found_again(
-    target: str, why: str, protocol: Protocol
-) -> None:
-    with served_here(Simulator(protocol), pty=True) as (port, _):
-        device = port if target == "PTY" else target
-        words = ("conform", device, "--reconnect", "5", "--yes", "--level", "smoke")
-        result = command(*words)
-
-    assert result.returncode == 2
-    assert why in sentence(result)

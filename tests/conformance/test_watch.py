@@ -174,21 +174,6 @@ def test_a_port_has_come_back_once_it_is_another_file(tmp_path: Path) -> None:
     assert [watch.returned() for _ in range(2)] == [True, False]
 
 
-@pytest.mark.waits
-def test_a_pty_has_come_back_once_the_link_to_it_is_another(
-    tmp_path: Path, protocol: Protocol
-) -> None:
-    link = tmp_path / "robot"
-    with plugged(link, Simulator(protocol)):
-        watch = PathWatch(str(link))
-        assert not watch.returned()
-    assert not watch.returned()
-    for looks in (0, 1):
-        with plugged(link, Simulator(protocol)):  # under the same number
-            assert [watch.returned() for _ in range(2)] == [True, False]
-        assert [watch.returned() for _ in range(looks)] == [False] * looks
-
-
 def test_what_a_run_changed_is_said_in_words(protocol: Protocol) -> None:
     before = LastRun("sim", "robot-car", dict.fromkeys("abcdefg", "fail"))
     now = [(Verdict.PASS, "abcde"), (Verdict.FAIL, "fxy"), (Verdict.INCONCLUSIVE, "g")]

@@ -9,11 +9,12 @@ from typing import Any
 
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from bilprov.conformance.mutation.effects import does_effect, then
-from bilprov.conformance.mutation.faults import Row, hooks
+from bilprov.conformance.mutation.faults import Row, fault_bank, hooks
 from bilprov.conformance.mutation.triggers import OUTCOME_WORDS, trigger
 from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import Protocol
+from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.state import State
+from tests.support import ROOT
 
 Condition = Callable[[Event], bool]
 
@@ -82,6 +83,10 @@ def made(protocol: Protocol, what: str, when: str = "") -> Fault:
     """The fault of these words."""
     return Fault("x", "test", "", **hooks(protocol, Row("", what, when)))
 
+
+OWN = load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"), "grammar.py")
+BANK = fault_bank(OWN)
+"""The faults of the kit's own grammar: xdist must collect the same tests everywhere."""
 
 EIGHT_BITS = Fault(
     *("eight-bits", "test", "keeps its steering in eight bits"),

@@ -17,8 +17,7 @@ from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.proof import proven
 from bilprov.spec.errors import UserError
-from bilprov.spec.protocol import Protocol, load
-from tests.support.commands import command
+from bilprov.spec.protocol import Protocol
 from tests.support.robots import simulated
 
 ANSWERS, MOTION, STATE = PROOFS
@@ -158,14 +157,6 @@ def test_too_many_words_are_refused_in_one_sentence(protocol: Protocol) -> None:
         suite(protocol, ANSWERS, 3)
 
 
-def test_the_command_says_it_before_and_what_is_proven_after() -> None:
-    result = command("conform", "sim", "--level", "complete", "--only", "complete/answers/0001")
-
-    assert result.returncode == 0
-    assert b"33 states, 43 byte classes and the silence" in result.stderr.splitlines()[0]
-    assert b"proven by answers: 1 of its 17 sequences were run and passed" in result.stdout
-
-
 @pytest.mark.slow
 def test_a_device_that_reads_the_document_otherwise_passes_but_nothing_is_proven(
     protocol: Protocol,
@@ -188,15 +179,6 @@ def test_a_part_of_the_sequences_proves_nothing(protocol: Protocol) -> None:
         "Nothing is proven by answers: 9 of its 17 sequences were run and passed." in report.proof
     )
     assert conform(options=Options(only=("valid/Stop",)), logged=False).proof is None
-
-
-@pytest.mark.sample(0)
-@pytest.mark.slow
-def test_another_grammar_is_proven_too(horn_text: str) -> None:
-    report = conform(grammar=load(horn_text), options=ONLY_ANSWERS, logged=False)
-
-    assert report.exit == 0
-    assert "34 states, 44 classes" in report.proof
 
 
 class GapDevice:

@@ -42,14 +42,17 @@ class Moody:
     def __init__(self, protocol: Protocol, after: int) -> None:
         self.robot = Simulator(protocol)
         self.left = after
+        self.deaf_until = 0
 
-    def due(self, count: int) -> bool:
-        """Whether it happens with these bytes."""
-        before, self.left = self.left, self.left - count
-        return before > 0 >= self.left
+    def happens(self, now: int) -> None:
+        """What happens when the last of these bytes has come."""
 
     def receive(self, data: bytes, now: int) -> None:
-        self.robot.receive(data, now)
+        before, self.left = self.left, self.left - len(data)
+        if before > 0 >= self.left:
+            self.happens(now)
+        if now >= self.deaf_until:
+            self.robot.receive(data, now)
 
     def advance(self, now: int) -> bytes:
         return self.robot.advance(now)
@@ -66,10 +69,8 @@ class Flooding(Moody):
 
     begun: int | None = None
 
-    def receive(self, data: bytes, now: int) -> None:
-        if self.due(len(data)):
-            self.begun = now
-        super().receive(data, now)
+    def happens(self, now: int) -> None:
+        self.begun = now
 
     def advance(self, now: int) -> bytes:
         sent = super().advance(now)
@@ -90,14 +91,9 @@ class Flooding(Moody):
 class Rebooting(Moody):
     """Loses what it knew, and hears nothing for a while."""
 
-    deaf_until = 0
-
-    def receive(self, data: bytes, now: int) -> None:
-        if self.due(len(data)):
-            self.robot.power_cycle(now)
-            self.deaf_until = now + BOOT
-        if now >= self.deaf_until:
-            super().receive(data, now)
+    def happens(self, now: int) -> None:
+        self.robot.power_cycle(now)
+        self.deaf_until = now + BOOT
 
 
 def run(protocol: Protocol, kind: Callable[[Protocol, int], Moody], after: int) -> Report:
@@ -106,13 +102,7 @@ def run(protocol: Protocol, kind: Callable[[Protocol, int], Moody], after: int) 
 
 def counted(protocol: Protocol) -> int:
     """How many bytes the same run sends if nothing happens."""
-
-    class Counting(Moody):
-        def receive(self, data: bytes, now: int) -> None:
-            self.due(len(data))
-            super().receive(data, now)
-
-    robot = Counting(protocol, 0)
+    robot = Moody(protocol, 0)
     conform(robot, grammar=protocol, options=SMOKE)
     return -robot.left
 
@@ -164,9 +154,7 @@ def served(robot: Moody, descriptor: int) -> None:
         ready = select.select([descriptor], [], [], 0.02)[0]
         clock += MS if ready else 60 * MS
         if ready:
-            data = os.read(descriptor, 64)
-            robot.due(len(data))
-            robot.receive(data, clock)
+            robot.receive(os.read(descriptor, 64), clock)
         os.write(descriptor, robot.advance(clock))
 
 

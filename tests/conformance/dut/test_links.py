@@ -234,42 +234,12 @@ def test_the_port_goes_on_being_read_while_the_probe_is_asked(protocol: Protocol
     assert set(server.requests) == {b"state\n"}
 
 
-def test_the_tap_hears_the_bytes_of_a_port(room: Room) -> None:
-    room.link.do(Send(b"\x20"))
-    heard_of(room.link, 1, LONG)
-    room.link.do(Observe())
-
-    kinds = [(kind, what) for kind, what, _ in room.tap.notes]
-    assert kinds == [("sent", b"\x20"), ("received", b"\0"), ("looked", False)]
-    times = [t for _, _, t in room.tap.notes]
-    assert times == sorted(times)
-
-
 def test_a_stop_ends_the_waiting_once_and_then_waits_again_to_home(room: Room) -> None:
     room.stopper.stop()
 
     assert heard_of(room.link, 1, LONG).answers == ()
     room.link.do(Send(b"\0"))
     assert heard_of(room.link, 1, LONG).codes == (0,)
-
-
-def test_a_port_that_goes_ends_the_run_and_says_so(protocol: Protocol) -> None:
-    with ExitStack() as stack:
-        serving = ExitStack()
-        name, _ = serving.enter_context(served_here(Simulator(protocol)))
-        stopper = stack.enter_context(Stopper())
-        port = stack.enter_context(open_port(name))
-        link = PortLink(port, None, stopper)
-        link.do(Send(b"\0"))
-        assert heard_of(link, 1, LONG).codes == (0,)
-        serving.close()
-
-        with pytest.raises(Ended) as ended:
-            heard_of(link, 1, LONG)
-
-    assert ended.value.error
-    assert not ended.value.line_works
-    assert name in str(ended.value)
 
 
 class Replies(Probe):

@@ -91,21 +91,6 @@ def test_every_machine_of_one_or_two_states_is_told_from_every_other(
                 assert passes(device, specified, suite, reset) == equal(device, specified)
 
 
-@pytest.mark.slow
-@pytest.mark.sample(1)
-@pytest.mark.parametrize("reset", RESETS.values(), ids=RESETS)
-@pytest.mark.parametrize(("states", "extra"), [(1, 2), (2, 1), (3, 0)])
-def test_every_machine_of_three_states_is_told_from_a_drawn_one(
-    reset: Reset, states: int, extra: int
-) -> None:
-    draw = Random(f"{states} {extra}")
-    sized = [machine for machine in every_machine(states, 2, 2) if len(minimal(machine)) == states]
-    for specified in draw.sample(sized, 1):
-        suite = wp_suite(specified, extra, reset)
-        for device in every_machine(3, 2, 2):
-            assert passes(device, specified, suite, reset) == equal(device, specified)
-
-
 @pytest.mark.parametrize("reset", RESETS.values(), ids=RESETS)
 @pytest.mark.parametrize("extra", [0, 1, 2])
 def test_random_machines_with_at_most_so_many_states_more_are_told_apart(
@@ -139,19 +124,6 @@ def mutants(draw: Random, specified: Mealy[Output], extra: int) -> Iterator[Meal
         else:
             outputs[state][symbol] = 1 - int(str(outputs[state][symbol]))
         yield Mealy(tuple(map(tuple, targets)), tuple(map(tuple, outputs)))
-
-
-def test_a_suite_without_one_of_its_words_lets_a_machine_pass() -> None:
-    """No word of a small suite is superfluous: without it some machine passes that differs."""
-    specified = Mealy(((1, 0), (1, 0)), ((0, 0), (1, 0)))
-    suite = wp_suite(specified, 1)
-    devices = [m for m in every_machine(3, 2, 2) if not equal(m, specified)]
-    needed = 0
-    for word in suite.words:
-        fewer = Suite(tuple(one for one in suite.words if one != word), suite.covered)
-        needed += any(passes(device, specified, fewer, NO_RESET) for device in devices)
-
-    assert needed > len(suite.words) // 2
 
 
 def test_a_minimal_machine_has_the_outputs_of_the_whole_one_and_no_two_states_alike() -> None:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -23,8 +22,8 @@ from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.score import _try
 from bilprov.conformance.mutation.variants import mixtures, variants
-from bilprov.spec.protocol import Protocol, load
-from tests.support import ROOT
+from bilprov.spec.protocol import Protocol
+from tests.support.faults import BANK, OWN
 
 LEVELS = ("smoke", "standard")
 TABLE = Path(__file__).with_name("verdicts.txt").read_text(encoding="utf-8").splitlines()
@@ -37,12 +36,6 @@ MISSED_AT_STANDARD = {
 pytestmark = pytest.mark.slow
 
 
-@cache
-def own_protocol() -> Protocol:
-    """The kit's own grammar, once in each process."""
-    return load((ROOT / "spec" / "grammar.py").read_text(encoding="utf-8"), "grammar.py")
-
-
 def names(protocol: Protocol) -> list[str]:
     """The faults, the mixtures and the variants, in the order of the table."""
     return [*fault_bank(protocol), *mixtures(protocol), *variants(protocol)]
@@ -51,16 +44,15 @@ def names(protocol: Protocol) -> list[str]:
 def line_of(device: tuple[str, str]) -> str:
     """The line of a level and a device's name."""
     level, name = device
-    protocol = own_protocol()
-    variant = variants(protocol).get(name)
+    variant = variants(OWN).get(name)
     if variant:
         report = run_suite(
-            device_target(protocol, Simulator(protocol, variant.fault)),
+            device_target(OWN, Simulator(OWN, variant.fault)),
             Options(level=level, allow=(variant.row.allow,) if variant.row.allow else ()),
             logged=False,
         )
         return f"{level} {report.verdict.label} {name}"
-    found = _try(protocol, (name, level), 1)
+    found = _try(OWN, (name, level), 1)
     odd = ["missed"] * (not found.caught) + ["other-clause"] * (not found.own_clause)
     return " ".join((level, found.verdict, name, *found.groups, *odd))
 
@@ -117,7 +109,7 @@ def test_smoke_catches_most_of_the_named_faults(protocol: Protocol) -> None:
 
 # Half a minute for one fault: only where every row is run.
 @pytest.mark.sample(0)
-@pytest.mark.parametrize("name", [n for n, f in fault_bank(own_protocol()).items() if f.needs])
+@pytest.mark.parametrize("name", [n for n, f in BANK.items() if f.needs])
 def test_a_soak_catches_what_only_very_many_frames_show(name: str, protocol: Protocol) -> None:
     device = device_target(protocol, Simulator(protocol, fault_bank(protocol)[name]))
 
@@ -127,6 +119,6 @@ def test_a_soak_catches_what_only_very_many_frames_show(name: str, protocol: Pro
 
 
 if __name__ == "__main__":
-    devices = [(level, name) for level in LEVELS for name in names(own_protocol())]
+    devices = [(level, name) for level in LEVELS for name in names(OWN)]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         sys.stdout.writelines(f"{line}\n" for line in pool.map(line_of, devices, chunksize=4))

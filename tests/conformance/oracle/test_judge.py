@@ -1,7 +1,6 @@
 """Judging: a choice where the document is silent gets the verdict that its reading names.
 
-Two tables: single axes judged from hand-made answers and looks, and whole runs against simulators
-that choose otherwise in one point.
+Single axes are judged from hand-made answers and looks, and in some whole runs.
 """
 
 from __future__ import annotations
@@ -32,17 +31,12 @@ from bilprov.spec.state import State
 from tests.conformance.oracle.test_state_model import DRIVING, TURNING
 from tests.support.car import frame_effect, model_of
 from tests.support.robots import Blind, simulated
-from tests.vectors import READING_IDS
 
 MS = 1_000_000
 
 PASS, INFORMATIONAL, NON_STRICT = Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT
-INCONCLUSIVE, FAIL, ERROR, SKIPPED = (
-    Verdict.INCONCLUSIVE,
-    Verdict.FAIL,
-    Verdict.ERROR,
-    Verdict.SKIPPED,
-)
+INCONCLUSIVE, FAIL = Verdict.INCONCLUSIVE, Verdict.FAIL
+ERROR, SKIPPED = Verdict.ERROR, Verdict.SKIPPED
 
 
 @pytest.fixture(scope="module")
@@ -136,10 +130,6 @@ def test_an_unused_code_is_never_right(
         (100, 101, NON_STRICT, "slow: answered after 101 ms, expected within 100 ms"),
         (100, 1000, NON_STRICT, "slow: answered after 1000 ms, expected within 100 ms"),
         (100, 1001, FAIL, "answered after 1001 ms, at most 1000 ms are allowed"),
-        (50, 50, PASS, ""),
-        (50, 80, NON_STRICT, "slow: answered after 80 ms, expected within 50 ms"),
-        (200, 150, PASS, ""),
-        (200, 1001, FAIL, "answered after 1001 ms, at most 1000 ms are allowed"),
         (1500, 1400, PASS, ""),
         (1500, 1501, FAIL, "answered after 1501 ms, at most 1500 ms are allowed"),
     ],
@@ -370,83 +360,24 @@ def test_what_the_probe_does_not_tell_is_not_held_against_the_device(
 # -- whole runs -----------------------------------------------------------------------------------
 
 
-OPENING = ("power-on", "link", "timing", "reading", "line")
-UNUSED, LONG, BITS = "unused-id/1?/[1-9]", "wrong-length/Speed/*", "bad-data/LED/*8"
-# A device of the bank and the cases it is shown; the verdict that it earns on this axis; the
-# reading and the words of the reason that one of them has.
-CHOICES = [
-    ("", "*/Right/0", PASS, "answer", "", ""),
-    ("R-unused-length=too-many", UNUSED, NON_STRICT, "answer", "R-unused-length", ""),
-    ("R-unused-length=too-few", UNUSED, NON_STRICT, "answer", "R-unused-length", ""),
-    ("no-stop-on-unknown-id", UNUSED, FAIL, "stop", "R-stop-latency", ""),
-    ("ignores-led-upper-bits", BITS, FAIL, "answer", "", ""),
-    ("ok-to-bad-data", BITS, FAIL, "answer", "", ""),
-    ("no-stop-on-bad-data", BITS, FAIL, "stop", "R-stop-latency", ""),
-    ("swallows-missing-data", "wrong-length/Right/0", FAIL, "answer", "R-example-right",
-     "took the next byte"),
-    ("R-truncated-known=silent", "truncated/LE*", NON_STRICT, "answer", "R-truncated-known", ""),
-    ("never-times-out", "truncated/LED/0", FAIL, "stop", "R-stop-latency", ""),
-    ("R-truncated-unused=too-few", "truncated/9/*", NON_STRICT, "answer", "R-truncated-unused", ""),
-    ("R-truncated-long=too-many", "truncated/Stop/*", NON_STRICT, "answer", "R-truncated-long", ""),
-    ("R-answer-deadline=150-ms", "*/LED/[57]", NON_STRICT, "answer", "R-answer-deadline", "slow"),
-    ("double-answer-to-faults", LONG, FAIL, "answer", "", ""),
-    ("unused-code-for-faults", LONG, FAIL, "answer", "", "never sends an unused code"),
-    ("R-stop-point=header", LONG, PASS, "stop", "", ""),
-    ("R-stop-latency=50-ms", LONG, NON_STRICT, "stop", "R-stop-latency", ""),
-    ("stops-late", LONG, FAIL, "stop", "R-stop-latency", ""),
-    ("R-stop-steering=kept", "valid/Stop", NON_STRICT, "state", "R-stop-steering", ""),
-    ("R-stop-speed=zeroed", "valid/Stop", NON_STRICT, "state", "R-stop-speed", ""),
-    ("R-led-state=off-after-stops", "valid/Stop", INFORMATIONAL, "state", "R-led-state", ""),
-    ("R-speed-moving=next-motion", "valid/Speed/[12]", NON_STRICT, "state", "R-speed-moving", ""),
-]  # fmt: skip
-# The same, where not each of the cases shows it.
-SOMETIMES = [
-    ("answers-too-late", "*/LED/[57]", FAIL, "answer", "", ""),
-    ("late-second-answer", LONG, FAIL, "answer", "", ""),
-    ("restarts-by-itself", LONG, FAIL, "stop", "", "moved again by itself"),
-    ("R-fault-state=speed-zeroed", LONG, INFORMATIONAL, "state", "R-fault-state", ""),
-    # A rotation is set up without steering.
-    ("R-fault-state=steering-kept", LONG, INFORMATIONAL, "state", "R-fault-state", ""),
-    ("R-led-state=off-after-faults", LONG, INFORMATIONAL, "state", "R-led-state", ""),
-    ("R-drive-steering=straight", "valid/*wa*d", INFORMATIONAL, "state", "R-drive-steering", ""),
-    ("R-rotate-steering=reset", "valid/Rotate*", INFORMATIONAL, "state", "R-rotate-steering", ""),
-    ("R-steer-rotating=curve", "valid/*t/*", INFORMATIONAL, "state", "R-steer-rotating", ""),
-    ("right-stops-it-after-rotateright", "valid/Right/1?", FAIL, "state", "", ""),
-    ("R-power-on=another-speed", "valid/Stop", INFORMATIONAL, "state", "R-power-on", ""),
-    ("moves-at-power-on", "valid/Stop", FAIL, "state", "R-power-on", ""),
-    ("no-led", "valid/LED/*", FAIL, "answer", "", ""),
-]
-
-
-@pytest.mark.sample(3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "only", "verdict", "axis", "reading", "reason"), [*CHOICES, *SOMETIMES]
+    ("name", "only", "axis", "reading", "reason"),
+    [
+        ("swallows-missing-data", "wrong-length/Right/0", "answer", "R-example-right", "next byte"),
+        ("restarts-by-itself", "wrong-length/Speed/*", "stop", "", "moved again by itself"),
+        ("stops-late", "wrong-length/Speed/*", "stop", "R-stop-latency", "still moves"),
+        ("R-power-on=another-speed", "valid/Stop", "state", "R-power-on", ""),
+        ("moves-at-power-on", "valid/Stop", "state", "R-power-on", ""),
+    ],
 )
-def test_a_device_that_chooses_otherwise_gets_the_verdict_of_the_reading(
-    protocol: Protocol,
-    name: str,
-    only: str,
-    verdict: Verdict,
-    axis: str,
-    reading: str,
-    reason: str,
+def test_a_run_names_the_axis_the_reading_and_the_reason(
+    protocol: Protocol, name: str, only: str, axis: str, reading: str, reason: str
 ) -> None:
-    device = simulated(protocol, name)
+    report = conform(simulated(protocol, name), options=Options(only=(only,)))
 
-    report = conform(device, options=Options(only=(only,), truncation_timeout=50))
-
-    assert report.verdict is verdict
-    assert report.exit == (1 if verdict is FAIL else 0)
-    found = [r for r in report.results if axis in r.axes and r.axes[axis].verdict is verdict]
-    mine = [r for r in report.results if not r.id.startswith(OPENING)]
-    assert found
-    if (name, only, verdict, axis, reading, reason) in CHOICES:
-        assert [r.id for r in mine if r not in found] == []
-    if verdict is not PASS:
-        assert any((r.axes[axis].reading or "") == reading for r in found)
-        assert any(reason in r.axes[axis].reason for r in found)
-    assert reading in ("", *READING_IDS)
+    odd = [r.axes[axis] for r in report.results if axis in r.axes and r.axes[axis].verdict > PASS]
+    assert [one for one in odd if (one.reading or "") == reading and reason in one.reason]
 
 
 def saying_only_whether_it_moves(look: Look) -> Look:

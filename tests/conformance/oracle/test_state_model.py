@@ -6,9 +6,7 @@ import pytest
 
 from bilprov.conformance.cases.steps import step_of
 from bilprov.conformance.oracle.choices import Choices
-from bilprov.conformance.oracle.state_model import (
-    ExpectedState,
-)
+from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import POINTS, STATE_POINTS

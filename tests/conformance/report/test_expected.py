@@ -9,13 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
-from bilprov.conformance.report.expected import (
-    Entry,
-    ExpectedFile,
-    Matches,
-    match,
-    parse_expected,
-)
+from bilprov.conformance.report.expected import Entry, ExpectedFile, Matches, match, parse_expected
 from bilprov.conformance.report.run_report import Comparison
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import every_verdict, with_axes

@@ -73,12 +73,6 @@ def test_what_is_inconclusive_for_another_reason_stays_so(unseen: Report) -> Non
     assert "1 inconclusive" in conclusion(replace(unseen, results=(*unseen.results, flaky))).plain
 
 
-def test_the_reason_why_nothing_could_be_judged_stands_first(protocol: Protocol) -> None:
-    report = replace(every_verdict(protocol), unusable="nobody answered in 10 s", results=())
-
-    assert shown(report) == "not judged: nobody answered in 10 s\n"
-
-
 def test_no_column_is_cut_off_at_80_columns_or_in_a_file(protocol: Protocol) -> None:
     report = every_verdict(protocol)
     long = a_case("wrong-length/Right/3", Verdict.FAIL)
@@ -228,20 +222,6 @@ def test_the_answer_to_a_frame_cut_short_may_come_before_its_time_out_was_noted(
     answer = WireEvent(0.045, "received", "04")
 
     assert words(protocol, sent("11"), answer, sent("20", 46))[2] == "Forward"
-
-
-def test_answers_looks_and_gaps_are_told(protocol: Protocol) -> None:
-    log = (
-        WireEvent(0, "received", "00 00 04 2a"),
-        WireEvent(1e-9, "look", look="moving forward"),
-        WireEvent(2e-9, "clipped", look="7 entries are left out here"),
-    )
-
-    assert words(protocol, *log) == [
-        "2 × 00 OK, 04 TOO_FEW_DATA, 2a unused",
-        "moving forward",
-        "7 entries are left out here",
-    ]
 
 
 def test_another_grammar_has_its_own_words_and_foreign_bytes_have_none(

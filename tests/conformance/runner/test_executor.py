@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from itertools import count
 
@@ -24,11 +23,8 @@ from bilprov.analyzer.client.operations import (
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.dut.simulator import Event, Reaction, Simulator
-from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.executor import Runner
-from bilprov.conformance.runner.homing import watch
-from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import (
     answers_with,
@@ -103,23 +99,6 @@ def test_the_run_begins_with_a_look_and_then_with_bytes_that_must_not_move_it(
     ]
 
 
-def test_every_faulty_case_is_seen_moving_before_it_and_moving_again_after_it(
-    protocol: Protocol,
-) -> None:
-    cases = cases_of(protocol, "unused-id/9/0")
-    link = CountingLink(Simulator(protocol))
-
-    run_over(link, protocol, cases)
-
-    motion = cases[0].setup.motion
-    mine = [look.motion for look in link.looks[-65:]]  # 60 of the hold, and what is around it
-    assert motion in mine
-    first = mine.index(motion)
-    assert mine[first + 1 :].count(motion) == 1
-    assert mine[first + 1] == "stopped"
-    assert mine[-1] == "stopped"
-
-
 @given(asks=st.integers(0, ASKS))
 @example(asks=0)
 @example(asks=1)
@@ -172,20 +151,6 @@ def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
     if errors and begun and not begun[-1].startswith(BEFORE):
         position = [case.id for case in cases].index(errors[0].id)
         assert errors[0].id == begun[-1] or cases[position - 1].id == begun[-1]
-
-
-@pytest.mark.parametrize(("moving", "in_vain"), [(True, True), (False, False)])
-def test_looking_for_what_does_not_happen_counts_as_waiting_in_vain(
-    protocol: Protocol, moving: bool, in_vain: bool
-) -> None:
-    run = new_run(protocol, timers=Timers(waiting_budget=99 * MS))
-    link = CountingLink(Simulator(protocol))
-
-    seen = drive(watch(run, moving=moving, patience=100 * MS), link, lambda: False)
-
-    assert seen.look.moving is False
-    with pytest.raises(GaveUp) if in_vain else nullcontext():
-        run.waiting.require_budget()
 
 
 @given(looks=st.integers(0, 150), more=st.none() | st.integers(0, 12))

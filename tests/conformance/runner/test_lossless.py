@@ -11,13 +11,7 @@ from bilprov.conformance.dut.simulator import Fault, Simulator
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol
-from tests.support.faults import (
-    at_count,
-    every,
-    faulty,
-    twice,
-    when,
-)
+from tests.support.faults import at_count, every, faulty, twice, when
 from tests.support.recordings import recorded
 from tests.support.robots import Hidden
 

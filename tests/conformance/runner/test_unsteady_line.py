@@ -11,13 +11,7 @@ import pytest
 
 from benchmarks.noisy_device import NoisyDevice
 from benchmarks.torture.noise import LINES, Trial, noisy_run
-from bilprov.analyzer.client.operations import (
-    LinkListener,
-    Observation,
-    Observe,
-    Operation,
-    Reply,
-)
+from bilprov.analyzer.client.operations import LinkListener, Observation, Observe, Operation, Reply
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform, run_suite
