@@ -368,7 +368,6 @@ def test_what_the_probe_does_not_tell_is_not_held_against_the_device(
         ("restarts-by-itself", "wrong-length/Speed/*", "stop", "", "moved again by itself"),
         ("stops-late", "wrong-length/Speed/*", "stop", "R-stop-latency", "still moves"),
         ("R-power-on=another-speed", "valid/Stop", "state", "R-power-on", ""),
-        ("moves-at-power-on", "valid/Stop", "state", "R-power-on", ""),
     ],
 )
 def test_a_run_names_the_axis_the_reading_and_the_reason(
