@@ -20,8 +20,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.spec.codec import judge
 from bilprov.spec.protocol import Protocol
 
-_MOST = 1 << 16
-_REMEMBERED = 1 << 16  # frames
+_MOST = 1 << 16  # bytes of a read, and frames that are remembered
 
 
 class _Told(dict[bytes, bytes]):
@@ -45,7 +44,7 @@ class _Told(dict[bytes, bytes]):
             "reason": judged.reason,
         }
         line = json.dumps(told)[1:].encode() + b"\n"
-        if len(self) < _REMEMBERED:
+        if len(self) < _MOST:
             self[frame] = line
         return line
 

@@ -114,11 +114,6 @@ def _plain(name: str, count: int, *more: str, typed: str = "") -> Command:
     )
 
 
-def _many() -> list[str]:
-    """More bytes at once than a pty holds."""
-    return ["00" * 30_000] * 3
-
-
 def _listens(*more: str) -> Command:
     """`sniff` at a flood."""
 
@@ -133,7 +128,8 @@ COMMANDS = {
     "conform": _plain("conform", 4000, "--level", "smoke"),
     "lab learn": _plain("lab learn", 4000),
     "send": _plain("send", 25, *items(pause="pause=300")),
-    "send --together": _plain("send", 60_000, "--together", *_many()),
+    # More bytes at once than a pty holds.
+    "send --together": _plain("send", 60_000, "--together", *["00" * 30_000] * 3),
     "send, typed": _plain("send", 25, typed="\n".join(items(pause="pause=300")) + "\n"),
     "replay --to": Command(replay_to, 150),
     "sniff": _listens(),

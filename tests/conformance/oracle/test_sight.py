@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import Any
 
@@ -120,6 +121,7 @@ def test_looks_in_the_dark_do_not_count_as_expected(protocol: Protocol) -> None:
 
     counts = [int(r.results[-1].axes["state"].actual.split()[0]) for r in (whole, half)]
     assert 0 < counts[1] < counts[0]
+    assert re.search(r"\(first in case [a-z-]+/.*, observation 80\)", half.unseen[0])
 
 
 def test_a_robot_of_which_the_last_look_tells_nothing_may_still_move(protocol: Protocol) -> None:

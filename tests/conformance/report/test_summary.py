@@ -219,9 +219,10 @@ def test_after_the_time_out_a_byte_is_a_header_again(protocol: Protocol) -> None
 def test_the_answer_to_a_frame_cut_short_may_come_before_its_time_out_was_noted(
     protocol: Protocol,
 ) -> None:
-    answer = WireEvent(0.045, "received", "04")
+    answers = WireEvent(0.045, "received", "00 00 04 2a")
 
-    assert words(protocol, sent("11"), answer, sent("20", 46))[2] == "Forward"
+    told = ["2 × 00 OK, 04 TOO_FEW_DATA, 2a unused", "Forward"]
+    assert words(protocol, sent("11"), answers, sent("20", 46))[1:] == told
 
 
 def test_another_grammar_has_its_own_words_and_foreign_bytes_have_none(
