@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import count
 
@@ -23,8 +24,11 @@ from bilprov.analyzer.client.operations import (
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
 from bilprov.conformance.dut.simulator import Event, Reaction, Simulator
+from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict, exit_code
 from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.homing import watch
+from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import (
     answers_with,
@@ -151,6 +155,20 @@ def test_a_line_that_breaks_at_any_moment_charges_the_case_that_ran(
     if errors and begun and not begun[-1].startswith(BEFORE):
         position = [case.id for case in cases].index(errors[0].id)
         assert errors[0].id == begun[-1] or cases[position - 1].id == begun[-1]
+
+
+@pytest.mark.parametrize(("moving", "in_vain"), [(True, True), (False, False)])
+def test_looking_for_what_does_not_happen_counts_as_waiting_in_vain(
+    protocol: Protocol, moving: bool, in_vain: bool
+) -> None:
+    run = new_run(protocol, timers=Timers(waiting_budget=99 * MS))
+    link = CountingLink(Simulator(protocol))
+
+    seen = drive(watch(run, moving=moving, patience=100 * MS), link, lambda: False)
+
+    assert seen.look.moving is False
+    with pytest.raises(GaveUp) if in_vain else nullcontext():
+        run.waiting.require_budget()
 
 
 @given(looks=st.integers(0, 150), more=st.none() | st.integers(0, 12))
