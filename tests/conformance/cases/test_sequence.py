@@ -343,3 +343,19 @@ def test_the_third_of_a_kind_in_a_row_is_tried(protocol: Protocol) -> None:
 
 
 # -- another grammar ------------------------------------------------------------------------------
+
+
+@pytest.mark.sample(0)
+def test_a_horn_is_swept_and_toured(horn: Protocol) -> None:
+    for what, values in (("data/Horn", range(4)), ("bad-data/Horn", range(4, 256))):
+        frames = [bytes([0x91, value]) for value in values]
+        assert swept(horn, what) == dict.fromkeys(product(frames, MOVING), 1)
+    for sequence in sequences_of(horn)[::9]:
+        for step in (*sequence.setup, *sequence.steps):
+            require_agreement(horn, step)
+    kinds = WHOLE | {"Horn"}
+    met = pairs_met(horn, "standard")
+    # The horn changes no motion: it may come in each of them, like a setting.
+    wanted = {(a, b, m) for a, b, m in pairs_in_motion(kinds) if a != "Horn"}
+    wanted |= {("Horn", kind, motion) for kind in kinds for motion in MOVING}
+    assert wanted - met == set()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.client.operations import Listen, Observation, Operation, Received
-from bilprov.conformance.cases.sequence import SequenceCase
+from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.dut.link import Observability
 from bilprov.conformance.dut.simulator import Fault, React, Simulator, answers
 from bilprov.conformance.mutation.catalogue import find_variant
@@ -464,3 +464,18 @@ def test_a_device_that_takes_nothing_ahead_is_led_one_frame_at_a_time(protocol: 
     profile.choices.allowed["pipelining"] = "no"
     led = run_over_device(protocol, variant.fault, case, profile=profile)
     assert led.mismatch is None
+
+
+def test_a_burst_says_how_it_is_delivered(protocol: Protocol) -> None:
+    made: list[tuple[Burst, str]] = [
+        (burst(protocol, "20"), "waited"),
+        (burst(protocol, "20", "30"), "pipelined"),
+        (burst(protocol, "11 05", pauses=(1,)), "split"),
+        (burst(protocol, "20", idle_ms=5), "left alone"),
+        (burst(protocol, "20", "11"), "cut"),
+    ]
+
+    assert [one.delivery for one, _ in made] == [word for _, word in made]
+    assert hand_made(protocol, made[1][0]).pipelined
+    assert not hand_made(protocol, made[0][0], made[2][0]).pipelined
+    assert not hand_made(protocol, burst(protocol, "20", "30", looks=False)).pipelined
