@@ -31,7 +31,6 @@ from bilprov.spec.errors import UserError
 Power = Callable[[], None]
 """Switches the robot off and on; returns once it has its power again. Raises PowerError."""
 
-_PATIENCE = 60  # s that a command may take
 _PARTING = 5.0  # s that a run which was stopped waits for a lost port, to home the robot there
 
 
@@ -43,9 +42,8 @@ def by_command(command: str) -> Power:
     """A power switch that runs a shell command, which switches the power off and on again."""
 
     def cycle() -> None:
-        nothing = subprocess.DEVNULL
-        try:
-            subprocess.run(command, shell=True, check=True, timeout=_PATIENCE, stdin=nothing)
+        try:  # it may take a minute
+            subprocess.run(command, shell=True, check=True, timeout=60, stdin=subprocess.DEVNULL)
         except (OSError, subprocess.SubprocessError) as error:
             raise PowerError(f"the power switch {command!r} did not work: {error}") from error
 
@@ -211,12 +209,17 @@ class PortLink:
         return ready
 
     def _wait(self, patience: int, other: int | None = None) -> bool:
-        """Wait up to `patience` ns, reading the port; true if stopped or `other` is ready."""
+        """Wait up to `patience` ns, reading the port; true if stopped or `other` is ready.
+
+        Raises Ended where a stop comes before `other` is ready: a person may look for minutes.
+        """
         stop = None if self._stopping or self._stopper is None else self._stopper.fileno()
         ready = self.attend(patience / 1e9, [fd for fd in (other, stop) if fd is not None])
         if stop in ready:
             self._stopping = True
-            return other is None
+            if other not in (None, *ready):
+                raise Ended("interrupted", error=False, line_works=True)
+            return True
         return other is not None and other in ready
 
     def _read(self, *, ready: bool = False) -> None:
