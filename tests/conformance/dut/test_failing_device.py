@@ -27,7 +27,6 @@ from bilprov.conformance.dut.virtual_link import DeviceError
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
-from bilprov.conformance.runner.run import SPARE_ANSWERS
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import process
 from tests.support.robots import MS, PATIENCE
@@ -126,9 +125,6 @@ def test_one_that_floods_fails_and_is_not_listened_to_for_ever(protocol: Protoco
     assert "R-unsolicited" in readings, failed
     assert of(report, Verdict.PASS)
     assert most < 64 << 20
-    # What it floods is not kept.
-    longest = max(len(result.received) - 2 * len(result.sent) for result in report.results)
-    assert 0 < longest <= 2 * SPARE_ANSWERS
 
 
 @pytest.mark.sample(2)

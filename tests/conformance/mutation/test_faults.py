@@ -28,6 +28,7 @@ from bilprov.conformance.mutation.faults import (
     all_faults,
     fault_bank,
     filled,
+    globs,
     hooks,
     table,
 )
@@ -217,6 +218,12 @@ def test_a_template_is_filled_in_for_each_and_left_out_where_a_name_is_missing(
     found = {name: row.when for name, row in filled(protocol, rows)}
 
     assert found == {"Right-late": "instruction Right", "Left-late": "instruction Left"}
+
+
+def test_words_of_cases_stand_for_globs() -> None:
+    truncated = ("truncated/*", "recovery/truncated/*", "timing/truncation-timeout")
+
+    assert globs("truncated valid/*") == (*truncated, "valid/*")
 
 
 def test_a_mixture_is_compared_with_what_the_device_has_chosen(protocol: Protocol) -> None:

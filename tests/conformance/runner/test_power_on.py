@@ -13,6 +13,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.profile import Timers
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.executor import Runner
+from bilprov.conformance.runner.run import SPARE_ANSWERS
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import CountingLink, Hidden, cases_of, new_run, simulated
 
@@ -73,6 +74,25 @@ def test_a_device_that_has_been_driven_before_is_not_blamed_for_how_it_was_found
     found = verdicts(device, protocol)
     assert found["power-on/at-rest"] in (Verdict.PASS, Verdict.INFORMATIONAL)
     assert max(found.values()) <= Verdict.INFORMATIONAL
+
+
+def test_a_device_object_that_never_stops_sending_ends_the_run(protocol: Protocol) -> None:
+    class Endless(Simulator):
+        def advance(self, now: int) -> bytes:
+            return super().advance(now) + bytes(1000)
+
+    options = Options(level="smoke")
+    report = conform(Endless(protocol), grammar=protocol, options=options)
+
+    assert report.exit == 1
+    assert 0 < report.counts["fail"] < 20
+    # Nothing of the suite is judged: what was not run is inconclusive, by name.
+    whole = {case.id for case in select_cases(protocol, options)}
+    left = {r.id for r in report.results if r.verdict is Verdict.INCONCLUSIVE}
+    assert len(whole) > 30
+    most = max(len(r.received) - 2 * len(r.sent) for r in report.results)
+    assert 0 < most <= 2 * SPARE_ANSWERS  # what it floods does not fill the memory
+    assert whole - left == {r.id for r in report.results if r.verdict is Verdict.FAIL} & whole
 
 
 @pytest.mark.parametrize(
