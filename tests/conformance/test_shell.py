@@ -77,6 +77,18 @@ def car(protocol: Protocol, more: bytes = b"") -> Iterator[tuple[Car, str, str]]
         yield device, port, probe
 
 
+@contextmanager
+def prompted(
+    protocol: Protocol, *words: str, more: bytes = b"", **variables: str
+) -> Iterator[tuple[Car, Terminal]]:
+    """A car, and the terminal at whose prompt it is driven."""
+    with (
+        car(protocol, more) as (device, port, _),
+        on_terminal("send", port, "--yes", *words, **variables) as terminal,
+    ):
+        yield device, terminal
+
+
 # -- lines from a pipe ----------------------------------------------------------------------------
 
 
@@ -163,7 +175,7 @@ WAYS_OUT: dict[str, Callable[[Terminal], None]] = {
 @pytest.mark.sample(4)
 @pytest.mark.parametrize("way", WAYS_OUT)
 def test_every_way_out_leaves_the_robot_at_rest(protocol: Protocol, way: str) -> None:
-    with car(protocol) as (device, port, _), on_terminal("send", port, "--yes") as terminal:
+    with prompted(protocol) as (device, terminal):
         driving(terminal, device)
         WAYS_OUT[way](terminal)
         code = terminal.end()
@@ -195,8 +207,7 @@ def test_ctrl_c_ends_a_pause_and_stops_the_robot_and_the_shell_goes_on(protocol:
             terminal.type("half a li" + CTRL_C + "state\r")
             terminal.wait_for("predicted: ")
             terminal.wait_for("seen stopped>")
-            terminal.type(CTRL_C)
-            assert terminal.end() == 0
+            assert terminal.end(CTRL_C) == 0
 
         assert device.state.speed == 80
 
@@ -269,18 +280,14 @@ def test_ctrl_z_stops_the_robot_before_any_program_that_drives_it_is_suspended(
 def test_at_the_prompt_unasked_bytes_are_shown_and_a_long_drive_is_ended(
     protocol: Protocol,
 ) -> None:
-    with (
-        car(protocol, more=b"\x05") as (device, port, _),
-        on_terminal("send", port, "--yes", "--max-drive", "0.5") as terminal,
-    ):
+    with prompted(protocol, "--max-drive", "0.5", more=b"\x05") as (device, terminal):
         driving(terminal, device)
         terminal.type("LED 7\rtyped mean")
         terminal.wait_for("no instruction waits for an answer")
         terminal.wait_for("stopped: it has driven for 0.5 s without a new instruction")
         terminal.wait_for("stopped speed 80 led 7> typed mean")
         assert not device.state.moving
-        terminal.type(CTRL_C + CTRL_D)
-        assert terminal.end() == 0
+        assert terminal.end(CTRL_C + CTRL_D) == 0
 
 
 def test_what_fails_while_it_drives_is_told_in_one_sentence(protocol: Protocol) -> None:
@@ -290,8 +297,7 @@ def test_what_fails_while_it_drives_is_told_in_one_sentence(protocol: Protocol) 
             terminal.wait_for("seen stopped>")
             terminal.type("Speed 80; Forward\r")
             terminal.wait_for("seen moving>")
-            terminal.type("LED 5\r")  # here the probe hangs up
-            assert terminal.end() == 2
+            assert terminal.end("LED 5\r") == 2  # here the probe hangs up
 
         assert f"bilprov: the probe at {probe.name} hung up" in terminal.shown
         assert "Traceback" not in terminal.shown
@@ -314,65 +320,51 @@ def test_tab_completes_and_the_history_outlives_the_shell(
     protocol: Protocol, tmp_path: Path
 ) -> None:
     state = {"XDG_STATE_HOME": str(tmp_path / "state")}
-    with car(protocol) as (device, port, _):
-        with on_terminal("send", port, "--yes", **state) as terminal:
-            terminal.wait_for("led 0>")
-            for typed, shown in [("led", "LED"), (" ", "rgb="), ("5; rotater", "RotateRight")]:
-                terminal.type(typed + TAB)
-                terminal.wait_for(shown)
-            terminal.type("\r")
-            terminal.wait_for("rotate_right speed 0 led 5>")
-            terminal.type(CTRL_D)
-            assert terminal.end() == 0
-        device.heard = b""
-        with on_terminal("send", port, "--yes", **state) as terminal:
-            terminal.wait_for("led 0>")
-            terminal.type(f"{UP}\r")
-            terminal.wait_for("rotate_right speed 0 led 5>")
-            terminal.type(CTRL_D)
-            assert terminal.end() == 0
+    with prompted(protocol, **state) as (_, terminal):
+        terminal.wait_for("led 0>")
+        for typed, shown in [("led", "LED"), (" ", "rgb="), ("5; rotater", "RotateRight")]:
+            terminal.type(typed + TAB)
+            terminal.wait_for(shown)
+        terminal.type("\r")
+        terminal.wait_for("rotate_right speed 0 led 5>")
+        assert terminal.end(CTRL_D) == 0
+    with prompted(protocol, **state) as (device, terminal):
+        terminal.wait_for("led 0>")
+        terminal.type(f"{UP}\r")
+        terminal.wait_for("rotate_right speed 0 led 5>")
+        assert terminal.end(CTRL_D) == 0
 
     assert device.heard.strip(b"\x00") == b"\x81\x05\x60"
 
 
 @pytest.mark.parametrize("home", ["/dev/null", "relative"])
 def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, home: str) -> None:
-    with car(protocol) as (_, port, _):
-        variables = {"XDG_STATE_HOME": home, "HOME": "/dev/null"}
-        with on_terminal("send", port, "--yes", **variables) as terminal:
-            terminal.wait_for("led 0>")
-            terminal.type("LED 5\r")
-            terminal.wait_for("led 5>")
-            terminal.type(UP)
-            terminal.wait_for("LED 5")
-            terminal.type(CTRL_C + CTRL_D)
-            assert terminal.end() == 0
+    with prompted(protocol, XDG_STATE_HOME=home, HOME="/dev/null") as (_, terminal):
+        terminal.wait_for("led 0>")
+        terminal.type("LED 5\r")
+        terminal.wait_for("led 5>")
+        terminal.type(UP)
+        terminal.wait_for("LED 5")
+        assert terminal.end(CTRL_C + CTRL_D) == 0
 
 
 def test_lines_are_done_whose_history_cannot_be_kept_any_more(
     protocol: Protocol, tmp_path: Path
 ) -> None:
     state = tmp_path / "state"
-    with (
-        car(protocol) as (_, port, _),
-        on_terminal("send", port, "--yes", XDG_STATE_HOME=str(state)) as terminal,
-    ):
+    with prompted(protocol, XDG_STATE_HOME=str(state)) as (_, terminal):
         terminal.wait_for("led 0>")
         shutil.rmtree(state)
         terminal.type("LED 5\r")
         terminal.wait_for("led 5>")
-        terminal.type(CTRL_D)
-        assert terminal.end() == 0
+        assert terminal.end(CTRL_D) == 0
     assert "Traceback" not in terminal.shown
 
 
 def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(
     protocol: Protocol,
 ) -> None:
-    with (
-        car(protocol) as (_, port, _),
-        on_terminal("send", port, "--yes", TERM="dumb") as terminal,
-    ):
+    with prompted(protocol, TERM="dumb") as (_, terminal):
         terminal.type("Speeed 1\nSpeed 9\nstate\nquit\n")
         terminal.wait_for("did you mean Speed?; see help")
         terminal.wait_for("predicted: stopped speed 9")

@@ -29,6 +29,7 @@ from bilprov.analyzer.transport.server import parse_address, serve
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
 from bilprov.conformance.cases.case import Case
+from bilprov.conformance.cases.levels import AnyCase
 from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.link import Environment, Observability
 from bilprov.conformance.dut.simulator import Simulator
@@ -182,7 +183,7 @@ def new_run(
 def run_over(
     link: CountingLink,
     protocol: Protocol,
-    cases: Sequence[Case],
+    cases: Sequence[AnyCase],
     *,
     observability: Observability = ALL_SEEING,
     timers: Timers | None = None,

@@ -43,8 +43,10 @@ class Terminal:
             assert self._read(until - time.monotonic()), f"never {text!r} in: {self.shown}"
         self._seen = at + len(text)
 
-    def end(self) -> int:
-        """Wait for the command's end; gives its exit code."""
+    def end(self, typed: str = "") -> int:
+        """Type what ends the command, and wait for its end; gives its exit code."""
+        if typed:
+            self.type(typed)
         until = time.monotonic() + PATIENCE
         while self._read(until - time.monotonic()):
             pass

@@ -67,7 +67,7 @@ def on_times(change: React, *times: int, every: int = 0, frame: bytes = FRAME) -
 
 
 def judged(protocol: Protocol, fault: Fault, *cases: AnyCase, **more: Any) -> dict[str, CaseResult]:
-    runner = run_over(CountingLink(Simulator(protocol, fault)), protocol, cases, **more)  # type: ignore[arg-type]
+    runner = run_over(CountingLink(Simulator(protocol, fault)), protocol, cases, **more)
     results = runner.run.results
     assert len({r.id for r in results}) == len(results)
     return {r.id: r for r in results}
@@ -189,7 +189,7 @@ def test_a_device_that_hangs_while_it_is_tried_again_fails_there_and_the_rest_is
     others = [case_of(protocol, f"unused-id/1{number}/0") for number in range(3)]
     for case in (sequence, single):
         device = Simulator(protocol, Fault("x", "test", "", react=react))
-        runner = run_over(CountingLink(device), protocol, [case, *others])  # type: ignore[list-item]
+        runner = run_over(CountingLink(device), protocol, [case, *others])
         results = {r.id: r for r in runner.run.results}
 
         assert results[case.id].verdict is FAIL
@@ -210,12 +210,7 @@ def test_an_interrupt_while_it_is_tried_again_is_never_a_pass(
     device = Simulator(protocol, on_times(drives_on, every=1))
     link = CountingLink(device)
 
-    runner = run_over(
-        link,
-        protocol,
-        [sequence, single],  # type: ignore[list-item]
-        interrupted=lambda: link.asks >= asks,
-    )
+    runner = run_over(link, protocol, [sequence, single], interrupted=lambda: link.asks >= asks)
 
     results = [r for r in runner.run.results if r.id in (sequence.id, single.id)]
     assert sorted(r.id for r in results) == sorted([sequence.id, single.id])
@@ -235,7 +230,7 @@ def test_a_port_that_goes_while_it_is_tried_again_is_no_failure_of_what_was_not_
                 raise Ended("the port is gone", error=True, line_works=False)
 
         link = CountingLink(Simulator(protocol, on_times(drives_on, every=1)), broken)
-        results = run_over(link, protocol, [sequence, single]).run.results  # type: ignore[list-item]
+        results = run_over(link, protocol, [sequence, single]).run.results
 
         mine = {r.id: r.verdict for r in results if r.id in (sequence.id, single.id)}
         assert len(mine) == 2
@@ -258,23 +253,24 @@ SHORTENED = 5  # walks in a run; the others are given as they are
 
 def played(device: Simulator, items: Sequence[str]) -> list[tuple[tuple[int, ...], Look]]:
     """What `bilprov send` with these items gets from a device, and what is seen after each."""
-    link, seen = VirtualLink(device, BYTE_TIME), []
+    link = VirtualLink(device, BYTE_TIME)
+    seen: list[tuple[tuple[int, ...], Look]] = []
     together = items[0] == "--together"
+
+    def note(wait: int) -> None:
+        heard, looked = link.do(Listen(None, wait)), link.do(Observe())
+        assert isinstance(heard, Received)
+        assert isinstance(looked, Observation)
+        seen.append((heard.codes, msgspec.structs.replace(looked.look, t=0)))
+
     for item in items[together:]:
         if item.startswith("pause="):
             link.do(Listen(None, int(item.removeprefix("pause=")) * MS))
             continue
         link.do(Send(bytes.fromhex(item)))
-        heard = link.do(Listen(None, 0 if together else 60 * MS))
-        looked = link.do(Observe())
-        assert isinstance(heard, Received)
-        assert isinstance(looked, Observation)
-        seen.append((heard.codes, msgspec.structs.replace(looked.look, t=0)))
-    last = link.do(Listen(None, 60 * MS))
-    looked = link.do(Observe())
-    assert isinstance(last, Received)
-    assert isinstance(looked, Observation)
-    return [*seen, (last.codes, msgspec.structs.replace(looked.look, t=0))]
+        note(0 if together else 60 * MS)
+    note(60 * MS)
+    return seen
 
 
 @pytest.mark.slow
