@@ -366,7 +366,7 @@ def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(
 ) -> None:
     with prompted(protocol, TERM="dumb") as (_, terminal):
         terminal.type("Speeed 1\nSpeed 9\nstate\nquit\n")
-        terminal.wait_for("did you mean Speed?; see help")
+        terminal.wait_for("Speed?; see help")
         terminal.wait_for("predicted: stopped speed 9")
         assert terminal.end() == 0
 
