@@ -22,14 +22,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command, process
-from tests.support.robots import (
-    PATIENCE,
-    Served,
-    judged_exit,
-    sentence,
-    served_here,
-    simulate,
-)
+from tests.support.robots import PATIENCE, Served, judged_exit, sentence, served_here, simulate
 from tests.support.signals import ignoring
 from tests.support.terminals import on_terminal
 from tests.support.wires import Running, running

@@ -16,14 +16,11 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.codec import build, judge
-from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import GrammarError, Protocol, load
 from bilprov.spec.state import Effect, From, State
 from tests.support.drawn_grammars import Drawn, drawn
 
 pytestmark = pytest.mark.slow
-
-Value = int | Motion | tuple[str, int]
 
 CHUNK = 3
 CHUNKS = [range(start, start + CHUNK) for start in range(0, 1000, CHUNK)]

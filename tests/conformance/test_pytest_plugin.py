@@ -386,9 +386,7 @@ def test_without_a_port_the_fixture_skips_and_nothing_else_happens(run: pytest.P
     result.stdout.fnmatch_lines(["SKIPPED*the fixture robot needs --robot-port*"])
 
 
-def test_a_robot_that_does_not_answer_is_an_error_in_one_sentence(
-    run: pytest.Pytester,
-) -> None:
+def test_a_robot_that_does_not_answer_is_an_error_in_one_sentence(run: pytest.Pytester) -> None:
     run.makepyfile(test_mine="def test_it(robot): pass\n")
 
     result = on_sim(run, "test_mine.py", "--robot-fault", "dead")

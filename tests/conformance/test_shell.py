@@ -304,9 +304,7 @@ def test_what_fails_while_it_drives_is_told_in_one_sentence(protocol: Protocol) 
         assert not device.state.moving
 
 
-def test_a_port_that_is_unplugged_at_the_prompt_is_told_in_one_sentence(
-    protocol: Protocol,
-) -> None:
+def test_a_port_that_is_unplugged_at_the_prompt_is_told_in_one_sentence(protocol: Protocol) -> None:
     with ExitStack() as stack:
         with car(protocol) as (device, port, _):
             terminal = stack.enter_context(on_terminal("send", port, "--yes"))

@@ -191,7 +191,4 @@ def test_what_a_run_changed_is_said_in_words(protocol: Protocol) -> None:
         "  not judged again  g",
     ]
     none = LastRun("sim", "robot-car")
-    assert words(none) == [
-        "run 4: 3 new failures",
-        "  new failures  f, x, y",
-    ]
+    assert words(none) == ["run 4: 3 new failures", "  new failures  f, x, y"]

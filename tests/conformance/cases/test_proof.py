@@ -100,10 +100,7 @@ def test_the_device_that_is_the_machine_itself_passes(protocol: Protocol) -> Non
 def test_a_device_with_one_other_transition_is_found(protocol: Protocol, seed: int) -> None:
     machine = other_machine(Random(f"device {seed}"), byte_machine(protocol, None).machine)
     report = conform(
-        MachineDevice(protocol, machine),
-        grammar=protocol,
-        options=ONLY_ANSWERS,
-        logged=False,
+        MachineDevice(protocol, machine), grammar=protocol, options=ONLY_ANSWERS, logged=False
     )
 
     assert report.exit == 1
@@ -203,9 +200,7 @@ class SeeingGapDevice(GapDevice):
 
 
 @pytest.mark.slow
-def test_silences_between_frames_are_kept_where_no_probe_sees_the_robot(
-    protocol: Protocol,
-) -> None:
+def test_silences_between_frames_are_kept_where_no_probe_sees_the_robot(protocol: Protocol) -> None:
     least = int(protocol.timing.truncation_timeout * MS)
     seeing, blind = SeeingGapDevice(protocol, least), GapDevice(protocol, least)
     for device in (seeing, blind):

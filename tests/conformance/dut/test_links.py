@@ -31,7 +31,7 @@ from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import PtyPair, open_pty
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.captures.schemas import Look
+from bilprov.captures.schemas import MS, Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.dut.simulator import Fault, Simulator, answers
 from bilprov.conformance.dut.virtual_link import DeviceError, VirtualLink
@@ -40,7 +40,6 @@ from tests.support.robots import BYTE_TIME, PATIENCE, ProbeServer, served_here
 
 pytestmark = pytest.mark.waits
 
-MS = 1_000_000
 LONG = int(PATIENCE * 1e9)  # ns; a link that waits so long hangs
 
 
@@ -127,15 +126,12 @@ def test_a_device_whose_deadline_does_not_advance_is_wrong_use(protocol: Protoco
 
 
 class Echo:
-    """A link that answers every ask with the ask's number, and may end the run."""
+    """A link that answers every ask with the ask's number."""
 
-    def __init__(self, ends_at: int = -1) -> None:
+    def __init__(self) -> None:
         self.asks: list[Operation] = []
-        self._ends_at = ends_at
 
     def do(self, ask: Operation) -> int | Received | Observation:
-        if len(self.asks) == self._ends_at:
-            raise Ended("gone", error=True, line_works=False)
         self.asks.append(ask)
         return len(self.asks)
 

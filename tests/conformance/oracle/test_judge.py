@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.client.operations import Received
-from bilprov.captures.schemas import Look
+from bilprov.captures.schemas import MS, Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.cases.case import Case
@@ -31,8 +31,6 @@ from bilprov.spec.state import State
 from tests.conformance.oracle.test_state_model import DRIVING, TURNING
 from tests.support.car import frame_effect, model_of
 from tests.support.robots import Blind, simulated
-
-MS = 1_000_000
 
 PASS, INFORMATIONAL, NON_STRICT = Verdict.PASS, Verdict.INFORMATIONAL, Verdict.NON_STRICT
 INCONCLUSIVE, FAIL = Verdict.INCONCLUSIVE, Verdict.FAIL

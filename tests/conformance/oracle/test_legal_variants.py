@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bilprov.captures.schemas import Look
+from bilprov.captures.schemas import MS, Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
@@ -127,9 +127,6 @@ def test_but_a_robot_that_no_new_speed_wakes_after_a_fault_fails(protocol: Proto
     )
 
     assert Verdict.FAIL in {result.verdict for result in runner.run.results}
-
-
-MS = 1_000_000
 
 
 def speeds_after_stops(protocol: Protocol, name: str, *movers: str) -> list[int]:

@@ -29,11 +29,7 @@ PASS, NON_STRICT, FAIL = Verdict.PASS, Verdict.NON_STRICT, Verdict.FAIL
 INCONCLUSIVE, SKIPPED = Verdict.INCONCLUSIVE, Verdict.SKIPPED
 
 EVERY = ("moving", "motion", "speed", "steering", "led", "left", "right")
-FACETS = {
-    **{name: (name,) for name in EVERY[:5]},
-    "wheels": ("left", "right"),
-    "every": EVERY,
-}
+FACETS = {**{name: (name,) for name in EVERY[:5]}, "wheels": ("left", "right"), "every": EVERY}
 PARTS = {"first": 1 / 6, "middle": 1 / 2, "last": 5 / 6}  # of the looks of a good robot's run
 FAULTS = (
     *("no-stop-after-100-faults", "no-stop-after-200-faults", "every-100th-fault-missed"),

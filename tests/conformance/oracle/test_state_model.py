@@ -53,8 +53,6 @@ def test_a_choice_that_is_the_default_changes_nothing(protocol: Protocol) -> Non
 
 # -- each other choice ----------------------------------------------------------------------------
 
-MOTIONS = {"Forward", "Backward", "RotateRight", "RotateLeft"}
-
 
 def test_a_later_speed_replaces_the_one_that_waits(protocol: Protocol) -> None:
     model = model_of(protocol, {"R-speed-moving": "next-motion"})
@@ -89,7 +87,7 @@ def test_the_motion_is_known_again_after_the_next_one(protocol: Protocol) -> Non
     model = model_of(protocol, {"R-steer-rotating": "curve"})
     curve = model.after(ExpectedState(TURNING), frame_effect(protocol, "Right", 9))
 
-    for name in (*MOTIONS, "Stop", "fault"):
+    for name in ("Forward", "Backward", "RotateRight", "RotateLeft", "Stop", "fault"):
         assert model.after(curve, frame_effect(protocol, name)).unknown == frozenset(), name
 
 

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import msgspec
 import pytest
 
-from tests.support.commands import Done, command
+from tests.support.commands import command
 
 FAULTY = ("conform", "sim", "--only", "valid/LED/1", "--fault", "always-1")
 REPORTS = ("json", "junit", "html", "profile")
@@ -58,12 +58,6 @@ def interrupts() -> Iterator[Interrupts]:
     signal.signal(signal.SIGINT, before)
 
 
-def reported(folder: Path) -> Done:
-    """A run that fails, with all its reports; one that is in the folder is replaced."""
-    files = [word for name in REPORTS for word in (f"--{name}", str(folder / name))]
-    return command(*FAULTY, *files, XDG_STATE_HOME=str(folder / "state"))
-
-
 @pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("events", "file"),
@@ -81,7 +75,8 @@ def test_ctrl_c_while_reports_are_written_leaves_each_whole(
         (tmp_path / old).write_text("old")
     interrupts.events, interrupts.file = events, file
 
-    done = reported(tmp_path)
+    files = [word for name in REPORTS for word in (f"--{name}", str(tmp_path / name))]
+    done = command(*FAULTY, *files, XDG_STATE_HOME=str(tmp_path / "state"))
 
     assert set(interrupts.sent) == set(events)
     assert (done.returncode, b"Traceback" in done.stderr) == (1, False)

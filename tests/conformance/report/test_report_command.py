@@ -65,8 +65,6 @@ def test_nothing_that_a_run_says_is_lost(protocol: Protocol, tmp_path: Path) -> 
 
     assert as_json(again) == as_json(report)
     assert again == replace(report, file=again.file)
-    assert (again.ended_by, again.timing) == ("user", {"bytes_sent": 12, "wire_s": 0.25})
-    assert again.comparison == report.comparison
 
 
 def test_what_this_version_does_not_know_is_passed_over(protocol: Protocol, tmp_path: Path) -> None:

@@ -230,7 +230,6 @@ def found_by_tries(
         ("=!=!========", INCONCLUSIVE, 12),  # noise may be why
         ("!=!==!======", INCONCLUSIVE, 12),
         ("=!=!?=", INCONCLUSIVE, 6),  # it may have been the line
-        ("=!?!=?", INCONCLUSIVE, 6),
     ],
 )
 def test_a_try_for_which_the_line_is_too_coarse_tells_nothing(

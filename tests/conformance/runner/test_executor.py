@@ -39,10 +39,9 @@ from tests.support.faults import (
     resumes_after,
     when,
 )
-from tests.support.robots import CountingLink, at_rest, cases_of, new_run, run_over
+from tests.support.robots import MS, CountingLink, at_rest, cases_of, new_run, run_over
 from tests.support.walking import at_frame
 
-MS = 1_000_000
 ONLY = (
     *("valid/Stop", "valid/Forward", "valid/LED/[67]", "unused-id/9/[01]"),
     *("wrong-length/Speed/[03]", "bad-data/LED/8", "truncated/LED/0", "recovery/*/Forward"),
