@@ -86,7 +86,7 @@ events = st.lists(
         st.builds(
             Line,
             t=st.integers(0, 10 * SECOND),
-            event=st.text(max_size=20),
+            event=st.text(max_size=20) | st.just("gap"),
             tap=st.sampled_from(["host", "device", ""]),
             detail=st.text(max_size=20),
         ),

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames, decoded, encoded
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.captures.schemas import Chunk
+from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS, Event
@@ -95,6 +95,10 @@ def test_a_state_of_a_session_with_other_settings_is_refused(
         Session(protocol, **setting).resume(state)
     with pytest.raises(ValueError, match="other settings"):
         StreamDecoder(protocol, **setting).resume(state)
+    found = Checkpoint.of(9 * MS, protocol.sha256, encoded(state), resumes=True)
+    (resumed,) = Session(protocol, **setting).feed(Resumption(9 * MS, "gap", checkpoint=found))
+    (lost,) = Session(protocol, **setting).feed(Line(9 * MS, "gap"))
+    assert resumed.state == lost.state
 
 
 NONSENSE: dict[str, dict[str, Any]] = {

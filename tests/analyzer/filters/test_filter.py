@@ -329,6 +329,7 @@ def test_an_answer_without_a_code_is_not_the_one_with_the_code_of_valid_requests
 
     (found,) = passing(compile_filter("judgement == ACK", protocol), records)
     assert found is records[0]
+    assert passing(compile_filter("judgement == 'no answer'", protocol), records) == []
     compile_filter("response < 1", load(FRAMED["stk500v1"]))  # its codes are higher
 
 

@@ -54,11 +54,12 @@ def out_of_range(protocol: Protocol) -> Iterator[Chunk]:
 
 
 def both_forms(protocol: Protocol) -> Iterator[tuple[Batch, list[JsonLine | None]]]:
-    """Odd and regular traffic as it is decoded one by one, and as arrays, with its lines."""
+    """Odd and regular traffic one by one, the device alone too, and as arrays, with its lines."""
     events = [*odd_traffic(protocol, count=60), *out_of_range(protocol)]
     decoder = StreamDecoder(protocol)
     for batch in (
         Records(decoded(Session(protocol), events)),
+        Records(decoded(Session(protocol, heard=frozenset({"device"})), events)),
         *decoder.decode(Events.of(events)),
         *decoder.finish(),
     ):

@@ -69,6 +69,19 @@ def test_an_answer_that_came_before_its_frame_has_no_latency(
     assert (profile.latencies, profile.delays) == (latencies, latencies)
 
 
+@pytest.mark.parametrize(
+    ("delays", "unsteadiness"), [(range(9), 0), (range(10), 7), (range(1000), 79)]
+)
+def test_a_line_is_as_unsteady_as_most_of_the_last_answers_to_one_frame_differ(
+    delays: range, unsteadiness: int
+) -> None:
+    profile = Profile()
+    for delay in delays:
+        profile.set_up(b"\x20", delay)
+
+    assert profile.unsteadiness == unsteadiness
+
+
 TIME = r"truncation_timeout_ms( = .* is not a time|`; give a file)"
 FLAG = r"Expected `bool .*\$\.flushes.; give a file"
 
