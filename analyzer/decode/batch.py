@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import compress
+from itertools import compress, repeat
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -120,20 +120,18 @@ class StateColumns:
         found: Mask = np.logical_not(both.reduce(terms))
         return found
 
-    def states(self) -> list[State]:
+    @cached_property
+    def states(self) -> NDArray[np.object_]:
         """The state of each row as it is written; neighbours with one state share one object."""
         kind, count = self.kind, self._count
         columns = {variable: self[variable] for variable in kind.variables}
-        changed = np.zeros(count, np.bool_)
-        changed[:1] = True
+        changed = np.arange(count) == 0
         for column in columns.values():
             changed[1:] |= column[1:] != column[:-1]
-        first = np.flatnonzero(changed)
-        values = [_values(kind, name, column[first]) for name, column in columns.items()]
+        values = [_values(kind, name, one[changed]).tolist() for name, one in columns.items()]
         if kind.at_rest is not None:
-            values.append(self.moving[first].tolist())
-        distinct = map(kind, *values) if values else [kind() for _ in first]
-        return repeated(distinct, np.diff(first, append=count))
+            values.append(self.moving[changed].tolist())
+        return repeated(map(kind, *values) if values else repeat(kind()), changed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -452,31 +450,27 @@ def times(values: Sequence[int]) -> NDArray[np.int64]:
 def sliced(
     data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
 ) -> list[bytes]:
-    """The bytes from each start to its end; both increase."""
+    """The bytes from each start to its end."""
     if not len(start):
         return []
-    low = int(start[0])
-    taken = data[low : int(end[-1])].tobytes()
+    low = int(start.min())
+    taken = data[low : int(end.max())].tobytes()
     slices = map(slice, (start - low).tolist(), (end - low).tolist())
     return list(map(taken.__getitem__, slices))
 
 
-def _values(kind: type[State], variable: str, codes: NDArray[Any]) -> list[Any]:
+def _values(kind: type[State], variable: str, codes: NDArray[Any]) -> NDArray[np.object_]:
     """The values of a variable with these numbers."""
-    unknown = codes == NOT_KNOWN
-    words = kind.words.get(variable)
-    values = codes if words is None else np.array(words, object).take(codes, mode="clip")
-    listed: list[Any] = values.tolist()
-    for row in np.flatnonzero(unknown).tolist():
-        listed[row] = None
-    return listed
+    words = np.array(kind.words.get(variable), object)
+    values = words.take(codes, mode="clip") if words.ndim else codes.astype(object)
+    values[codes == NOT_KNOWN] = None
+    return values
 
 
-def repeated(values: Iterable[Any], counts: NDArray[np.integer]) -> list[Any]:
-    """A list of each value so many times."""
-    array = np.fromiter(values, object, len(counts))
-    listed: list[Any] = np.repeat(array, counts).tolist()
-    return listed
+def repeated(values: Iterable[Any], changed: Mask) -> NDArray[np.object_]:
+    """The next of the values at each row that has changed, and the same again at those behind."""
+    distinct = np.fromiter(values, object, np.count_nonzero(changed))
+    return distinct.take(np.cumsum(changed) - 1)
 
 
 def _numbers(values: Sequence[int | None]) -> NDArray[np.int64]:

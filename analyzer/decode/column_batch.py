@@ -7,6 +7,7 @@ from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import repeat
+from operator import attrgetter
 from typing import Any, Self
 
 import numpy as np
@@ -37,6 +38,8 @@ from bilprov.spec.codec import Judgement, Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_as, usual_way
 from bilprov.spec.state import State
+
+_FEW = 256  # frames that are looked up one by one faster than they are compared
 
 
 @dataclass(frozen=True)
@@ -163,7 +166,7 @@ class ColumnBatch(Batch):
     def others(self) -> OtherRows:
         """The other rows."""
         after = self.line_after
-        states = self._states_after(after) if len(after) else []
+        states = self._timelines.states.take(after).tolist() if len(after) else []
         listed = [
             LineRecord(line, False, state, anomalies.of_line(line, lost=False))
             for line, state in zip(self.lines, states, strict=True)
@@ -182,13 +185,16 @@ class ColumnBatch(Batch):
             for places, mask in zip(self.places, chosen or self.places, strict=True)
         )
         made: list[Record] = [*self._host_records(hosts)]
-        made += self._answers(devices, self._states_after(self.after[devices]))
+        made += self._answers(devices, self._timelines.states.take(self.after[devices]).tolist())
         made += [self.others.listed[row] for row in others.tolist()]
         rows = (hosts, devices, others)
         places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
-        return list(map(made.__getitem__, np.argsort(places, kind="stable").tolist()))
+        ordered = np.empty(len(self), object)
+        ordered[places] = np.fromiter(made, object, len(made))
+        records: list[Record] = ordered[np.sort(places)].tolist()
+        return records
 
-    @property
+    @cached_property
     def _alone(self) -> Self:
         """The batch without its rows, for what they call.
 
@@ -200,17 +206,17 @@ class ColumnBatch(Batch):
     def _host_records(self, rows: NDArray[np.int64]) -> Iterator[HostRecord]:
         hosts = self.hosts
         end = objects(hosts.end[rows])
-        judged = self._judgements(rows)
+        judged = self._judgements(rows).tolist()
         return map(
             HostRecord,
             objects(hosts.t[rows]),
             end,
             end,
             repeat("instruction"),
-            [judgement.frame for judgement in judged],
+            map(attrgetter("frame"), judged),
             judged,
             hosts.sequence[rows].tolist(),
-            self._states_after(rows + 1),
+            self._timelines.states.take(rows + 1).tolist(),
         )
 
     def _samples(self, rows: NDArray[np.int64]) -> list[DeviceRecord]:
@@ -257,26 +263,40 @@ class ColumnBatch(Batch):
         new = self.sequence[rows] - self.first
         carried = int(np.searchsorted(new, 0))
         before = self._judged(self.asked.rows(rows[:carried]))
-        return [*before, *self._judgements(new[carried:])]
+        return [*before.tolist(), *self._judgements(new[carried:]).tolist()]
 
-    def _judgements(self, rows: NDArray[np.int64]) -> list[Judgement]:
+    def _judgements(self, rows: NDArray[np.int64]) -> NDArray[np.object_]:
         """The judgements of some of the new frames."""
         if 2 * len(rows) < len(self.start):
             return self._judged(self.requests.rows(rows))
-        judged: list[Judgement] = self._all_judged.take(rows).tolist()
-        return judged
+        return self._all_judged.take(rows)
 
     @cached_property
     def _all_judged(self) -> NDArray[np.object_]:
         """The judgements of all new frames, which the records of both sides have."""
-        judged = self._judged(self.requests)
-        return np.fromiter(judged, object, len(judged))
+        return self._judged(self.requests)
 
-    def _judged(self, requests: Requests) -> list[Judgement]:
+    def _judged(self, requests: Requests) -> NDArray[np.object_]:
+        """The judgements of some frames; where frames are equal, one of them is looked up."""
+        one, place = self._distinct(requests)
+        frames = sliced(self.data, requests.offset[one], requests.end[one])
         steps = self.decoding.steps
-        return [
-            steps[frame].judgement for frame in sliced(self.data, requests.offset, requests.end)
-        ]
+        return np.fromiter((steps[frame].judgement for frame in frames), object, len(one))[place]
+
+    def _distinct(self, requests: Requests) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """A row of each frame that differs from the others, and which of these each row equals.
+
+        Frames of 8 bytes and more count as different, and so do a few.
+        """
+        rows = np.arange(len(requests.size))
+        if len(rows) < _FEW:
+            return rows, rows
+        eight = self.data.take(requests.offset[:, None] + np.arange(8), mode="clip").view("<u8")
+        bits = np.minimum(8 * requests.size, 64).astype(np.uint64)
+        low = eight[:, 0] & ((np.uint64(1) << bits) - np.uint64(1))
+        key = np.where(requests.size < 8, low, rows.astype(np.uint64)) | bits << np.uint64(56)
+        _, one, place = np.unique(key, return_index=True, return_inverse=True)
+        return one, place
 
     @cached_property
     def _timelines(self) -> StateColumns:
@@ -292,21 +312,10 @@ class ColumnBatch(Batch):
         timelines = self._timelines
         return StateColumns(timelines.kind, len(after), lambda name: timelines[name].take(after))
 
-    @cached_property
-    def _states(self) -> NDArray[np.object_]:
-        """The states of the timelines."""
-        states = self._timelines.states()
-        return np.fromiter(states, object, len(states))
-
-    def _states_after(self, after: NDArray[np.int64]) -> list[State]:
-        """The states after so many frames."""
-        states: list[State] = self._states.take(after).tolist()
-        return states
-
 
 def objects(values: NDArray[np.int64]) -> list[int]:
     """Numbers as a list, in which neighbours that are equal are one object."""
-    if not len(values):
-        return []
-    first = np.flatnonzero(np.diff(values, prepend=values[0] - 1))
-    return repeated(values[first].tolist(), np.diff(first, append=len(values)))
+    changed = np.ones(len(values), np.bool_)
+    changed[1:] = values[1:] != values[:-1]
+    listed: list[int] = repeated(values[changed].tolist(), changed).tolist()
+    return listed
