@@ -13,6 +13,7 @@ from bilprov.analyzer.decode.records import UNCERTAIN, Anomaly, Severity
 from bilprov.captures.schemas import MS, Line
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement, spaced
+from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import agrees
 
@@ -96,7 +97,8 @@ def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> An
 def _of_itself(protocol: Protocol, held: Held, asked: Judgement) -> tuple[bool, list[Cause]]:
     """Whether an answer is one that a conforming device may give, and what is odd about it.
 
-    A disagreeing code is a warning where a reading allows it.
+    A disagreeing code is a warning where a reading allows it. An answer to an ID that a grammar of
+    another layout than the car's lacks only informs: the device may have what the grammar has not.
     """
     reply = held.reply
     if reply and reply.reason:
@@ -106,6 +108,8 @@ def _of_itself(protocol: Protocol, held: Held, asked: Judgement) -> tuple[bool, 
     rests_on, severity, said = "", Severity.ERROR, ""
     if reply:
         said = f"the device answers {reply.describe()}"
+        if asked.outcome is Outcome.UNKNOWN_ID:
+            rests_on, severity = " (or the grammar lacks it)", Severity.INFO
     elif held.byte not in protocol.codes:
         return False, [_unused_code(protocol, held.byte)]
     else:

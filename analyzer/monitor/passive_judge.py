@@ -164,6 +164,7 @@ _LOST = "bytes were lost before the answer"
 _OVER = "the traffic ended before the answer was due"
 _DEAF = "the other direction was not listened to"
 _SILENT = "no answer is due"
+_LACKED = "the grammar may lack the instruction"
 _GARBAGE = "bytes that belong to no frame"
 _LATE = "later than TIMING.answer_deadline"
 _UNANSWERED = "TIMING.answer_longest"
@@ -351,6 +352,9 @@ class PassiveJudge:
             self._in_step_from = 0
         if record.t < self._in_step_from and not record.agrees:
             self._findings.not_judged[_UNSEEN] += 1
+            return
+        if ("disagreeing", Severity.INFO) in [(one.kind, one.severity) for one in record.faults]:
+            self._findings.not_judged[_LACKED] += 1
             return
         self._findings.judged += 1
         self._coverage.answer(record)

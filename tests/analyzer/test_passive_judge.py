@@ -458,6 +458,16 @@ def test_frames_of_another_layout_are_covered_by_what_can_be_counted_there() -> 
     assert not found.violations
 
 
+def test_a_device_may_have_what_a_grammar_lacks() -> None:
+    protocol = load(FRAMED["modbus_rtu"])
+    events = [host(0, "112b0e0100b1b4"), device(4, "112b0e0183000003000156010150020331 2e30a8a4")]
+
+    found = judged(protocol, events)
+
+    assert not found.violations
+    assert found.not_judged == {"the grammar may lack the instruction": 1}
+
+
 def test_of_another_grammar_its_declarations_are_named_and_no_readings_of_the_car() -> None:
     protocol = load(FRAMED["relay_board"])
     frame = build(protocol, "On", {"address": 1})
