@@ -45,6 +45,7 @@ from bilprov.analyzer.replay.capture_decoding import (
     capture_settings,
     opened_at,
     opened_whole,
+    unheard,
 )
 from bilprov.analyzer.totals.timeline import Timeline
 from bilprov.analyzer.totals.totals import Totals
@@ -53,10 +54,6 @@ from bilprov.captures.evidence import open_evidence
 from bilprov.captures.reader import Capture, open_capture, open_indexed
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.errors import UserError
-
-
-def _told(count: int) -> None:
-    """Progress that nobody is shown."""
 
 
 def examined(path: Path) -> None:
@@ -99,7 +96,7 @@ def edited(path: Path) -> None:
     """Compare a capture with itself, cut a filter's part out of it, join it with another."""
     protocol, capture = load_protocol(), open_capture(path)
     require(
-        compared([capture, capture], protocol, _told).exit == 0, "a capture differs from itself"
+        compared([capture, capture], protocol, unheard).exit == 0, "a capture differs from itself"
     )
     test = compile_filter("faulty", protocol).started(capture.start)
     frames, part = _written(
@@ -127,7 +124,7 @@ def _written(
 ) -> tuple[int, Capture]:
     """What `write` says that it wrote into a new capture, and that capture, which is whole."""
     new = folder() / "new.mcap"
-    with new_capture(new, captures, metadata, load_protocol(), _told, force=True) as copy:
+    with new_capture(new, captures, metadata, load_protocol(), unheard, force=True) as copy:
         write(copy)
     made = open_capture(new)
     require(not made.damage and not made.unfinished, "what was written is damaged")
@@ -162,7 +159,7 @@ def exported(path: Path) -> None:
         for chosen in (None, faulty):
             _export(capture, chosen)
         totals, timeline = Totals(protocol), Timeline(protocol)
-        for batch in opened_whole(capture, protocol).decoded(_told):
+        for batch in opened_whole(capture, protocol).decoded(unheard):
             totals.add(batch)
             timeline.add(batch)
     finally:
@@ -174,7 +171,7 @@ def exported(path: Path) -> None:
 
 
 def _export(capture: Capture, test: Filter | None) -> None:
-    chosen = Chosen(capture, load_protocol(), test, Window(), _told)
+    chosen = Chosen(capture, load_protocol(), test, Window(), unheard)
     table, lines = io.BytesIO(), io.BytesIO()
     write_text(chosen, table, "csv")
     rows = list(csv.reader(io.StringIO(table.getvalue().decode(), newline="")))

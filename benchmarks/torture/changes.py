@@ -16,7 +16,7 @@ from benchmarks.torture.capture_mutator import changed_capture
 from benchmarks.torture.capture_seeds import foreign_captures, loose_capture, own_captures
 from benchmarks.torture.capture_uses import edited, examined, exported, mended
 from benchmarks.torture.guard import Failed, folder, guarded, watched
-from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harm import Harm, Row, tracked
 from bilprov.captures.errors import CaptureError
 
 CORPUS = tuple((Path(__file__).parent / "corpus").iterdir())
@@ -53,7 +53,7 @@ def _measure(runs: int, seed: int) -> list[Row]:
     count, taken = Counter[str](), Counter[str]()
     wrong: dict[str, dict[Failed, str]] = {use: {} for use in USES}
     with watched():
-        for run in range(runs):
+        for run in tracked(range(runs), runs):
             use, data = _SHARES[run % len(_SHARES)], changed_capture(draw, seeds)
             came = used(use, data)
             count[use] += 1

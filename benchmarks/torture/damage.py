@@ -20,7 +20,7 @@ from benchmarks.torture.capture_mutator import split
 from benchmarks.torture.capture_seeds import foreign_captures, loose_capture, own_captures, parts
 from benchmarks.torture.capture_uses import examined, mended
 from benchmarks.torture.guard import folder, guarded, watched
-from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harm import Harm, Row, tracked
 from bilprov.analyzer.doctor.finding import Grade, of_capture
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
@@ -182,7 +182,7 @@ def _damaged(random: Random, kind: Kind, damage: Damage) -> tuple[bytes, ...]:
 
 
 def _outcomes(damage: Damage, runs: int, random: Random) -> Iterator[Outcome]:
-    for run in range(runs):
+    for run in tracked(range(runs), runs):
         kind = random.choice(kinds())
         read = partial(judged, kind, _damaged(random, kind, damage))
         outcome = guarded(read)

@@ -32,7 +32,7 @@ from typing import NamedTuple
 from benchmarks.adapter import Adapter
 from benchmarks.commands import bilprov_words
 from benchmarks.product import metadata
-from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harm import Harm, Row, tracked
 from benchmarks.torture.robots import Probe, served
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import MS, Chunk
@@ -403,7 +403,7 @@ def _rows(cases: list[Case], seed: int, how: str) -> list[Row]:
     """Run the cases two at a time."""
     ends = defaultdict[str, list[Exit]](list)
     with ThreadPoolExecutor(2) as pool:
-        for one in pool.map(ended, cases, range(seed, seed + len(cases))):
+        for one in tracked(pool.map(ended, cases, range(seed, seed + len(cases))), len(cases)):
             ends[one.case[0]].append(one)
     return [_row(name, how, ends[name]) for name in COMMANDS | SIGNALLED if name in ends]
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from benchmarks.commands import Ended, bilprov_words, run_any
 from benchmarks.torture.exits import items, replay_to
-from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harm import Harm, Row, tracked
 from bilprov.analyzer.client.rest import stops
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.port import PtyPair, open_pty
@@ -168,7 +168,7 @@ def flooded(name: str, peer: str, seed: int) -> Ended | str:
 def _measure(runs: int, seed: int) -> list[Row]:
     """Run every command at every device so often; a row for each pair."""
     came = defaultdict[tuple[str, str], list[Ended | str]](list)
-    for turn in range(seed, seed + runs):
+    for turn in tracked(range(seed, seed + runs), runs):
         for name, peer in PAIRS:
             came[name, peer].append(flooded(name, peer, turn))
     return [_row(name, peer, ended) for (name, peer), ended in came.items()]

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import track
 
 from benchmarks.report import one_cell
+
+T = TypeVar("T")
+
+
+def tracked(work: Iterable[T], total: int) -> Iterable[T]:
+    """The same; on a terminal a bar shows meanwhile how much of the `total` is done."""
+    errors, no_bar = Console(stderr=True), not sys.stderr.isatty()
+    return track(work, "", total, console=errors, transient=True, disable=no_bar)
 
 
 @dataclass(frozen=True, slots=True)

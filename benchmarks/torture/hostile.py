@@ -19,7 +19,7 @@ import zstandard
 
 from benchmarks.commands import bilprov_words, run_any
 from benchmarks.product import metadata
-from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harm import Harm, Row, tracked
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures import topics
 from bilprov.captures.schemas import MS, Chunk, Line
@@ -254,7 +254,7 @@ def _measure(runs: int, seed: int) -> list[Row]:
     held: dict[str, list[Used]] = {name: [] for name in COMMANDS}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hostile.mcap"
-        for name in list(KINDS)[:runs]:
+        for name in tracked(list(KINDS)[:runs], runs):
             # In a process of its own, which gives back what some of them take to make.
             maker = multiprocessing.get_context("fork").Process(target=KINDS[name], args=(path,))
             maker.start()

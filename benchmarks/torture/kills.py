@@ -19,7 +19,7 @@ from subprocess import TimeoutExpired
 from typing import NamedTuple, TypeAlias
 
 from benchmarks.lines import wires
-from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harm import Harm, Row, tracked
 from benchmarks.torture.unplugged_taps import Listener, heard
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
@@ -109,7 +109,7 @@ def judged(path: Path, data: bytes, moments: list[Moment]) -> Kill:
 
 def _measure(runs: int, seed: int) -> list[Row]:
     held: dict[str, list[Kill]] = {form: [] for form in _FORMS}
-    for run in range(runs):
+    for run in tracked(range(runs), runs):
         form = _FORMS[run % len(_FORMS)]
         try:
             held[form].append(killed(form, seed + run))

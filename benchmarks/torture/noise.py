@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from benchmarks.noisy_device import NoisyDevice
-from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harm import Harm, Row, tracked
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.conformance.api import Options, conform
@@ -76,7 +76,8 @@ def _measure(runs: int, seed: int) -> list[Row]:
         trials += [Trial(what, line, seed + number, rate) for what in ("", fault)]
     rows = defaultdict[str, list[tuple[Trial, int, str]]](list)
     with ProcessPoolExecutor(2) as pool:
-        for trial, ended in zip(trials, pool.map(noisy_run, trials), strict=True):
+        done = zip(trials, pool.map(noisy_run, trials), strict=True)
+        for trial, ended in tracked(done, len(trials)):
             rows[f"bytes {trial.line} at {trial.rate:g}"].append((trial, *ended))
     return [_row(line, ended) for line, ended in rows.items()]
 

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 from benchmarks.adapter import Adapter
 from benchmarks.commands import bilprov_words, started
 from benchmarks.torture.exits import items, replay_to
-from benchmarks.torture.harm import Harm, Row
+from benchmarks.torture.harm import Harm, Row, tracked
 from benchmarks.torture.robots import served
 from benchmarks.torture.unplugged_taps import TAPPED, Unplugged
 from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
@@ -190,7 +190,7 @@ def _measure(runs: int, seed: int) -> list[Row]:
     rows = list(product(range(seed, seed + runs), KINDS))
     with ThreadPoolExecutor(2) as pool:
         done = pool.map(lambda row: KINDS[row[1]](row[0]), rows)
-        for (_, name), one in zip(rows, done, strict=True):
+        for (_, name), one in tracked(zip(rows, done, strict=True), len(rows)):
             came[name].append(one)
     return [_row(name, runs_of) for name, runs_of in came.items()]
 
