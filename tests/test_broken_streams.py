@@ -28,14 +28,12 @@ from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk
 from tests.support import ROOT
-from tests.support.commands import PATIENCE, command
+from tests.support.commands import PATIENCE, Done, command
 from tests.support.reports import timeless
-from tests.support.robots import sentence, simulate
+from tests.support.robots import sentence, simulate, until
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
-
-Result = subprocess.CompletedProcess[bytes]
 
 PAGE = 4096  # bytes, the least that a pipe holds
 
@@ -108,7 +106,7 @@ def started(redirections: str, stdin: int, *arguments: str) -> subprocess.Popen[
     )
 
 
-def broken(stream: str, how: str, *arguments: str, said: int = PAGE) -> Result:
+def broken(stream: str, how: str, *arguments: str, said: int = PAGE) -> Done:
     """The command, with the streams that are left captured; `said` is how much goes to the sink."""
     redirections = CLOSED[stream] if how == "closed" else STREAMS[stream]
     with closing(Sink(how, said)) as sink:
@@ -278,23 +276,16 @@ def test_a_signal_stops_the_robot_while_its_terminal_takes_no_output() -> None:
         slave = os.open(terminal.name, os.O_RDWR | os.O_NOCTTY)
         words = [sys.executable, "-m", "bilprov", "send", robot.port, *drive, "--yes"]
         process = subprocess.Popen(words, stdin=slave, stdout=slave, stderr=slave)
-        _until(lambda: robot.state()["moving"])
+        until(lambda: robot.state()["moving"])
         termios.tcflow(slave, termios.TCOOFF)  # as Ctrl-S does
         time.sleep(0.5)
         process.terminate()
-        _until(lambda: not robot.state()["moving"])
+        until(lambda: not robot.state()["moving"])
         termios.tcflow(slave, termios.TCOON)
         process.wait(PATIENCE)
         os.close(slave)
 
     assert process.returncode == 1
-
-
-def _until(seen: Callable[[], bool]) -> None:
-    give_up = time.monotonic() + PATIENCE
-    while not seen():
-        assert time.monotonic() < give_up
-        time.sleep(0.01)
 
 
 QUIET = [
@@ -410,7 +401,7 @@ SLOWLY_READ = {
 }
 
 
-def read_late(*arguments: str, stream: str, late: float = 1.0) -> Result:
+def read_late(*arguments: str, stream: str, late: float = 1.0) -> Done:
     """The command with a stream that is a full, non-blocking pipe, which is read `late` (s)."""
     reader, end = os.pipe()
     with os.fdopen(reader, "rb") as said:

@@ -19,11 +19,10 @@ from bilprov import __main__ as front_door
 from bilprov.conformance.dut.boards.paced import HELD, PacedBoard
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from tests.support.firmware import AVR, built, compiled
-from tests.support.robots import PATIENCE, Served, emulate
+from tests.support.robots import MS, PATIENCE, Served, emulate
 
 pytestmark = pytest.mark.waits
 
-MS = 1_000_000
 BYTE = 86_806  # ns, of 10 bits at 115,200 baud
 
 FIRMWARE = Path(__file__).with_name("echo.c").read_text(encoding="utf-8")

@@ -14,12 +14,11 @@ from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
 from tests.support.firmware import AVR, END, compiled, record
-from tests.support.robots import PATIENCE, Served, emulate
+from tests.support.robots import MS, PATIENCE, Served, emulate
 from tests.support.wires import running
 
 pytestmark = pytest.mark.waits
 
-MS = 1_000_000
 SIZE = 1 << 15  # bytes of flash
 
 # Each answer is the number of bytes since the reset, and in the upper half why it was reset: 1 by

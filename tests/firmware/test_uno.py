@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
-from bilprov.captures.schemas import Look
+from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.boards import uno
 from bilprov.conformance.dut.boards.firmware import read_firmware
@@ -29,7 +29,6 @@ from tests.vectors import FRAMES
 
 pytestmark = AVR
 
-MS = 1_000_000
 BYTE = 86_806  # ns, of 10 bits at 115,200 baud
 PAUSE = 70 * MS  # ends a frame that lacks data
 
@@ -61,6 +60,11 @@ class Bench:
     def home(self) -> None:
         """Between two frames, stopped."""
         self.send(bytes(16), wait=PAUSE, answers=None)
+
+    def drive(self, speed: int = 0xFF) -> None:
+        """Between two frames, at this speed."""
+        self.home()
+        assert self.send(bytes([0x11, speed])) + self.send(b"\x20") == b"\x00\x00"
 
 
 @pytest.fixture(scope="module")
@@ -139,9 +143,7 @@ def test_its_pins_follow_the_motion_model(
 def test_it_stands_still_within_a_millisecond_of_the_byte_that_makes_it_faulty(
     bench: Bench, frame: str
 ) -> None:
-    bench.home()
-    bench.send(b"\x11\xff")
-    bench.send(b"\x20")
+    bench.drive()
     assert bench.look().moving
 
     bench.send(bytes.fromhex(frame), wait=MS)
@@ -150,9 +152,7 @@ def test_it_stands_still_within_a_millisecond_of_the_byte_that_makes_it_faulty(
 
 
 def test_a_header_without_its_data_stops_it_when_its_time_is_over(bench: Bench) -> None:
-    bench.home()
-    bench.send(b"\x11\xff")
-    bench.send(b"\x20")
+    bench.drive()
 
     assert bench.send(b"\x81", wait=48 * MS) == b""
     assert bench.look().moving
@@ -162,9 +162,7 @@ def test_a_header_without_its_data_stops_it_when_its_time_is_over(bench: Bench) 
 
 
 def test_a_damaged_byte_between_two_frames_stops_it_and_is_not_answered(bench: Bench) -> None:
-    bench.home()
-    bench.send(b"\x11\x20")
-    bench.send(b"\x20")
+    bench.drive(0x20)
 
     bench.board.spoil(0x11, bench.board.deadline())
 
