@@ -303,6 +303,15 @@ def test_any_text_is_a_filter_or_an_error_with_its_place(protocol: Protocol, tex
         assert str(error).isprintable()
 
 
+def test_garbage_has_no_data_to_compare(protocol: Protocol) -> None:
+    said = [(0, "host", b"\x9f"), (15 * MS, "device", b"\0"), (40 * MS, "host", b"\x20")]
+    records = decoded(Session(protocol), [Chunk(*one) for one in said])  # type: ignore[arg-type]
+    found = passing(compile_filter("data != 01", protocol), records)
+
+    assert [record.value.kind for record in hosts(records)] == ["garbage", "instruction"]
+    assert [record.data for record in found] == [b"\x20"]
+
+
 def test_the_reach_of_a_field_is_what_its_bytes_can_carry(wide: Protocol) -> None:
     fields = fields_of(wide)
 
