@@ -250,11 +250,8 @@ def test_a_probe_that_stays_silent_is_given_up_at_its_own_limit(pty: str, patien
 
 
 def test_a_stop_ends_a_look_that_takes_long(pty: str) -> None:
-    with (
-        closing(ExecProbe("exec sleep 60")) as probe,
-        open_port(pty) as port,
-        Stopper() as stopper,
-    ):
+    probe = ExecProbe("exec sleep 60")
+    with closing(probe), open_port(pty) as port, Stopper() as stopper:
         stopper.stop()
         with pytest.raises(Ended, match="interrupted") as ended:
             PortLink(port, probe, stopper).do(Observe())
