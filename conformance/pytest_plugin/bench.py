@@ -191,6 +191,11 @@ class Bench(RunListener):
             self._stopper.stop()
         return self._going
 
+    def halt(self) -> None:
+        """Stop the robot at the port at once: a test may go on after Ctrl-C."""
+        if self._port is not None:
+            self._port.halt()
+
     def stop(self) -> None:
         """End a run that is still going; homes the robot, and ignores a second Ctrl-C meanwhile."""
         with Stopper():

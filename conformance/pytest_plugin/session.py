@@ -234,6 +234,7 @@ class RobotSession:
 
     def _end(self, number: int, frame: FrameType | None) -> None:
         if not self.bench.interrupt():
+            self.bench.halt()
             signal.default_int_handler(number, frame)
 
     @pytest.hookimpl(tryfirst=True)

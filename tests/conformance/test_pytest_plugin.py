@@ -18,7 +18,7 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.firmware import AVR, built
-from tests.support.robots import PATIENCE, READING_CASES, TIMED_PROBES, served_here, simulate
+from tests.support.robots import PATIENCE, READING_CASES, TIMED_PROBES, served_here, simulate, until
 
 pytestmark = pytest.mark.waits
 pytest_plugins = ["pytester"]
@@ -461,6 +461,26 @@ def test_a_run_that_is_interrupted_leaves_the_robot_at_rest(
     assert "unused-id/15/15" not in rest
     assert "KeyboardInterrupt" in rest
     assert moving is False
+
+
+@pytest.mark.sample(1)
+def test_ctrl_c_stops_the_robot_though_a_test_goes_on(run: pytest.Pytester) -> None:
+    run.makepyfile(
+        "import time\n"
+        "def test_it(robot):\n"
+        "    robot.send('Speed', speed=200)\n"
+        "    robot.send('Forward')\n"
+        "    try: time.sleep(90)\n"
+        "    finally: time.sleep(90)\n"
+    )
+    with simulate() as robot:
+        words = [*PLUGIN, "--robot-yes", "--robot-port", robot.port, *run.path.glob("*.py")]
+        process = subprocess.Popen([sys.executable, "-m", "pytest", *words], cwd=run.path)
+        until(lambda: robot.state()["moving"])
+        process.send_signal(signal.SIGINT)
+        until(lambda: not robot.state()["moving"])
+        process.kill()
+        process.wait()
 
 
 # -- what it costs --------------------------------------------------------------------------------
