@@ -177,7 +177,9 @@ class RobotSession:
         others = any("robot" in getattr(item, "fixturenames", ()) for item in session.items)
         if not self._left and not others:
             return
-        self._heed_signals()
+        # Each signal that ends pytest is treated as Ctrl-C, so that none leaves a robot driving. A
+        # step of the run that is under way goes on, and the run then ends in order.
+        self._signals.enter_context(handled(unhandled(ENDINGS), self._end))
         try:
             self.bench.open(self._confirm)
         except (LinkError, ProbeError, EmulatorError, NotConfirmed) as error:
@@ -224,13 +226,6 @@ class RobotSession:
                 extra: CaseItem = CaseItem.from_parent(item.parent, name=result.id)
                 extra.known = True
                 yield extra
-
-    def _heed_signals(self) -> None:
-        """Treat each signal that ends pytest as Ctrl-C, so that none leaves a robot driving.
-
-        A step of the run that is under way goes on, and the run then ends in order.
-        """
-        self._signals.enter_context(handled(unhandled(ENDINGS), self._end))
 
     def _end(self, number: int, frame: FrameType | None) -> None:
         if not self.bench.interrupt():
