@@ -28,7 +28,7 @@ def _start(setting: Setting, work: Work, *, words: list[str], over: float) -> Ro
 
 
 help_page = partial(_start, words=["--help"], over=60)
-decoded = partial(_start, words=["decode", "2111"], over=100)
+decoded = partial(_start, words=["decode", "2111"], over=90)
 
 
 def _beside_python(work: Work, words: str, command: list[str], rounds: int, most: float) -> Row:

@@ -14,20 +14,9 @@ alone. Where something was lost that may not be, the row says **no**. [captures.
 has the limits.
 """
 
-
-HARMS = {
-    harm.name: harm
-    for harm in (
-        damage.HARM,
-        changes.HARM,
-        hostile.HARM,
-        kills.HARM,
-        unplugs.HARM,
-        *exits.HARMS,
-        floods.HARM,
-        noise.HARM,
-    )
-}
+_CAPTURES = damage.HARM, changes.HARM, hostile.HARM, kills.HARM
+_DEVICES = unplugs.HARM, *exits.HARMS, floods.HARM, noise.HARM
+HARMS = {harm.name: harm for harm in _CAPTURES + _DEVICES}
 
 
 def page(done: Mapping[str, str], before: str = "") -> str:
