@@ -29,11 +29,15 @@ TIERS = (1, 2, 4, 6)
 
 @dataclass(slots=True)
 class Cause:
-    """A rule, the effects that it explains, and deviations that these have brought about."""
+    """A rule, the effects that it explains, and deviations that these have brought about.
+
+    `moves_on` is whether the device did not stop behind a wrong answer.
+    """
 
     rule: Rule
     effects: list[Effect] = field(default_factory=list)
     consequences: list[Bag] = field(default_factory=list)
+    moves_on: bool = False
 
     @property
     def exchanges(self) -> list[Exchange]:
@@ -147,7 +151,8 @@ def _against(relation: Relation, bags: Sequence[Bag], clean: Sequence[Exchange])
     if relation.how == "changed":
         watched = min(e.watched for bag in bags for e in bag.exchanges)
     if relation.how == "extra":
-        unbroken = min(e.codes[-1][0] - e.codes[0][0] for bag in bags for e in bag.exchanges)
+        apart = sorted(e.codes[-1][0] - e.codes[0][0] for bag in bags for e in bag.exchanges)
+        unbroken = apart[len(apart) * 3 // 4]  # less where one of them is that to another frame
     return [e for e in clean if e.unbroken >= unbroken and relation.shows(e, watched)]
 
 

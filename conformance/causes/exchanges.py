@@ -84,9 +84,9 @@ class Exchange:
     as (how many bytes stand before it, how long), `gap` from the frame before to its header (None
     after power-on). `ahead` is how many frames before it were not answered yet. `before` and
     `after` are the states of a conforming device, `accepted` its answers, `watched` how long (ns)
-    it was then looked at, `looked` whether it was at all. `unbroken` is how long (ns) the line was
-    listened to from its first answer until the next frame came. `right` are the facets that were
-    seen to be right, `deviations` those that were not.
+    it was then looked at. `unbroken` is how long (ns) the line was listened to from its first
+    answer until the next frame came. `settled` are the facets of the state that were right after
+    it, `right` those that it has certainly made right, `deviations` those that were wrong.
     """
 
     case: str
@@ -103,10 +103,10 @@ class Exchange:
     after: ExpectedState
     accepted: frozenset[int | None] = frozenset()
     watched: int = 0
-    looked: bool = False
     unbroken: int = 0
     codes: tuple[tuple[int, int], ...] = ()
     right: set[str] = field(default_factory=set)
+    settled: set[str] = field(default_factory=set)
     deviations: dict[str, Deviation] = field(default_factory=dict)
 
     @property
@@ -115,9 +115,9 @@ class Exchange:
         return max((length for _, length in self.pauses), default=0)
 
     def settles(self, facet: str) -> bool:
-        """Whether it was looked at, nothing deviated, and this facet was seen right after it."""
-        seen = facet == ANSWER or facet in self.right
-        return seen and self.looked and not self.deviations
+        """Whether nothing deviated and this facet (for an answer, any) was seen right after it."""
+        seen = self.settled if facet == ANSWER else facet in self.settled
+        return bool(seen) and not self.deviations
 
     @property
     def answered(self) -> int:
@@ -147,8 +147,7 @@ class Bag(NamedTuple):
     @property
     def still(self) -> str:
         """The kind of motion of a device that stands still."""
-        word: str = self.exchanges[0].before.state.wheels.still
-        return word
+        return str(self.exchanges[0].before.state.wheels.still)
 
 
 class Timing(NamedTuple):
@@ -321,7 +320,6 @@ class Exchanges:
         guilty: Exchange | None = None
         over = [*(behind.start for behind in burst[1:]), self._waited]
         pairs = self._paired(burst, answers)
-        self._give_back(burst[0], pairs[0])
         for exchange, codes, until in zip(burst, pairs, over, strict=True):
             exchange.codes = tuple(codes)
             exchange.unbroken = until - (codes[0][0] if codes else exchange.end)
@@ -380,21 +378,6 @@ class Exchanges:
                 pairs[due].append(answer)
                 due += 1
         return pairs
-
-    def _give_back(self, exchange: Exchange, codes: list[tuple[int, int]]) -> None:
-        """Take from the answers of a frame one that is the second to the frame before it."""
-        before = exchange.previous
-        if before is None or before.case != exchange.case or len(codes) < 2:
-            return
-        if ANSWER not in before.right:  # it has got none, or a wrong one
-            return
-        accepted = self._accepted(exchange.step)
-        if codes[0][1] in before.accepted - accepted and codes[1][1] in accepted:
-            before.codes += (codes.pop(0),)
-            before.right.remove(ANSWER)
-            deviation = Deviation(ANSWER, "extra", before.codes[0][1], len(before.codes))
-            before.deviations[ANSWER] = deviation
-            self.bags.append(Bag(deviation, (before,)))
 
     def _unanswered(self, burst: Sequence[Exchange], last: Exchange) -> tuple[Exchange, ...]:
         """The frames of which one has got no answer: each but the last may have the one before's.
@@ -479,8 +462,8 @@ class Exchanges:
             if facet == MOTION and not any(wrong) and not speed:
                 continue  # no motion shows at speed 0
             candidates = (guilty,) if guilty else self._visible(facet, burst)
-            for exchange in candidates:
-                exchange.looked = True
+            value = value_of(facet, self._expected)
+            earlier = burst[: burst.index(candidates[0])] if candidates[0] in burst else []
             deviation = None
             if all(wrong):
                 deviation = Deviation(facet, "wrong", *found[-1][facet])
@@ -492,14 +475,21 @@ class Exchanges:
                     deviation = Deviation(facet, "late", *found[0][facet])
             if deviation is None:
                 changed = wrong[0] and facet != MOTION  # too late, or as late as it may
+                # What was so before may be there because the frames behind were ignored.
+                met = any(value_of(facet, exchange.before) == value for exchange in earlier)
                 for exchange in () if guilty or changed else candidates:
+                    exchange.settled.add(facet)
+                    if met:
+                        continue
                     exchange.right.add(facet)
                     if facet == MOTION and self._wheels(exchange.after) == wheels:
                         exchange.right.add(WHEELS)
                 continue
+            while earlier and value_of(facet, candidates[0].before) == value:  # hides no other
+                candidates = (earlier.pop(), *candidates)
             for exchange in candidates:
                 exchange.deviations[facet] = deviation
-            self.bags.append(Bag(deviation, tuple(candidates)))
+            self.bags.append(Bag(deviation, candidates))
         self._resynchronise(last)
 
     def _wheels(self, expected: ExpectedState) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ from bilprov.conformance.causes.relations import RESUMES, Effect
 from bilprov.conformance.causes.reproduction import Finder, Line, shown_by, shown_in
 from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.oracle.judge import code_words, deviation
-from bilprov.conformance.oracle.verdicts import Cause, Verdict, WireEvent
+from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict, WireEvent
 from bilprov.conformance.runner.homing import home_after
 from bilprov.conformance.runner.listeners.wire_log import WireLog
 from bilprov.conformance.runner.run import Run
@@ -157,6 +157,7 @@ class Explainer:
         exchanges = self.exchanges = Exchanges(run.model, self._trace.events, self.timing)
         found = find_causes(features(run.protocol), exchanges.all, exchanges.bags, failed)
         found = [cause for cause in found if not failed.isdisjoint(cause.cases)]
+        _mark_moving(found, run.results)
         found.sort(key=lambda cause: (_rank(cause), -len(cause.cases)))
         finder = Finder(run.model, self.timing)
         return [Explanation(cause, finder.lines(cause)) for cause in found]
@@ -170,6 +171,8 @@ class Explainer:
         }
         others = len(right - taken)
         when, what = condition(found.rule), deviations(self.run.protocol, found.effects)
+        if found.moves_on and not any(effect.keeps_moving for effect in found.effects):
+            what += f" and {_NO_STOP}"
         clauses, safety = [failed[ident] for ident in cases], self.run.protocol.clauses.safety
         met = len(cases) + others
         sure = f"{len(cases):,} of {quantity(met, 'case')}, and none of {judged - met:,} others"
@@ -204,9 +207,24 @@ def _shown(protocol: Protocol, seen: Deviation | None) -> str:
 def _rank(found: Found) -> int:
     """How bad a cause is: it keeps moving, a wrong motion, a wrong answer, the rest."""
     facets = {effect.relation.facet for effect in found.effects}
-    if any(effect.keeps_moving for effect in found.effects):
+    if found.moves_on or any(effect.keeps_moving for effect in found.effects):
         return 0
     return 1 if MOTION in facets else 2 if ANSWER in facets else 3
+
+
+def _mark_moving(found: Sequence[Found], results: Iterable[CaseResult]) -> None:
+    """Mark the causes with a wrong answer behind which the device has not stopped.
+
+    What the device does there is no deviation of its own: the frame may be another to it. It is
+    seen in the cases that no cause explains which is known to keep the device moving.
+    """
+    stops = {result.id: result.axes.get("stop") for result in results}
+    moving = {ident for ident, axis in stops.items() if axis and axis.verdict is Verdict.FAIL}
+    named = [cause.cases for cause in found if any(e.keeps_moving for e in cause.effects)]
+    left = moving.difference(*named)
+    for cause in found:
+        answers = any(effect.relation.facet == ANSWER for effect in cause.effects)
+        cause.moves_on = answers and not left.isdisjoint(cause.cases)
 
 
 _CODES = 4

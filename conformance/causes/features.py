@@ -154,12 +154,7 @@ def _of_delivery() -> Iterator[Feature]:
     yield Feature("ahead", lambda e: e.ahead, "with {} frames before it not answered yet", 3)
     yield Feature("split", lambda e: "sent in pieces" if e.pauses else "sent in one piece", "{}", 2)
     yield Feature("pause", lambda e: e.pause // MS, "with a pause of {} ms inside", 5)
-    yield Feature(
-        "gap",
-        lambda e: None if e.gap is None else e.gap // MS,
-        "{} ms after the frame before",
-        5,
-    )
+    yield Feature("gap", lambda e: e.gap and e.gap // MS, "{} ms after the frame before", 5)
 
 
 def _of_history(protocol: Protocol) -> Iterator[Feature]:
@@ -180,9 +175,8 @@ def _of_history(protocol: Protocol) -> Iterator[Feature]:
     kinds += [IN_A_ROW, ROTATION]
     yield Feature("row", lambda e: e.history.row, "with {} faults in a row before it", 3)
     for kind in kinds:
-        yield Feature(
-            f"since {kind}", _since(kind), f"{{}} frames after the last {_LAST.get(kind, kind)}", 6
-        )
+        words = f"{{}} frames after the last {_LAST.get(kind, kind)}"
+        yield Feature(f"since {kind}", _since(kind), words, 6)
     for one in kinds:
         for other in kinds:
             if one < other:

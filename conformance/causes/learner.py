@@ -22,6 +22,7 @@ from bilprov.conformance.causes.features import Feature, Literal, Rule
 Mask = npt.NDArray[np.bool_]
 Places = npt.NDArray[np.intp]
 
+_BAGS = 1500
 _SAMPLE = 3000
 _MORE = 300
 _THRESHOLDS = 24
@@ -169,7 +170,8 @@ class Learner:
         right: Sequence[Exchange],
     ) -> None:
         self._columns = [column for column in table.columns if column.feature.cost <= most]
-        self.bags = sorted(bags, key=len)[:1500]
+        drawn = random.Random(0)
+        self.bags = sorted(drawn.sample(bags, min(len(bags), _BAGS)), key=len)
         sizes = [len(bag) for bag in self.bags]
         self._starts = np.cumsum([0, *sizes[:-1]])
         positive = table.places(e for bag in self.bags for e in bag)
@@ -184,8 +186,7 @@ class Learner:
         self._costs = np.array([literal.cost for literal in self._literals])
         self._held = self._masks(positive)
         places = table.places(right)
-        drawn = random.Random(0)
-        sample = places if len(places) <= _SAMPLE else np.array(drawn.sample(list(places), _SAMPLE))
+        sample = np.array(drawn.sample(list(places), min(len(places), _SAMPLE)), np.intp)
         self._left = places[~np.isin(places, sample)]
         self._wrong = self._masks(sample)
 
