@@ -195,8 +195,13 @@ def test_every_answer_is_to_the_request_before_it(server: str, single: bool) -> 
 
 
 def test_recorded_faults_are_of_every_kind() -> None:
-    asked = hosts(decoded(Session(load_protocol("modbus-rtu")), events("libmodbus_faults")))
-    judged = {line.outcome for one in asked if (line := json_line(one))}
+    records = decoded(Session(load_protocol("modbus-rtu")), events("libmodbus_faults"))
+    asked = hosts(records)
+    judged, answered = (
+        {line.outcome for one in side if (line := json_line(one))}
+        for side in (asked, devices(records))
+    )
 
     assert judged == {"valid", "unknown-id", "bad-data", "bad-checksum", "truncated"}
+    assert answered == {"valid", "unknown-id", "bad-data"}
     assert {one.kind for one in asked} == {"instruction", "truncated"}
