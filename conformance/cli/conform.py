@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import platform
 import socket
 import time
@@ -93,8 +92,6 @@ class CaseOptions(msgspec.Struct, frozen=True):
     )
 
 
-# Nearly all that a run makes stays until its end: the garbage collector seldom finds any.
-_COLLECTED = (50_000, 20, 50)
 _milliseconds = partial(option, metavar="MS", type=milliseconds)
 
 
@@ -204,7 +201,6 @@ def conform(options: ConformOptions) -> int:
     something could not be judged. If a file or the output on the screen cannot be written, the run
     still goes on to its end, and the exit code is 2. With --watch it is that of the last run.
     """
-    gc.set_threshold(*_COLLECTED)
     protocol = family_protocol("conform")
     robot, name, settings = options.robot.fitting(protocol)
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -155,9 +156,8 @@ class Tree(Group):
 
     def panels(self, ctx: click.Context) -> Mapping[str, Sequence[str]]:
         """The commands of each panel, in the order of the table."""
-        if self.path:
-            return super().panels(ctx)
-        return {panel: names.split() for panel, names in PANELS.items()}
+        panels = {panel: names.split() for panel, names in PANELS.items()}
+        return super().panels(ctx) if self.path else panels
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """A group, or only the command's line in the list: its name and one sentence."""
@@ -180,8 +180,7 @@ class Tree(Group):
             return name, command, rest
         row = COMMANDS[self.path + name]
         if row.place:
-            module = import_module(f"bilprov.{row.place.replace('.', '.cli.')}")
-            command = getattr(module, name)
+            command = getattr(import_module(f"bilprov.{row.place.replace('.', '.cli.')}"), name)
             command.short_help = row.help
         if not any(param.name == "grammar" for param in command.params):
             command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
@@ -254,6 +253,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from bilprov.analyzer.cli.failures import interrupts_kept, report
     from bilprov.analyzer.cli.streams import standard_streams
 
+    # Hardly anything here becomes garbage in cycles, which Python would look for at every turn.
+    gc.set_threshold(50_000, 20, 50)
     # The threads that numpy would begin with are for matrices, and take longer than its import.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with interrupts_kept(), standard_streams() as settled:
