@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
 
 _LEVEL = 1  # of zstd
+_KINDS = [np.iinfo(kind) for kind in ("u1", "i1", "u2", "i2", "u4", "i4", "i8")]
 _SHARED = (Decoding, InstructionSpec, ResponseSpec)
 
 
@@ -47,7 +48,7 @@ class PackedBatch:
         file = BytesIO()
         pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
         # A persistent id is asked for each object: packing records would be twice as slow.
-        pickler.dispatch_table = {np.ndarray: _steps, **dict.fromkeys(_SHARED, self._share)}
+        pickler.dispatch_table = {np.ndarray: _fewest, **dict.fromkeys(_SHARED, self._share)}
         pickler.dump(batch)
         self._packed = zstandard.ZstdCompressor(_LEVEL).compress(file.getbuffer())
 
@@ -68,21 +69,25 @@ class PackedBatch:
         return len(self._packed)
 
 
-def _steps(array: NDArray[Any]) -> Any:
-    """How an array is packed: 64-bit integers as steps, in as few bytes as each of them takes."""
-    if array.dtype != np.int64 or array.ndim != 1 or not len(array):
+def _fewest(array: NDArray[Any]) -> Any:
+    """How an array is packed: 64-bit integers as they are or as steps, in as few bytes as fit."""
+    if array.dtype != np.int64 or array.ndim != 1:
         return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
-    steps = np.diff(array)
-    ends = (steps.min(initial=0), steps.max(initial=0))
-    small = np.result_type(*map(np.min_scalar_type, ends))
-    return _summed, (int(array[0]), steps.astype(small))
+    values, steps = _small(array), _small(np.diff(array))
+    if values.itemsize <= steps.itemsize:
+        return np.array, (values, np.int64)
+    return _summed, (array[0].item(), steps)
+
+
+def _small(numbers: NDArray[np.int64]) -> NDArray[np.integer]:
+    """The numbers in the smallest type that holds all of them."""
+    low, high = numbers.min(initial=0), numbers.max(initial=0)
+    return numbers.astype(next(one.dtype for one in _KINDS if one.min <= low <= high <= one.max))
 
 
 def _summed(first: int, steps: NDArray[np.integer]) -> NDArray[np.int64]:
     """The integers with these steps between them."""
-    array = np.empty(len(steps) + 1, np.int64)
-    array[0], array[1:] = first, steps
-    return array.cumsum(out=array)
+    return np.concatenate([[first], steps], dtype=np.int64).cumsum()
 
 
 def _shared(place: int) -> Any:
@@ -279,8 +284,7 @@ class Recording:
             block = max(0, bisect_right(self._blocks, t, key=lambda block: block.t) - 1)
             ends = [block.first for block in self._blocks[block : block + 2]]
             first, stop = (*ends, self.rows, self.rows)[:2]
-            rows = range(first, stop)
-            return first + bisect_left(rows, t, key=lambda row: self.records([row])[0].t)
+            return bisect_left(range(stop), t, first, key=lambda row: self.records([row])[0].t)
 
     def let_go_older(self, t: int) -> None:
         """Forget the blocks whose records are all older than `t` (ns)."""
@@ -366,12 +370,11 @@ class View:
 
 
 _TOGETHER = 4096  # rows
-_FORMATS = ("csv", "jsonl")
 
 
 def rows_file(name: str) -> str:
     """The name of a new file for rows. Raises ValueError if they cannot be written there."""
-    if Path(name).suffix[1:] not in _FORMATS:
+    if Path(name).suffix not in (".csv", ".jsonl"):
         raise ValueError("the name ends in .csv or .jsonl, which sets the format")
     return new_file(name)
 
