@@ -132,6 +132,9 @@ COMMANDS = {
     "conform, faulty": _seeing(
         *("conform", "--only", "split/*", "--only", "valid/*"), fault="led-order-reversed"
     ),
+    "conform, slow probe": _seeing(
+        *("conform", "--probe", "exec:sleep 5", "--only", "wrong-length/*")
+    ),
     "send": Command(
         lambda port, probe, folder: bilprov_words("send", port, *items(pause="pause=300"), "--yes")
     ),
