@@ -37,11 +37,12 @@ def require_writable(
     """Raise UsageError, in one sentence, for an output that cannot be written.
 
     `outputs` are the option and the path of each, `inputs` files, or recordings in parts, that must
-    not be overwritten.
+    not be overwritten; nor may the grammar in use.
     Without `force` none may exist; a pipe or a device is not overwritten, and with `regular` it is
     refused.
     """
-    inputs = list(inputs)
+    context = click.get_current_context(silent=True)
+    inputs = [*inputs, *([context.obj] if context and context.obj else [])]
     inputs += [str(part) for one in inputs for part in kept_parts(Path(one)).values()]
     taken: dict[Path, str] = {}
     on_standard_output = ""

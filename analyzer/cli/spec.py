@@ -65,7 +65,8 @@ class EmitOption(msgspec.Struct, frozen=True):
     )
 
     def write(self, text: str) -> None:
-        """Write a text there. Raises UserError if it cannot be written."""
+        """Write a text there. Raises UsageError, or UserError, if it cannot be written."""
+        require_writable([("-o", self.output)])
         write_output(self.output, text.encode())
 
 

@@ -217,7 +217,7 @@ def conform(options: ConformOptions) -> int:
         return 0
     promise_verdict()
     options = msgspec.structs.replace(options, robot=robot)
-    require_writable(outputs_of(options.reports.outputs))
+    _require_own_files(options)
     if not options.watches:
         note_each([plan.order])
         return _run(protocol, options, name, settings, plan).report.exit
@@ -235,6 +235,15 @@ def conform(options: ConformOptions) -> int:
         return _run(protocol, options, at, settings, _planned(protocol, options, last))
 
     return watch(first, again, comeback, _console(outputs_of(options.reports.outputs)))
+
+
+def _require_own_files(options: ConformOptions) -> None:
+    """Raise UsageError where a file of the run cannot be written, or would overwrite another."""
+    outputs, known = outputs_of(options.reports.outputs), options.known
+    if known.profile_path:
+        outputs.append(Output("--profile", known.profile_path, _profile))
+    kept = (options.reports.record, known.expect_failures)
+    require_writable(outputs, [path for path in kept if path])
 
 
 @dataclass(frozen=True, slots=True)
