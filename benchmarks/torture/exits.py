@@ -364,9 +364,13 @@ def _started(
         os.close(end)
     if way == "hang-up" and typed:
         os.write(open_ends[0], typed.replace("\n", "\r").encode())
-    reading = threading.Thread(target=_read_all, args=(open_ends[0],), daemon=True)
+    over = threading.Event()
+    reading = threading.Thread(target=_read_all, args=(open_ends[0], over), daemon=True)
 
     def hang_up() -> None:
+        over.set()
+        if reading.is_alive():  # it would read what gets the number of a closed descriptor next
+            reading.join()
         while open_ends:
             os.close(open_ends.pop())
 
@@ -381,10 +385,11 @@ def _started(
         hang_up()
 
 
-def _read_all(descriptor: int) -> None:
+def _read_all(descriptor: int, over: threading.Event) -> None:
     with suppress(OSError):
-        while select.select([descriptor], [], [], 0.05) and os.read(descriptor, 1 << 12):
-            pass
+        while not over.is_set():
+            if select.select([descriptor], [], [], 0.05)[0] and not os.read(descriptor, 1 << 12):
+                return
 
 
 def _measure(runs: int, seed: int) -> list[Row]:
