@@ -15,7 +15,7 @@ from bilprov.spec.readings import POINTS
 LED_ID = {"led-id": "9"}
 MEASURED: dict[str, Any] = {
     "truncation_timeout_ms": 40.5,
-    "stop_latency_ms": 3.0,
+    "stop_latency_ms": 60_000.0,  # the longest
     "watchdog_ms": None,
     "truncated_frames_answered": False,
     "flushes": True,
@@ -33,7 +33,7 @@ def test_what_was_measured_and_chosen_comes_back(protocol: Protocol) -> None:
     profile = profile_from(protocol, _text(protocol), LED_ID)
 
     assert profile.truncation_timeout == 40_500_000  # ns
-    assert profile.stop_latency == 3 * MS
+    assert profile.stop_latency == 60_000 * MS
     assert profile.watchdog is None
     assert profile.truncation_answered is False
     assert (profile.flushes, profile.whole_frame) == (True, False)
@@ -51,12 +51,6 @@ def test_what_was_not_measured_stays_unknown(protocol: Protocol) -> None:
     assert text.splitlines()[3:] == ["", "[readings]"]
     assert (profile.truncation_timeout, profile.truncation_answered) == (None, None)
     assert profile.choices.led_id is None
-
-
-def test_the_longest_time_is_taken(protocol: Protocol) -> None:
-    text = _text(protocol).replace("= 40.5", "= 60000")
-
-    assert profile_from(protocol, text, LED_ID).truncation_timeout == 60_000 * MS
 
 
 @pytest.mark.parametrize(("came", "latencies"), [(4, []), (5, [0]), (6, [1])])
