@@ -32,7 +32,8 @@ def browse(setting: Setting, work: Work) -> Row:
             _drawn(ours, patience)
             slowest = max(_pressed(ours, key, patience) for key in _KEYS)
             filtered = _pressed(ours, _FILTER, patience, r"[\d,]+ of [\d,]+")
-            memory = _peak_memory(process.pid) / 1e6
+            status = Path(f"/proc/{process.pid}/status").read_text()
+            memory = int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6  # its peak
     return work.row(
         f"{work.words}, {rows / 1e6:.3g} M rows",
         "s",
@@ -67,9 +68,3 @@ def _drawn(terminal: int, patience: float, words: str = "") -> float:
         elif not words:
             return last
     raise TimeoutError(f"it took longer than {patience:.0f} s")
-
-
-def _peak_memory(pid: int) -> int:
-    """The most memory (bytes) that a process has had."""
-    status = Path(f"/proc/{pid}/status").read_text()
-    return int(status.partition("VmHWM:")[2].split()[0]) * 1024

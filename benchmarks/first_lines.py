@@ -11,7 +11,6 @@ from benchmarks.report import OURS, Goal, Row
 from benchmarks.setting import Setting, Work
 
 _BEFORE_THE_END = 5_000_000  # ns
-_SEEK = 150  # ms
 _PYTHON = [sys.executable, "-c", "print()"]
 
 
@@ -20,7 +19,7 @@ def seek(setting: Setting, work: Work) -> Row:
     made = captures.big(setting)
     command = product.replayed(made.path, (made.end - _BEFORE_THE_END) / 1e9)
     words = f"{work.words}, {made.frames / 1e6:.3g} M frames"
-    return _beside_python(work, words, command, setting.sizes.rounds, _SEEK)
+    return _beside_python(work, words, command, setting.sizes.rounds, 150)
 
 
 def _start(setting: Setting, work: Work, *, words: list[str], over: float) -> Row:
@@ -35,11 +34,8 @@ def _beside_python(work: Work, words: str, command: list[str], rounds: int, most
     """A command to its first line, which may take so many ms longer than Python alone."""
     first_line(command)  # its files are compiled and cached now
     works = {OURS: command, "python alone": _PYTHON}
-    found = medians(rounds, {name: partial(_milliseconds, one) for name, one in works.items()})
+    seconds = medians(rounds, {name: partial(first_line, one) for name, one in works.items()})
+    found = {name: one * 1e3 for name, one in seconds.items()}
     over = found[OURS] - found["python alone"]
     goal = Goal(f"python + {most:g} ms", over, most, at_most=True)
     return work.row(words, "ms", found, goal)
-
-
-def _milliseconds(command: list[str]) -> float:
-    return first_line(command) * 1e3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from functools import partial
-from pathlib import Path
 
 from benchmarks import lines, product
 from benchmarks.captures import FAST
@@ -14,7 +13,6 @@ from bilprov.captures.reader import open_capture
 from bilprov.captures.topics import DEVICE_RAW, HOST_RAW
 
 _DISTINCT = 2_000_000  # host bytes, after which the traffic is sent again
-_BARE_SECONDS = 5.0
 
 
 def _full(
@@ -30,7 +28,7 @@ def _full(
     said = setting.said.first(setting.protocol, _DISTINCT)
     ready = lines.bursts(said, setting.protocol, byte_time)
     share, lost = _ours(setting, ready, seconds, style, write)
-    bare_share = _bare(setting, ready, min(seconds, _BARE_SECONDS), write)
+    bare_share = _bare(setting, ready, min(seconds, 5.0), write)
     return work.row(
         f"{work.words}, {baud}, {seconds:g} s",
         "% of a core",
@@ -57,14 +55,10 @@ def _ours(
         words = product.sniffed(on.host.name, on.device.name, style, capture)
         output = screen if style == "live" else file
         heard = lines.listen(words, on, ready, seconds, output, screen)
-    got = _captured(capture) if capture else lines.shown(out)
-    return heard.share, heard.sent - got
-
-
-def _captured(path: Path) -> int:
-    """How many raw bytes a capture holds."""
-    sizes = open_capture(path).contents.sizes
-    return sizes.get(HOST_RAW, 0) + sizes.get(DEVICE_RAW, 0)
+    if not capture:
+        return heard.share, heard.sent - lines.shown(out)
+    sizes = open_capture(capture).contents.sizes
+    return heard.share, heard.sent - sizes.get(HOST_RAW, 0) - sizes.get(DEVICE_RAW, 0)
 
 
 def _bare(setting: Setting, ready: lines.Bursts, seconds: float, write: bool) -> float:
