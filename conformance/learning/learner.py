@@ -208,12 +208,12 @@ class _Learning:
     def try_again(self) -> Procedure[None]:
         """Learn, however it ends."""
         run, learned, begun = self._run, self._learned, len(self._run.results)
-        yield from home(run)
         model = Model(run.protocol, run.profile.choices)
         reference = reference_machine(model, learned.steps)
         system = System(run, self._ask, learned.steps, reference, learned.sent)
         learner = Learner(system, reference, seed=self._seed)
         try:
+            yield from home(run)
             learned.machine = machine = learner.learn()
             learned.differences = tuple(learner.differences)
             outputs = [output for row in machine.outputs for output in row]

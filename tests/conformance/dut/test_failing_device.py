@@ -23,7 +23,9 @@ from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
+from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.dut.virtual_link import DeviceError
+from bilprov.conformance.learning.learner import learn_target
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report
@@ -124,6 +126,12 @@ def test_one_that_floods_fails_and_is_not_listened_to_for_ever(protocol: Protoco
     assert "R-unsolicited" in readings, failed
     assert of(report, Verdict.PASS)
     assert most < 64 << 20
+
+
+def test_one_that_floods_is_not_learned_and_the_reason_is_given(protocol: Protocol) -> None:
+    learned = learn_target(device_target(protocol, Flooding(protocol, 1)))
+
+    assert learned.trouble == "the device sends without end and without being asked"
 
 
 @pytest.mark.sample(2)
