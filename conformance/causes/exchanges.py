@@ -198,12 +198,12 @@ class Exchanges:
             case Done(Send(data), int(t)):
                 self._sent(t, data)
             case Done(_, Received(answers, now)):
-                for t, code in answers:
-                    self._silent_until(t)
-                    if self._cut_at(t, code):
+                for answer in answers:  # a device that floods gives many: none is copied
+                    self._silent_until(answer[0])
+                    if self._cut_at(*answer):
                         self._frame()
                     if self._burst:  # else nothing has asked for it
-                        self._answers.append((t, code))
+                        self._answers.append(answer)
                 self._silent_until(now)
                 self._waited = now
             case Done(_, Observation(asked, _, look)):
