@@ -66,9 +66,9 @@ def decode(options: DecodeOptions) -> None:
       bilprov decode 14 03 10 --from device --request 418120 --grammar stk500v1
 
     HEX is bytes like 81 05, FILE a file of raw bytes, a capture, or JSON lines like {"t": 0.5,
-    "dir": "host", "hex": "8105"}, - standard input. Raw bytes are taken as sent without a pause:
-    only the last frame can be cut short. The data of some answers can be read only with their
-    --request.
+    "dir": "host", "hex": "8105"} with the times of one clock, - standard input. Raw bytes are
+    taken as sent without a pause: only the last frame can be cut short. The data of some answers
+    can be read only with their --request.
     """
     sender = options.sender
     if not options.words and sys.stdin.isatty():
