@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -204,14 +205,20 @@ def test_what_was_seen_before_a_frame_is_no_evidence_for_it(protocol: Protocol) 
     assert [bool(one.settled) for one in found.all] == [False, True, True]
 
 
-def test_a_look_shows_the_wheels_of_frames_that_turn_them_alike(protocol: Protocol) -> None:
-    look = look_class(protocol.state_type)(300 * MS, moving=True)
+def seen_after(protocol: Protocol, burst: str, **told: Any) -> Exchanges:
+    """The exchanges of a burst of four frames in hex, each answered 00, and one look after them."""
     events: list[Done | Mark] = [
-        Done(Send(bytes.fromhex("11 ff 20 41 ff 41 00")), 10 * MS),
+        Done(Send(bytes.fromhex(burst)), 10 * MS),
         Done(None, Received(((12 * MS, 0),) * 4, 20 * MS)),
-        Done(None, Observation(300 * MS, 300 * MS, look)),
+        Done(
+            None, Observation(300 * MS, 300 * MS, look_class(protocol.state_type)(300 * MS, **told))
+        ),
     ]
-    found = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS)).all
+    return Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS))
+
+
+def test_a_look_shows_the_wheels_of_frames_that_turn_them_alike(protocol: Protocol) -> None:
+    found = seen_after(protocol, "11 ff 20 41 ff 41 00", moving=True).all
     assert [MOTION in one.right for one in found] == [False, True, True, True]
     assert [WHEELS in one.right for one in found] == [False, True, False, True]
     astray = Relation(MOTION, "changed", "", seen=ASTRAY)
@@ -219,13 +226,7 @@ def test_a_look_shows_the_wheels_of_frames_that_turn_them_alike(protocol: Protoc
 
 
 def test_what_was_so_before_a_burst_is_no_evidence_for_its_last_frame(protocol: Protocol) -> None:
-    look = look_class(protocol.state_type)(300 * MS, moving=True)
-    events: list[Done | Mark] = [
-        Done(Send(bytes.fromhex("11 ff 20 00 20")), 10 * MS),
-        Done(None, Received(((12 * MS, 0),) * 4, 20 * MS)),
-        Done(None, Observation(300 * MS, 300 * MS, look)),
-    ]
-    last = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS)).all[-1]
+    last = seen_after(protocol, "11 ff 20 00 20", moving=True).all[-1]
     assert MOTION not in last.right
     assert last.settles(MOTION)
 
@@ -233,14 +234,7 @@ def test_what_was_so_before_a_burst_is_no_evidence_for_its_last_frame(protocol: 
 def test_a_frame_that_sets_nothing_new_hides_no_deviation_of_the_frame_before(
     protocol: Protocol,
 ) -> None:
-    look = look_class(protocol.state_type)(300 * MS, moving=False, steering=-186)
-    events: list[Done | Mark] = [
-        Done(Send(bytes.fromhex("51 ba 00 00 81 03")), 10 * MS),
-        Done(None, Received(((12 * MS, 0),) * 4, 20 * MS)),
-        Done(None, Observation(300 * MS, 300 * MS, look)),
-    ]
-    found = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS))
-    [bag] = found.bags
+    [bag] = seen_after(protocol, "51 ba 00 00 81 03", moving=False, steering=-186).bags
     assert [exchange.kind for exchange in bag.exchanges] == ["Stop", "Stop", "LED"]
 
 
