@@ -81,8 +81,10 @@ def test_a_run_goes_on_at_a_port_that_comes_back(judge_unplugged: Judge) -> None
     assert run.code == 3, run.said
     assert run.report["ended"] is None
     assert run.report["counts"]["fail"] == 0
-    assert 1 <= run.report["counts"]["inconclusive"] <= 2
-    assert all("it was there again after 0." in reason for reason in run.doubts), run.doubts
+    gaps = [reason for reason in run.doubts if "it was there again after 0." in reason]
+    assert 1 <= len(gaps) <= 2, run.doubts
+    # On a busy machine the probe may once be late besides, which is never a failure.
+    assert all("flaky" in reason for reason in run.doubts if reason not in gaps), run.doubts
     assert run.said.count(": inconclusive, and the run goes on") == 2
     assert run.events.count("unplugged") == run.events.count("reconnected") == 2
     assert run.moving is False
