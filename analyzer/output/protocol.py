@@ -174,7 +174,7 @@ def _titled(text: str) -> Iterator[RenderableType]:
 
 def _instructions(protocol: Protocol) -> RenderableType:
     """The instructions with their data: in the car's family with the frame, else the answer."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for spec in protocol.instructions:
         told, data = (spec.name, spec.document), data_in_words(spec)
         if protocol.plain:
@@ -184,7 +184,9 @@ def _instructions(protocol: Protocol) -> RenderableType:
             answer = "none" if spec.answer is None else data_in_words(spec.answer)
             rows.append((str(spec.id), *told, data, answer, spec.prose))
     more = ("frame", "data") if protocol.plain else ("data", "answer")
-    columns = ("id", "name", "document", *more, "meaning")
+    columns: tuple[str, ...] = ("id", "name", "document", *more, "meaning")
+    if not any(spec.prose for spec in protocol.instructions):
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
     return table(columns, rows, right="id")
 
 

@@ -1,8 +1,7 @@
 """Modbus RTU: the common functions of coils and registers on a serial line.
 
 A frame has no length and no mark at its end: the function tells how long it is, together with a
-byte count where the number of values is free. What a device does with its registers is its own; the
-functions that write are told apart by `changes`.
+byte count where the number of values is free. `changes` marks the functions that write.
 """
 
 from construct import (
@@ -45,8 +44,8 @@ DEVICE = "Modbus device"
 START = "start" / Int16ub * "address of the first, from 0"
 COIL = "coil" / Int16ub * "address of the coil, from 0"
 REGISTER = "register" / Int16ub * "address of the register, from 0"
-BITS_ASKED = "quantity" / Ranged(Int16ub, 1, 2000) * "how many"
-WORDS_ASKED = "quantity" / Ranged(Int16ub, 1, 125) * "how many"
+BITS = "quantity" / Ranged(Int16ub, 1, 2000) * "how many"
+ASKED = "quantity" / Ranged(Int16ub, 1, 125) * "how many"
 BITS_SENT = "quantity" / Ranged(Int16ub, 1, 1968) * "how many"
 SENT = "quantity" / Ranged(Int16ub, 1, 123) * "how many"
 COILS = "coils" / Prefixed(Byte, GreedyBytes) * "eight to a byte, the first in bit 0"
@@ -59,72 +58,35 @@ WORD = "word" / Int16ub * "the data of the test"
 AND_MASK = "and_mask" / Int16ub * "the bits that are kept"
 OR_MASK = "or_mask" / Int16ub * "what the other bits become"
 WORDS = "registers"
-SWITCHED = Struct(COIL, SWITCH)
-ONE = Struct(REGISTER, VALUE)
+IDENTITY = "identity" / Prefixed(Byte, GreedyBytes) * "the device's own"
+OUTPUTS = "status" / Byte * "eight outputs that the device chose"
+BUSY = "status" / Enum(Int16ub, ready=0x0000, busy=0xFFFF) * "whether it is still at work"
+EVENTS = "events" / Int16ub * "how many requests were carried out"
+COIL_SET = Struct(COIL, SWITCH)
+SET = Struct(REGISTER, VALUE)
 MANY = Struct(START, "quantity" / Int16ub * "how many were written")
+MASKED = Struct(REGISTER, AND_MASK, OR_MASK)
 
 INSTRUCTIONS = {
-    0x01: "ReadCoils"
-    / Instruction(START, BITS_ASKED, document="6.1 Read Coils", answer=Struct(COILS))
-    * "Reads 1 to 2000 coils.",
-    0x02: "ReadDiscreteInputs"
-    / Instruction(START, BITS_ASKED, document="6.2 Read Discrete Inputs", answer=Struct(INPUTS))
-    * "Reads 1 to 2000 discrete inputs.",
-    0x03: "ReadHoldingRegisters"
-    / Instruction(START, WORDS_ASKED, document="6.3 Read Holding Registers", answer=Struct(VALUES))
-    * "Reads 1 to 125 holding registers.",
-    0x04: "ReadInputRegisters"
-    / Instruction(START, WORDS_ASKED, document="6.4 Read Input Registers", answer=Struct(VALUES))
-    * "Reads 1 to 125 input registers.",
+    0x01: "ReadCoils" / Instruction(START, BITS, document="6.1", answer=Struct(COILS)),
+    0x02: "ReadDiscreteInputs" / Instruction(START, BITS, document="6.2", answer=Struct(INPUTS)),
+    0x03: "ReadHoldingRegisters" / Instruction(START, ASKED, document="6.3", answer=Struct(VALUES)),
+    0x04: "ReadInputRegisters" / Instruction(START, ASKED, document="6.4", answer=Struct(VALUES)),
     0x05: "WriteSingleCoil"
-    / Instruction(COIL, SWITCH, document="6.5 Write Single Coil", answer=SWITCHED, changes="coils")
-    * "Switches one coil on or off.",
+    / Instruction(COIL, SWITCH, document="6.5", answer=COIL_SET, changes="coils"),
     0x06: "WriteSingleRegister"
-    / Instruction(REGISTER, VALUE, document="6.6 Write Single Register", answer=ONE, changes=WORDS)
-    * "Writes one holding register.",
-    0x07: "ReadExceptionStatus"
-    / Instruction(document="6.7 Read Exception Status", answer=Struct("status" / Byte * "outputs"))
-    * "Reads eight outputs that the device chose.",
+    / Instruction(REGISTER, VALUE, document="6.6", answer=SET, changes=WORDS),
+    0x07: "ReadExceptionStatus" / Instruction(document="6.7", answer=Struct(OUTPUTS)),
     0x08: "Diagnostics"
-    / Instruction(
-        TEST, WORD, document="6.8 Diagnostics", answer=Struct(TEST, WORD), changes="communication"
-    )
-    * "Tests the line, or reads and clears counters.",
-    0x0B: "GetCommEventCounter"
-    / Instruction(
-        document="6.9 Get Comm Event Counter",
-        answer=Struct(
-            "status" / Enum(Int16ub, ready=0x0000, busy=0xFFFF) * "whether it is still at work",
-            "events" / Int16ub * "how many requests were carried out",
-        ),
-    )
-    * "Reads how many requests were carried out.",
+    / Instruction(TEST, WORD, document="6.8", answer=Struct(TEST, WORD), changes="communication"),
+    0x0B: "GetCommEventCounter" / Instruction(document="6.9", answer=Struct(BUSY, EVENTS)),
     0x0F: "WriteMultipleCoils"
-    / Instruction(
-        START, BITS_SENT, COILS, document="6.11 Write Multiple Coils", answer=MANY, changes="coils"
-    )
-    * "Writes 1 to 1968 coils.",
+    / Instruction(START, BITS_SENT, COILS, document="6.11", answer=MANY, changes="coils"),
     0x10: "WriteMultipleRegisters"
-    / Instruction(
-        START, SENT, VALUES, document="6.12 Write Multiple Registers", answer=MANY, changes=WORDS
-    )
-    * "Writes 1 to 123 holding registers.",
-    0x11: "ReportServerId"
-    / Instruction(
-        document="6.13 Report Server ID",
-        answer=Struct("identity" / Prefixed(Byte, GreedyBytes) * "the device's own"),
-    )
-    * "Reads what the device is and whether it runs.",
+    / Instruction(START, SENT, VALUES, document="6.12", answer=MANY, changes=WORDS),
+    0x11: "ReportServerId" / Instruction(document="6.13", answer=Struct(IDENTITY)),
     0x16: "MaskWriteRegister"
-    / Instruction(
-        REGISTER,
-        AND_MASK,
-        OR_MASK,
-        document="6.16 Mask Write Register",
-        answer=Struct(REGISTER, AND_MASK, OR_MASK),
-        changes=WORDS,
-    )
-    * "Sets and clears bits of a holding register.",
+    / Instruction(REGISTER, AND_MASK, OR_MASK, document="6.16", answer=MASKED, changes=WORDS),
     0x17: "ReadWriteMultipleRegisters"
     / Instruction(
         "read_start" / Int16ub * "address of the first to read, from 0",
@@ -132,11 +94,10 @@ INSTRUCTIONS = {
         "write_start" / Int16ub * "address of the first to write, from 0",
         "write_quantity" / Ranged(Int16ub, 1, 121) * "how many are written",
         VALUES,
-        document="6.17 Read/Write Multiple Registers",
+        document="6.17",
         answer=Struct(VALUES),
         changes=WORDS,
-    )
-    * "Writes holding registers, then reads others.",
+    ),
 }
 
 MEMORY = (
@@ -168,20 +129,15 @@ RESPONSE = Answers(
 ADDRESS = "address" / Address(Byte, 1, 247, broadcast=0) * "which device"
 ANSWERED = "address" / Same("address", Byte)
 CRC = "crc" / Checksum(Int16ul, Crc(16, 0x8005, 0xFFFF, reflected=True), this.covered.data)
-FRAME = Struct(
-    "covered"
-    / RawCopy(Struct(ADDRESS, "id" / Byte * "function", "data" / Switch(this.id, INSTRUCTIONS))),
-    CRC,
-)
-REPLY = Struct("covered" / RawCopy(Struct(ANSWERED, "id" / Same("id", Byte), "data" / Data())), CRC)
-ERROR = Struct(
-    "covered" / RawCopy(Struct(ANSWERED, "id" / Same("id", Byte, plus=0x80), "code" / RESPONSE)),
-    CRC,
-)
+REQUEST = Struct(ADDRESS, "id" / Byte * "function", "data" / Switch(this.id, INSTRUCTIONS))
+RESULT = Struct(ANSWERED, "id" / Same("id", Byte), "data" / Data())
+EXCEPTION = Struct(ANSWERED, "id" / Same("id", Byte, plus=0x80), "code" / RESPONSE)
+FRAME = Struct("covered" / RawCopy(REQUEST), CRC)
+REPLY = Struct("covered" / RawCopy(RESULT), CRC)
+ERROR = Struct("covered" / RawCopy(EXCEPTION), CRC)
 SILENT = (Outcome.BAD_CHECKSUM, Outcome.OTHER_ADDRESS, Outcome.TOO_FEW, Outcome.TOO_MANY)
 
-# The document ends a frame after 3.5 characters of silence, 2 ms at 19200 bits/s. A host receives
-# bytes in pieces up to 16 ms apart, so the kit waits longer before it calls a frame incomplete.
+# The document's 3.5 characters of silence are 2 ms; a host receives bytes up to 16 ms apart.
 TIMING = Timing(
     truncation_timeout=50,
     truncation_shortest=1.75,
@@ -191,6 +147,4 @@ TIMING = Timing(
     stop_longest=1000,
 )
 LINE = LineDefaults(baud=19200, parity="E", stopbits=1)
-CLAUSES = Clauses(
-    header="serial line 2.5.1", instructions="6", responses="7", safety="serial line 2.4.1"
-)
+CLAUSES = Clauses("serial line 2.5.1", "6", "7", "serial line 2.4.1")

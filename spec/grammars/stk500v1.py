@@ -6,18 +6,7 @@ the sizes of SET_DEVICE_EXT other than today's five bytes, and the answer to a r
 SET_PARAMETER, which has a byte more than the others.
 """
 
-from construct import (
-    Byte,
-    Bytes,
-    Const,
-    Enum,
-    Int16ub,
-    Int16ul,
-    Int32ub,
-    Struct,
-    Switch,
-    this,
-)
+from construct import Byte, Bytes, Const, Enum, Int16ub, Int16ul, Int32ub, Struct, Switch, this
 
 from bilprov.spec.fields import (
     Answer,
@@ -52,18 +41,12 @@ PAGE = Struct("content" / Bytes(asked.size) * "what was read")
 SIGNATURE = Struct("signature" / Bytes(3) * "of the microcontroller")
 
 INSTRUCTIONS = {
-    0x30: "GetSync"
-    / Instruction(document="Get Synchronization")
-    * "Asks whether the device is there and in step.",
-    0x31: "GetSignOn"
-    / Instruction(document="Check if Starterkit Present", answer=SIGN_ON)
-    * "Asks whether the device is a starter kit.",
+    0x30: "GetSync" / Instruction(document="Get Synchronization"),
+    0x31: "GetSignOn" / Instruction(document="Check if Starterkit Present", answer=SIGN_ON),
     0x40: "SetParameter"
-    / Instruction(PARAMETER, VALUE, document="Set Parameter Value", changes="parameters")
-    * "Sets a parameter of the device.",
+    / Instruction(PARAMETER, VALUE, document="Set Parameter Value", changes="parameters"),
     0x41: "GetParameter"
-    / Instruction(PARAMETER, document="Get Parameter Value", answer=Struct(VALUE))
-    * "Reads a parameter of the device.",
+    / Instruction(PARAMETER, document="Get Parameter Value", answer=Struct(VALUE)),
     0x42: "SetDevice"
     / Instruction(
         "device" / Byte * "code of the microcontroller",
@@ -80,8 +63,7 @@ INSTRUCTIONS = {
         "eeprom_size" / Int16ub * "bytes of EEPROM",
         "flash_size" / Int32ub * "bytes of flash",
         document="Set Device Programming Parameters",
-    )
-    * "Describes the microcontroller.",
+    ),
     0x45: "SetDeviceExt"
     / Instruction(
         "size" / Const(b"\x05") * "number of these bytes",
@@ -90,20 +72,11 @@ INSTRUCTIONS = {
         "bs2" / Byte * "pin of the signal BS2",
         "reset_disable" / Byte * "1 has a fuse for it",
         document="Set Extended Device Programming Parameters",
-    )
-    * "Describes the microcontroller further.",
-    0x50: "EnterProgmode"
-    / Instruction(document="Enter Program Mode", changes="programming mode")
-    * "Begins to program.",
-    0x51: "LeaveProgmode"
-    / Instruction(document="Leave Program Mode", changes="programming mode")
-    * "Ends programming; a bootloader starts the program.",
-    0x52: "ChipErase"
-    / Instruction(document="Chip Erase", changes="flash")
-    * "Erases flash and EEPROM; a bootloader may do nothing.",
-    0x53: "CheckAutoinc"
-    / Instruction(document="Check for Address Autoincrement")
-    * "Asks whether the address counts up by itself.",
+    ),
+    0x50: "EnterProgmode" / Instruction(document="Enter Program Mode", changes="programming mode"),
+    0x51: "LeaveProgmode" / Instruction(document="Leave Program Mode", changes="programming mode"),
+    0x52: "ChipErase" / Instruction(document="Chip Erase", changes="flash"),
+    0x53: "CheckAutoinc" / Instruction(document="Check for Address Autoincrement"),
     0x55: "LoadAddress"
     / Instruction("address" / Int16ul * "in words for flash", document="Load Address")
     * "Sets the address of what is read or written next.",
@@ -113,41 +86,22 @@ INSTRUCTIONS = {
         document="Universal Command",
         answer=Struct("output" / Byte * "its last byte of output"),
         changes="flash or fuses",
-    )
-    * "Hands on a command of serial programming.",
-    0x60: "ProgFlash"
-    / Instruction(WORD, document="Program Flash Memory", changes="flash")
-    * "Writes one word of flash.",
-    0x61: "ProgData"
-    / Instruction(VALUE, document="Program Data Memory", changes="EEPROM")
-    * "Writes one byte of EEPROM.",
+    ),
+    0x60: "ProgFlash" / Instruction(WORD, document="Program Flash Memory", changes="flash"),
+    0x61: "ProgData" / Instruction(VALUE, document="Program Data Memory", changes="EEPROM"),
     0x64: "ProgPage"
-    / Instruction(SIZE, KIND, CONTENT, document="Program Page", changes="flash or EEPROM")
-    * "Writes a page of flash or EEPROM.",
-    0x70: "ReadFlash"
-    / Instruction(document="Read Flash Memory", answer=Struct(WORD))
-    * "Reads one word of flash.",
-    0x71: "ReadData"
-    / Instruction(document="Read Data Memory", answer=Struct(VALUE))
-    * "Reads one byte of EEPROM.",
-    0x72: "ReadFuse"
-    / Instruction(document="Read Fuse Bits", answer=Struct(LOW, HIGH))
-    * "Reads the fuses.",
+    / Instruction(SIZE, KIND, CONTENT, document="Program Page", changes="flash or EEPROM"),
+    0x70: "ReadFlash" / Instruction(document="Read Flash Memory", answer=Struct(WORD)),
+    0x71: "ReadData" / Instruction(document="Read Data Memory", answer=Struct(VALUE)),
+    0x72: "ReadFuse" / Instruction(document="Read Fuse Bits", answer=Struct(LOW, HIGH)),
     0x73: "ReadLock"
-    / Instruction(document="Read Lock Bits", answer=Struct("lock" / Byte * "lock bits"))
-    * "Reads the lock bits.",
-    0x74: "ReadPage"
-    / Instruction(SIZE, KIND, document="Read Page", answer=PAGE)
-    * "Reads a page of flash or EEPROM.",
-    0x75: "ReadSign"
-    / Instruction(document="Read Signature Bytes", answer=SIGNATURE)
-    * "Reads the signature.",
+    / Instruction(document="Read Lock Bits", answer=Struct("lock" / Byte * "lock bits")),
+    0x74: "ReadPage" / Instruction(SIZE, KIND, document="Read Page", answer=PAGE),
+    0x75: "ReadSign" / Instruction(document="Read Signature Bytes", answer=SIGNATURE),
     0x76: "ReadOsccal"
-    / Instruction(document="Read Oscillator Calibration Byte", answer=Struct(VALUE))
-    * "Reads the calibration of the oscillator.",
+    / Instruction(document="Read Oscillator Calibration Byte", answer=Struct(VALUE)),
     0x77: "ReadFuseExt"
-    / Instruction(document="Read Fuse Bits Extended", answer=Struct(LOW, HIGH, EXTENDED))
-    * "Reads the fuses, the extended ones too.",
+    / Instruction(document="Read Fuse Bits Extended", answer=Struct(LOW, HIGH, EXTENDED)),
 }
 
 # Pages of words of flash, or of bytes of EEPROM, at the address that was loaded. A simulated
