@@ -177,7 +177,7 @@ class InstructionMethods(ABC):
             return self._call(spec, values)
 
         method.__name__ = method.__qualname__ = name
-        method.__doc__ = spec.prose
+        method.__doc__ = spec.prose or f"{spec.name} ({spec.document})."
         method.__signature__ = signature  # type: ignore[attr-defined]  # functions take any
         return method
 

@@ -249,9 +249,11 @@ def test_the_signature_names_the_fields_and_the_address() -> None:
     meter, _, _ = driver("modbus-rtu")
     wanted = "(coil: 'int', value: 'int | str', *, address: 'int | None' = None)"
     assert str(inspect.signature(meter.write_single_coil)) == wanted
-    assert meter.write_single_coil.__doc__ == "Switches one coil on or off."
+    assert meter.write_single_coil.__doc__ == "WriteSingleCoil (6.5)."
     bootloader, _, _ = driver("stk500v1")
     assert "address" not in inspect.signature(bootloader.get_sync).parameters
+    servos, _, _ = driver("dynamixel1")
+    assert servos.ping.__doc__ == "Asks whether the servo is there."
 
 
 def test_values_with_names_are_returned_by_their_names() -> None:
