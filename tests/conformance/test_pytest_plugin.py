@@ -275,19 +275,6 @@ def test_wrong_use_is_one_sentence(
     assert "Traceback" not in text(result)
 
 
-def test_a_level_that_the_grammar_has_not_is_one_sentence(run: pytest.Pytester) -> None:
-    wide = (ROOT / "spec/grammar.py").read_text().replace("Byte, Struct", "Byte, Int16ub, Struct")
-    wide = wide.replace('"speed" / Ranged(Byte', '"speed" / Ranged(Int16ub')
-    grammar = run.path / "wide.py"
-    grammar.write_text(wide)
-
-    result = on_sim(run, "--robot-grammar", str(grammar), "--robot-level", "complete")
-
-    assert result.ret == pytest.ExitCode.USAGE_ERROR
-    assert "takes fields of one byte, and speed has more" in text(result)
-    assert "INTERNALERROR" not in text(result)
-
-
 # -- the fixture ----------------------------------------------------------------------------------
 
 MINE = """\
