@@ -240,10 +240,10 @@ def conform(options: ConformOptions) -> int:
 def _require_own_files(options: ConformOptions) -> None:
     """Raise UsageError where a file of the run cannot be written, or would overwrite another."""
     outputs, known = outputs_of(options.reports.outputs), options.known
-    if known.profile_path:
-        outputs.append(Output("--profile", known.profile_path, _profile))
-    kept = (options.reports.record, known.expect_failures)
-    require_writable(outputs, [path for path in kept if path])
+    for name, path in (("--profile", known.profile_path), ("--record", options.reports.record)):
+        if path:
+            outputs.append(Output(name, path, _profile))
+    require_writable(outputs, [known.expect_failures] if known.expect_failures else [])
 
 
 @dataclass(frozen=True, slots=True)
