@@ -83,6 +83,6 @@ def completion(options: CompletionOptions) -> None:
 
 def answer(root: click.Command, asked: str) -> int:
     """Print what a shell's script asks for; nothing where the line has an error."""
-    with suppress(UserError, OSError):
+    with suppress(UserError, click.ClickException, OSError):
         return shell_complete(root, {}, "bilprov", VARIABLE, asked)
     return 0

@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
 
 import click
 from click import exceptions
@@ -20,42 +19,124 @@ from bilprov.analyzer.transport.ending import exit_status
 from bilprov.analyzer.version import kit_version
 
 
-class Row(NamedTuple):
-    """One command: its module in the `cli` of a room, and what it does.
+class Row(click.Command):
+    """The line of a command in the lists: its module in the `cli` of a room, and what it does.
 
-    A group of commands lives nowhere: its commands are the rows whose names begin with its own.
-    Then the help is all of its page; else it is the first sentence, and the function's docstring
-    the rest.
+    That is the first sentence of its help, and the docstring of its function is the rest.
     """
 
-    place: str
-    help: str
+    def __init__(self, place: str, help: str) -> None:
+        super().__init__(None, help=help)
+        self.place = place
+
+
+class Tree(Group):
+    """A group that lists its commands without importing them; imports the one that is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The name of every command directly below, in the order of the table."""
+        path = _path(ctx)
+        names = (name.removeprefix(path) for name in COMMANDS if name.startswith(path))
+        return [name for name in names if " " not in name]
+
+    def panels(self, ctx: click.Context) -> Mapping[str, Sequence[str]]:
+        """The commands of each panel, in the order of the table."""
+        return super().panels(ctx) if ctx.parent else PANELS
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """A group, or only the command's line in the list: its name and one sentence."""
+        return None if " " in cmd_name else COMMANDS.get(_path(ctx) + cmd_name)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command itself, imported now. Raises UsageError where there is none."""
+        path = _path(ctx)
+        args = args if path else _meant(ctx, args)
+        try:
+            name, command, rest = super().resolve_command(ctx, args)
+        except exceptions.NoSuchCommand as error:
+            names = self.list_commands(ctx)
+            if not path:
+                raise exceptions.NoSuchCommand(args[0], possibilities=names, ctx=ctx) from error
+            there = f"there is no bilprov {path}{args[0]}; there are {', '.join(names)}"
+            raise click.UsageError(there) from error
+        if name is None or command is None:  # completion asks for what does not exist
+            return name, command, rest
+        if isinstance(command, Row):
+            place, help = command.place.replace(".", ".cli."), command.help
+            command = getattr(import_module(f"bilprov.{place}"), name)
+            command.short_help = help
+        if not any(param.name == "grammar" for param in command.params):
+            command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
+        if not any(word in rest for word in HELP_NAMES):
+            from bilprov.analyzer.cli.settings import read_settings, use_settings
+
+            use_settings(ctx, command, path + name, read_settings(COMMANDS))
+        return name, command, rest
+
+
+def _path(ctx: click.Context) -> str:
+    """How the names begin of the commands in a group: the words of the group."""
+    return " ".join([*ctx.command_path.split()[1:], ""])
+
+
+@click.command(cls=Tree)
+def capture() -> None:
+    """Show, check, cut, join, repair and compare captures.
+
+    Examples:
+      bilprov capture info drive.mcap
+      bilprov capture cut drive.mcap part.mcap --start 12 --end 20
+    """
+
+
+@click.command(cls=Tree)
+def lab() -> None:
+    """Score the suite, learn devices, impair lines.
+
+    Examples:
+      bilprov lab learn sim --svg machine.svg
+      bilprov lab line --drop 1e-4 /dev/ttyUSB0 pty
+    """
+
+
+@click.command(cls=Tree)
+def spec() -> None:
+    """Show the protocol, its readings and errata; write it for other programs.
+
+    Examples:
+      bilprov spec show
+      bilprov spec emit wireshark -o robot.lua
+    """
+
+
+@click.command(cls=Tree)
+def emit() -> None:
+    """Write the grammar in use for other programs, or as it is.
+
+    Examples:
+      bilprov spec emit c -o protocol.h
+      bilprov spec emit grammar -o mine.py
+    """
 
 
 PANELS = {
-    "Analyze": "sniff replay stats plot export capture",
-    "Drive": "ports send",
-    "Test": "conform recheck report simulate lab",
-    "Protocol": "decode explain encode spec",
-    "Settings": "config completion",
+    "Analyze": ["sniff", "replay", "stats", "plot", "export", "capture"],
+    "Drive": ["ports", "send"],
+    "Test": ["conform", "recheck", "report", "simulate", "lab"],
+    "Protocol": ["decode", "explain", "encode", "spec"],
+    "Settings": ["config", "completion"],
 }
 """The panels in the list of commands, each with the names of its commands."""
 
-COMMANDS = {
+COMMANDS: dict[str, Row | Tree] = {
     "sniff": Row("analyzer.sniff", "Listen to a line, decode and log it."),
     "replay": Row("analyzer.replay", "Look through a capture on a screen, or play it again."),
     "stats": Row("analyzer.stats", "Count frames, answers and faults in captures."),
     "plot": Row("analyzer.stats", "Draw a capture over time, as a page."),
     "export": Row("analyzer.stats", "Write the contents of a capture for other programs."),
-    "capture": Row(
-        "",
-        """Show, check, cut, join, repair and compare captures.
-
-        Examples:
-          bilprov capture info drive.mcap
-          bilprov capture cut drive.mcap part.mcap --start 12 --end 20
-        """,
-    ),
+    "capture": capture,
     "capture info": Row("analyzer.capture", "Show what a capture holds."),
     "capture cut": Row("analyzer.capture", "Write a part of a capture."),
     "capture join": Row(
@@ -73,44 +154,20 @@ COMMANDS = {
     "recheck": Row("conformance.recheck", "Judge a recorded run again, from its bytes alone."),
     "report": Row("conformance.report", "Show and compare runs, from what conform --json wrote."),
     "simulate": Row("conformance.simulate", "Serve a simulated device, or firmware."),
-    "lab": Row(
-        "",
-        """Score the suite, learn devices, impair lines.
-
-        Examples:
-          bilprov lab learn sim --svg machine.svg
-          bilprov lab line --drop 1e-4 /dev/ttyUSB0 pty
-        """,
-    ),
+    "lab": lab,
     "lab score": Row("conformance.score", "Score the suite against faulty devices."),
     "lab learn": Row("conformance.learn", "Learn a device as a Mealy machine."),
     "lab line": Row("analyzer.line", "Connect two ends through an impaired line."),
     "decode": Row("analyzer.decode", "Decode bytes from hex, a file, a capture or a pipe."),
     "explain": Row("analyzer.text_commands", "Explain bytes, bit by bit."),
     "encode": Row("analyzer.text_commands", "Build the bytes of an instruction."),
-    "spec": Row(
-        "",
-        """Show the protocol, its readings and errata; write it for other programs.
-
-        Examples:
-          bilprov spec show
-          bilprov spec emit wireshark -o robot.lua
-        """,
-    ),
+    "spec": spec,
     "spec show": Row("analyzer.spec", "Show the grammar in use."),
     "spec grammars": Row("analyzer.spec", "List the grammars that the kit has."),
     "spec check": Row("analyzer.spec", "Report how much of recorded bytes a grammar decodes."),
     "spec readings": Row("analyzer.spec", "Show how the document is read where it is silent."),
     "spec errata": Row("analyzer.spec", "Show where the document contradicts itself."),
-    "spec emit": Row(
-        "",
-        """Write the grammar in use for other programs, or as it is.
-
-        Examples:
-          bilprov spec emit c -o protocol.h
-          bilprov spec emit grammar -o mine.py
-        """,
-    ),
+    "spec emit": emit,
     "spec emit c": Row("analyzer.spec", "A C header, for firmware and hosts."),
     "spec emit wireshark": Row("analyzer.spec", "A dissector for Wireshark and tshark."),
     "spec emit stub": Row("analyzer.spec", "The instructions as typed methods, for Python."),
@@ -142,63 +199,6 @@ def _grammar_option(help: str) -> click.Option:
     )
 
 
-class Tree(Group):
-    """Lists the commands below `path` without importing them; imports the one that is called."""
-
-    def __init__(self, *arguments: Any, path: str = "", **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.path = path
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """The name of every command directly below, in the order of the table."""
-        names = (name[len(self.path) :] for name in COMMANDS if name.startswith(self.path))
-        return [name for name in names if " " not in name]
-
-    def panels(self, ctx: click.Context) -> Mapping[str, Sequence[str]]:
-        """The commands of each panel, in the order of the table."""
-        panels = {panel: names.split() for panel, names in PANELS.items()}
-        return super().panels(ctx) if self.path else panels
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """A group, or only the command's line in the list: its name and one sentence."""
-        row = None if " " in cmd_name else COMMANDS.get(self.path + cmd_name)
-        if row is None or row.place:
-            return click.Command(name=cmd_name, help=row.help) if row else None
-        return Tree(cmd_name, path=f"{self.path}{cmd_name} ", help=row.help)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The command itself, imported now. Raises UsageError where there is none."""
-        if not self.path:
-            args = _meant(ctx, args)
-        try:
-            name, command, rest = super().resolve_command(ctx, args)
-        except exceptions.NoSuchCommand as error:
-            raise self._unknown(ctx, error) from None
-        if name is None or command is None:  # completion asks for what does not exist
-            return name, command, rest
-        row = COMMANDS[self.path + name]
-        if row.place:
-            command = getattr(import_module(f"bilprov.{row.place.replace('.', '.cli.')}"), name)
-            command.short_help = row.help
-        if not any(param.name == "grammar" for param in command.params):
-            command.params.append(_grammar_option("Use another grammar; see bilprov --help."))
-        if not any(word in rest for word in HELP_NAMES):
-            from bilprov.analyzer.cli.settings import read_settings, use_settings
-
-            use_settings(ctx, command, self.path + name, read_settings(COMMANDS))
-        return name, command, rest
-
-    def _unknown(self, ctx: click.Context, error: exceptions.NoSuchCommand) -> click.UsageError:
-        names = self.list_commands(ctx)
-        if self.path:
-            return click.UsageError(
-                f"there is no bilprov {self.path}{error.command_name}; there are {', '.join(names)}"
-            )
-        return exceptions.NoSuchCommand(error.command_name, possibilities=names, ctx=ctx)
-
-
 def _meant(ctx: click.Context, args: list[str]) -> list[str]:
     """The arguments with the command that they mean: `help` is none, nor is a capture's name.
 
@@ -207,22 +207,28 @@ def _meant(ctx: click.Context, args: list[str]) -> list[str]:
     first = args[0]
     if first in COMMANDS:
         return args
-    renamed = former_name(first, args[1:])
-    if not renamed and first != "help":
+    if renamed := former_name(first):
+        raise click.UsageError(renamed)
+    if first != "help":
         is_file = os.path.isfile(first)  # noqa: PTH113 - Path's may raise
         return ["replay", *args] if is_file or first.endswith(".mcap") else args
-    if ctx.resilient_parsing:
-        return args
-    if renamed:
-        raise click.UsageError(renamed)
     words = [word for word in args if word not in ("help", *HELP_NAMES)]
-    if not words:
+    if not words and not ctx.resilient_parsing:
         click.echo(ctx.get_help())
         ctx.exit()
     return [*words, "--help"]
 
 
-@click.command(cls=Tree)
+@click.command(
+    cls=Tree,
+    params=[
+        _grammar_option(
+            "Another protocol, before or after the command: a name (bilprov spec grammars) or a "
+            "file of your own (docs/your-own-protocol.md). Runs the file as Python: name only "
+            "files that you trust; a grammar inside a capture is only read."
+        )
+    ],
+)
 @click.version_option(kit_version(), message="bilprov %(version)s")
 def front_door(grammar: str | None = None) -> None:
     """Protocol analyzer and conformance kit for the robot-car serial protocol.
@@ -236,16 +242,6 @@ def front_door(grammar: str | None = None) -> None:
     not conform, 2 wrong use or nothing to work with, 3 nothing failed but something could not be
     judged.
     """
-
-
-front_door.params.insert(
-    0,
-    _grammar_option(
-        "Another protocol, before or after the command: a name (bilprov spec grammars) or a file "
-        "of your own (docs/your-own-protocol.md). Runs the file as Python: name only files that "
-        "you trust; a grammar inside a capture is only read."
-    ),
-)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -23,7 +23,7 @@ PATIENCE = 180  # s; a command of 10 s takes a minute on a busy machine
 # What would colour or widen the output of a test that somebody runs in a terminal.
 _TERMINAL = ("FORCE_COLOR", "COLUMNS")
 
-COMMANDS = [name for name, row in front_door.COMMANDS.items() if row.place]
+COMMANDS = [name for name, row in front_door.COMMANDS.items() if isinstance(row, front_door.Row)]
 """The names of all commands that do something, like `capture cut`; groups are none."""
 
 Done = subprocess.CompletedProcess[bytes]
