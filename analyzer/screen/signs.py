@@ -50,4 +50,3 @@ def look_of(record: Record) -> Look:
 
 TO_DEVICE, TO_HOST, NEITHER = "→", "←", " "
 CUT, RECORDS = "…", "●"
-FOLDED, UNFOLDED = "▸ ", "▾ "
