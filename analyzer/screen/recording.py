@@ -7,7 +7,7 @@ One thread adds batches while others read: what is added is there as a whole or 
 
 from __future__ import annotations
 
-import pickle
+import pickle  # of our own bytes alone
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
@@ -37,76 +37,49 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
 
 _LEVEL = 1  # of zstd
-_KINDS = [np.iinfo(kind) for kind in ("u1", "i1", "u2", "i2", "u4", "i4", "i8")]
+_UNPACKED = 4  # batches that stay unpacked
 _SHARED = (Decoding, InstructionSpec, ResponseSpec)
+_KEPT: dict[int, object] = {}  # what packed batches share, of which there are a few for a grammar
 
 
-class PackedBatch:
+def packed(batch: Batch) -> bytes:
     """A batch as compressed bytes; what it rests on, its grammar and tables, is left out."""
-
-    def __init__(self, batch: Batch) -> None:
-        self._shared: list[Any] = []
-        file = BytesIO()
-        pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
-        # A persistent id is asked for each object: packing records would be twice as slow.
-        pickler.dispatch_table = {np.ndarray: _fewest, **dict.fromkeys(_SHARED, self._share)}
-        pickler.dump(batch)
-        self._packed = zstandard.ZstdCompressor(_LEVEL).compress(file.getbuffer())
-
-    def _share(self, value: Any) -> tuple[Any, ...]:
-        """Keep a value beside the packed bytes, which have its place there."""
-        self._shared.append(value)
-        return _shared, (len(self._shared) - 1,)
-
-    def batch(self) -> Batch:
-        """The batch again."""
-        data = zstandard.ZstdDecompressor().decompress(self._packed)
-        batch: Batch = _Unpacker(BytesIO(data), self._shared).load()
-        return batch
-
-    @property
-    def nbytes(self) -> int:
-        """How much memory it takes, in bytes."""
-        return len(self._packed)
+    file = BytesIO()
+    pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
+    # A persistent id is asked for each object: packing records would be twice as slow.
+    pickler.dispatch_table = {np.ndarray: _as_steps, **dict.fromkeys(_SHARED, _share)}
+    pickler.dump(batch)
+    return zstandard.ZstdCompressor(_LEVEL).compress(file.getbuffer())
 
 
-def _fewest(array: NDArray[Any]) -> Any:
-    """How an array is packed: 64-bit integers as they are or as steps, in as few bytes as fit."""
+@lru_cache(_UNPACKED)
+def _unpacked(data: bytes) -> Batch:
+    """The batch of packed bytes."""
+    batch: Batch = pickle.loads(zstandard.ZstdDecompressor().decompress(data))
+    return batch
+
+
+def _share(value: object) -> tuple[Any, ...]:
+    """Keep a value beside the packed bytes, which have only its number."""
+    _KEPT[id(value)] = value
+    return _kept, (id(value),)
+
+
+def _kept(number: int) -> object:
+    return _KEPT[number]
+
+
+def _as_steps(array: NDArray[Any]) -> Any:
+    """How an array is packed: 64-bit integers as steps, with their high bytes, mostly 0, together."""
     if array.dtype != np.int64 or array.ndim != 1:
         return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
-    values, steps = _small(array), _small(np.diff(array))
-    if values.itemsize <= steps.itemsize:
-        return np.array, (values, np.int64)
-    return _summed, (array[0].item(), steps)
+    steps = np.diff(array, prepend=0).view(np.uint8).reshape(-1, 8)
+    return _summed, (steps.T.tobytes(),)
 
 
-def _small(numbers: NDArray[np.int64]) -> NDArray[np.integer]:
-    """The numbers in the smallest type that holds all of them."""
-    low, high = numbers.min(initial=0), numbers.max(initial=0)
-    return numbers.astype(next(one.dtype for one in _KINDS if one.min <= low <= high <= one.max))
-
-
-def _summed(first: int, steps: NDArray[np.integer]) -> NDArray[np.int64]:
+def _summed(steps: bytes) -> NDArray[np.int64]:
     """The integers with these steps between them."""
-    return np.concatenate([[first], steps], dtype=np.int64).cumsum()
-
-
-def _shared(place: int) -> Any:
-    """The name under which a packed batch asks for what it shares; `_Unpacker` looks it up."""
-    raise AssertionError(f"place {place} was not looked up by _Unpacker")
-
-
-class _Unpacker(pickle.Unpickler):
-    """Takes what is shared out of the list again."""
-
-    def __init__(self, file: BytesIO, shared: list[Any]) -> None:
-        super().__init__(file)
-        self._shared = shared
-
-    def find_class(self, module: str, name: str) -> Any:
-        """What a name stands for."""
-        found = super().find_class(module, name)
-        return self._shared.__getitem__ if found is _shared else found
+    return np.frombuffer(steps, np.uint8).reshape(8, -1).T.copy().view(np.int64).ravel().cumsum()
 
 
 PAGE = 1 << 16  # members that are compared at once
@@ -173,7 +146,6 @@ class RowSet:
 
 
 TOGETHER = 1024  # rows; smaller batches are packed together
-_UNPACKED = 4  # batches that stay unpacked
 
 
 @dataclass(slots=True)
@@ -185,7 +157,7 @@ class _Block:
 
     first: int
     t: int
-    packed: PackedBatch | None
+    packed: bytes | None
 
 
 class Recording:
@@ -204,13 +176,12 @@ class Recording:
         self.totals = Totals(protocol)
         self._blocks: list[_Block] = []
         self._listed: list[Record] = []  # the rows of the last block, where it is not packed yet
-        self._unpacked = lru_cache(_UNPACKED)(PackedBatch.batch)
 
     @property
     def nbytes(self) -> int:
         """The memory that the packed rows take, in bytes."""
         with self.lock:
-            return sum(block.packed.nbytes for block in self._blocks if block.packed)
+            return sum(len(block.packed or b"") for block in self._blocks)
 
     def add(self, batch: Batch) -> None:
         """Add a batch, which follows those before it."""
@@ -219,12 +190,12 @@ class Recording:
         self.totals.add(batch)
         faulty = batch.in_order(batch.serious)
         earliest = np.concatenate([batch.hosts.t, batch.devices.t, batch.others.t]).min()
-        packed = PackedBatch(batch) if len(batch) >= TOGETHER else None
+        whole = packed(batch) if len(batch) >= TOGETHER else None
         with self.lock:
-            if packed or not self._listed:
+            if whole or not self._listed:
                 self._close_block()
-                self._blocks.append(_Block(self.rows, int(earliest), packed))
-            if not packed:
+                self._blocks.append(_Block(self.rows, int(earliest), whole))
+            if not whole:
                 self._listed += batch.records()
             self.faults.append(faulty)
             self.rows += len(batch)
@@ -233,7 +204,7 @@ class Recording:
 
     def _close_block(self) -> None:
         if self._listed:
-            self._blocks[-1].packed = PackedBatch(Records(self._listed))
+            self._blocks[-1].packed = packed(Records(self._listed))
             self._listed = []
 
     def records(self, rows: Sequence[int]) -> list[Record]:
@@ -246,7 +217,7 @@ class Recording:
                 if block.packed is None:
                     found += [self._listed[place] for place in places]
                     continue
-                batch = self._unpacked(block.packed)
+                batch = _unpacked(block.packed)
                 chosen = np.zeros(len(batch), np.bool_)
                 chosen[places] = True
                 found += batch.records(batch.selection(chosen))
@@ -258,12 +229,11 @@ class Recording:
             with self.lock:
                 row = max(row, self.first)
                 block = self._block_of(row)
-                if block.packed is None:
-                    found: tuple[int, Batch] = row, Records(self._listed[row - block.first :])
-                else:
-                    found = block.first, block.packed.batch()  # not kept: it is seen once
-            yield found
-            row = found[0] + len(found[1])
+                first = block.first if block.packed else row
+                rest = self._listed[row - block.first :]
+                batch = _unpacked(block.packed) if block.packed else Records(rest)
+            yield first, batch
+            row = first + len(batch)
 
     def row_at(self, t: int) -> int:
         """The first row that is not earlier than `t` (ns), but for rows out of order."""

@@ -16,7 +16,7 @@ from bilprov.analyzer.decode.records import serious_faults
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.screen import recording as recordings
-from bilprov.analyzer.screen.recording import PackedBatch, Recording, RowSet, View
+from bilprov.analyzer.screen.recording import Recording, RowSet, View, packed
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.protocol import Protocol
 from tests.support.decoding import MS
@@ -108,7 +108,7 @@ def test_a_packed_frame_with_its_answer_takes_few_bytes(protocol: Protocol) -> N
     batches = told(StreamDecoder(protocol), events, [len(events)])
 
     for batch in (*batches, Records(records_of(batches))):
-        assert PackedBatch(batch).nbytes < 15 * len(batch) + 1000
+        assert len(packed(batch)) < 15 * len(batch) + 1000
 
 
 def test_the_first_row_from_a_time_on_is_found_in_any_block(protocol: Protocol) -> None:
