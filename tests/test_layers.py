@@ -245,7 +245,7 @@ BROKEN = {
     "spec/emit/lua.py": "import_module('bilprov.analyzer.transport.ports')",
     "conformance/cases/single_frames.py": "from tests.vectors import FRAMES",
     "analyzer/api.py": "def f():\n    import bilprov.analyzer.cli.sniff",
-    FRONT_DOOR: "from bilprov.analyzer.cli.text_commands import info",
+    FRONT_DOOR: "from bilprov.analyzer.cli.decode import explain",
     "analyzer/taps/sources.py": "from serial.tools import list_ports",
     "captures/info.py": "def f():\n    import click",
     "spec/framing.py": "import time",

@@ -1,9 +1,10 @@
-"""`bilprov decode`: bytes from hex, a file or standard input, shown frame by frame."""
+"""`bilprov decode`, `explain` and `encode`: bytes in words, and words as bytes."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -12,28 +13,35 @@ import click
 import msgspec
 from msgspec.structs import replace
 
-from bilprov.analyzer.cli.command import argument, command, option, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, flag, option, protocol_in_use
 from bilprov.analyzer.cli.options import (
     compiled,
     filter_option,
     half_duplex_option,
     only_for_bytes,
+    refused,
     request_option,
     sender_option,
+    text_format_option,
 )
 from bilprov.analyzer.cli.reading import opened_captures
 from bilprov.analyzer.cli.typed_input import (
     are_json_lines,
+    bytes_from_hex,
+    decoded_chunks,
+    encoded,
     file_or_bytes,
     recorded_chunks,
     requests_typed,
 )
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session
+from bilprov.analyzer.output.console import show_as
 from bilprov.analyzer.output.outputs import Shown, stream_output
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
+from bilprov.spec.codec import spaced
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -70,47 +78,44 @@ def decode(options: DecodeOptions) -> None:
     taken as sent without a pause: only the last frame can be cut short. The data of some answers
     can be read only with their --request.
     """
-    sender = options.sender
-    if not options.words and sys.stdin.isatty():
+    sender, words = options.sender, options.words
+    if not words and sys.stdin.isatty():
         raise click.UsageError("nothing to decode: give HEX, a FILE or - for standard input")
-    source = _source(options.words)
-    if options.half_duplex and (isinstance(source, bytes) or _kind(source) == "bytes"):
+    source = None if words in ((), ("-",)) else file_or_bytes(words)
+    kind = _kind(source) if isinstance(source, Path) else "bytes"
+    if options.half_duplex and kind == "bytes":
         raise click.UsageError("--half-duplex is for captures and JSON lines, which have times")
-    if isinstance(source, bytes):
-        protocol = protocol_in_use()
-        out = stream_output(options.style, protocol)
-        test = compiled(options.expression, protocol)
-        asked = _asked(options, protocol)
-        session = Session(protocol, heard=BOTH if asked else frozenset({sender}))
-        session.feed(Chunk(0, "host", asked))
-        records = session.feed(Chunk(0, sender, source)) + session.finish()
-        records = _answers(records) if asked else records
-        if test is None:  # and so without numpy, which takes longer to load than all else here
-            out.records(records)
-            return
-        from bilprov.analyzer.decode.batch import Records
+    if options.request is not None and kind != "bytes":
+        raise click.UsageError(f"{kind} have the requests: leave out --request")
+    if kind == "captures":
+        only_for_bytes()
+        from bilprov.analyzer.replay.capture_decoding import opened_whole
 
-        Shown(out, test.started(0)).show(Records(records))
-        return
-    batches, start, protocol = _decoded(source, options)
+        (capture,), protocol = opened_captures([str(source)], half_duplex=options.half_duplex)
+        batches, start = opened_whole(capture, protocol).decoded(), capture.start
+    else:
+        protocol, start = protocol_in_use(), 0
     test = compiled(options.expression, protocol)
-    shown = Shown(stream_output(options.style, protocol), test and test.started(start))
+    out = stream_output(options.style, protocol)
+    if kind == "bytes":
+        with refused():
+            requests = requests_typed(protocol, options.request, sender)
+        asked = b"".join(one.frame for one in requests)
+        if isinstance(source, bytes) and test is None:
+            # Without batches, and so without numpy, which takes longer to load than all else here.
+            session = Session(protocol, heard=BOTH if asked else frozenset({sender}))
+            session.feed(Chunk(0, "host", asked))
+            records = session.feed(Chunk(0, sender, source)) + session.finish()
+            out.records(_answers(records) if asked else records)
+            return
+        batches = _of_bytes(source, sender, protocol, asked)
+    elif kind == "JSON lines":
+        assert isinstance(source, Path)
+        chunks = recorded_chunks(source, sender)
+        batches = decoded_chunks(protocol, chunks, half_duplex=options.half_duplex)
+    shown = Shown(out, test and test.started(start))
     for batch in batches:
         shown.show(batch)
-
-
-def _source(words: Sequence[str]) -> bytes | Path | None:
-    """What is to be decoded: bytes in hex, or a file; None for standard input."""
-    return None if tuple(words) in ((), ("-",)) else file_or_bytes(words)
-
-
-def _asked(options: DecodeOptions, protocol: Protocol) -> bytes:
-    """The requests that are answered, b"" where they are not known."""
-    try:
-        asked = requests_typed(protocol, options.request, options.sender)
-    except ValueError as error:
-        raise click.ClickException(str(error)) from None
-    return b"".join(one.frame for one in asked)
 
 
 def _answers(records: Iterable[Record]) -> list[Record]:
@@ -118,62 +123,22 @@ def _answers(records: Iterable[Record]) -> list[Record]:
     return [replace(one, latency=None) for one in records if isinstance(one, DeviceRecord)]
 
 
-def _decoded(path: Path | None, options: DecodeOptions) -> tuple[Iterator[Batch], int, Protocol]:
-    """What is decoded from a file, or from standard input as it comes.
-
-    And the wall clock (ns since 1970) at its start, 0 where nobody knows it, and the protocol.
-    """
-    kind = _kind(path)
-    if path is None or kind == "bytes":
-        protocol = protocol_in_use()
-        asked = _asked(options, protocol)
-        return _of_bytes(path, options.sender, protocol, asked), 0, protocol
-    if options.request is not None:
-        raise click.UsageError(f"{kind} have the requests: leave out --request")
-    if kind == "JSON lines":
-        protocol = protocol_in_use()
-        return _of_lines(path, options, protocol), 0, protocol
-    only_for_bytes()
-    from bilprov.analyzer.replay.capture_decoding import opened_whole
-
-    (capture,), protocol = opened_captures([path], half_duplex=options.half_duplex)
-    batches = opened_whole(capture, protocol).decoded()
-    return batches, capture.start, protocol
-
-
-def _kind(path: Path | None) -> Literal["bytes", "captures", "JSON lines"]:
-    """What a file has in it, by how it begins; None stands for standard input."""
+def _kind(path: Path) -> Literal["bytes", "captures", "JSON lines"]:
+    """What a file has in it, by how it begins."""
     from bilprov.captures.storage.records import MAGIC
 
-    if path is None or not path.is_file():  # a pipe's bytes can be read only once
-        return "captures" if path and kept_parts(path) else "bytes"
-    try:
-        with path.open("rb") as file:
-            if path.suffix == ".mcap" or file.read(len(MAGIC)) == MAGIC:
-                return "captures"
+    if not path.is_file():  # a pipe's bytes can be read only once
+        return "captures" if kept_parts(path) else "bytes"
+    with _readable(path), path.open("rb") as file:
+        if path.suffix == ".mcap" or file.read(len(MAGIC)) == MAGIC:
+            return "captures"
         return "JSON lines" if are_json_lines(path) else "bytes"
-    except OSError as error:
-        raise _unreadable(path, error) from error
-
-
-def _of_lines(path: Path, options: DecodeOptions, protocol: Protocol) -> Iterator[Batch]:
-    """Yield what is decoded from a file of JSON lines."""
-    from bilprov.analyzer.decode.stream import StreamDecoder
-    from bilprov.analyzer.taps.half_duplex import separated
-
-    chunks = recorded_chunks(path, options.sender)
-    if options.half_duplex:
-        chunks = separated(protocol, chunks)
-    heard = frozenset(chunk.direction for chunk in chunks)
-    decoder = StreamDecoder(protocol, heard=heard, skew=0)  # one clock stamped them all
-    yield from decoder.feed(chunks)
-    yield from decoder.finish()
 
 
 def _of_bytes(
-    path: Path | None, sender: Direction, protocol: Protocol, asked: bytes
+    source: Path | bytes | None, sender: Direction, protocol: Protocol, asked: bytes
 ) -> Iterator[Batch]:
-    """Yield what is decoded from the bytes of a file, or of standard input as they come.
+    """Yield what is decoded from bytes, from those of a file, or of standard input as they come.
 
     `asked` are the requests that they answer, b"" where they are not known.
     """
@@ -181,19 +146,92 @@ def _of_bytes(
     from bilprov.analyzer.decode.stream import StreamDecoder
 
     decoder = StreamDecoder(protocol, heard=BOTH if asked else frozenset({sender}))
-    decoder.feed([Chunk(0, "host", asked)])
-    try:
-        # Unbuffered, so that bytes from a pipe are shown at once.
-        with FileIO(path or sys.stdin.fileno(), closefd=path is not None) as file:
-            while data := file.read(PIECE):
-                for batch in decoder.feed([Chunk(0, sender, data)]):
-                    yield Records(_answers(batch.records())) if asked else batch
-    except OSError as error:
-        raise _unreadable(path or Path("standard input"), error) from error
-    for batch in decoder.finish():
+
+    def decoded() -> Iterator[Batch]:
+        decoder.feed([Chunk(0, "host", asked)])
+        if isinstance(source, bytes):
+            yield from decoder.feed([Chunk(0, sender, source)])
+        else:
+            # Unbuffered, so that bytes from a pipe are shown at once.
+            with (
+                _readable(source or Path("standard input")),
+                FileIO(source or sys.stdin.fileno(), closefd=source is not None) as file,
+            ):
+                while data := file.read(PIECE):
+                    yield from decoder.feed([Chunk(0, sender, data)])
+        yield from decoder.finish()
+
+    for batch in decoded():
         yield Records(_answers(batch.records())) if asked else batch
 
 
-def _unreadable(path: Path, error: OSError) -> CaptureError:
-    why = error.strerror or error
-    return CaptureError(f"{path} cannot be read ({why}): name a file of raw bytes")
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Raise CaptureError, in one sentence, where a file cannot be read in the block."""
+    try:
+        yield
+    except OSError as error:
+        why = error.strerror or error
+        raise CaptureError(f"{path} cannot be read ({why}): name a file of raw bytes") from error
+
+
+class ExplainOptions(msgspec.Struct, frozen=True):
+    """The options of `explain`."""
+
+    words: tuple[str, ...] = argument(metavar="HEX...", nargs=-1, required=True)
+    sender: str = sender_option()
+    request: str | None = request_option()
+    style: str = text_format_option()
+
+
+@command(ExplainOptions)
+def explain(options: ExplainOptions) -> None:
+    """Examples:
+      bilprov explain 81 09
+      bilprov explain --from device 02
+      bilprov explain 14 03 10 --from device --request 418120 --grammar stk500v1
+
+    For each frame: what its bits mean, what a conforming device answers and does, why, the clause,
+    reading or erratum of the document that this rests on, and the nearest valid frame.
+    """
+    from bilprov.analyzer.output.explanation import as_json, drawn
+    from bilprov.spec import explain as explaining
+
+    protocol = protocol_in_use()
+    with refused():
+        data = bytes_from_hex(" ".join(options.words))
+        asked = requests_typed(protocol, options.request, options.sender)
+        if options.sender == "host":
+            explanation = explaining.explain(protocol, data)
+        else:
+            explanation = explaining.explain_responses(protocol, data, asked)
+    show_as(options.style, lambda: as_json(explanation), lambda: drawn(explanation))
+
+
+class EncodeOptions(msgspec.Struct, frozen=True):
+    """The options of `encode`."""
+
+    name: str = argument(metavar="INSTRUCTION")
+    values: tuple[str, ...] = argument(metavar="[FIELD=VALUE]...", nargs=-1)
+    raw: bool = flag("Write the bytes themselves, for a pipe.")
+
+
+# A negative value looks like an option; here it is taken as a value, whose range check refuses it.
+@command(EncodeOptions, context_settings={"ignore_unknown_options": True})
+def encode(options: EncodeOptions) -> None:
+    """Examples:
+      bilprov encode LED rgb=5
+      bilprov encode Speed 80 --raw
+
+    They are printed in hex. Values are decimal, 0x hex or 0b binary; without FIELD= they are taken
+    in order. See the instructions and their fields with: bilprov spec show
+
+    INSTRUCTION is a name in the grammar, FIELD one of its fields.
+    """
+    protocol = protocol_in_use()
+    with refused():
+        frame = encoded(protocol, options.name, options.values)
+    if options.raw:
+        sys.stdout.buffer.write(frame)
+    else:
+        click.echo(spaced(frame))

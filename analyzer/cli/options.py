@@ -6,7 +6,8 @@ It loads nothing that takes long, since commands that only print a help import i
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -235,6 +236,15 @@ class ShownOptions(msgspec.Struct, frozen=True):
 def only_for_ports(names: Iterable[str], target: str) -> None:
     """Raise UsageError for the first option that is typed, though the target is no port."""
     refuse(names, f"is for ports; {target} is not a port")
+
+
+@contextmanager
+def refused(kind: type[click.ClickException] = click.ClickException) -> Iterator[None]:
+    """Raise what the block raises as ValueError, in one sentence, as a mistake of the user."""
+    try:
+        yield
+    except ValueError as error:
+        raise kind(str(error)) from None
 
 
 def only_for_bytes() -> None:

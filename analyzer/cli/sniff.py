@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import click
 import msgspec
@@ -26,6 +25,7 @@ from bilprov.analyzer.cli.options import (
     note_each,
     note_hindrances,
     only_for_ports,
+    refused,
     timeout_option,
 )
 from bilprov.analyzer.cli.settings import PortName
@@ -63,10 +63,8 @@ LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
 def _rotation_at(ctx: click.Context, param: click.Parameter, text: str | None) -> Rotation | None:
-    try:
+    with refused(click.BadParameter):
         return None if text is None else rotation_at(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
 
 
 class SniffOptions(msgspec.Struct, frozen=True):
@@ -103,17 +101,6 @@ class SniffOptions(msgspec.Struct, frozen=True):
     truncation_timeout: float | None = timeout_option()
     yes: bool = flag("Accepted for scripts; sniff asks nothing.")
 
-    @property
-    def ports(self) -> Ports:
-        """The ports that are named."""
-        return Ports(self.host, self.device, self.bridge, self.half_duplex)
-
-    def rotation(self) -> Rotation | None:
-        """How the recording is kept in parts, None for one file."""
-        if self.rotate is None or self.path is None:
-            return None
-        return self.rotate._replace(keep=self.keep)
-
 
 @command(SniffOptions, only_with={"rotate": ("keep",), "path": ("rotate",)})
 def sniff(options: SniffOptions) -> int:
@@ -146,51 +133,42 @@ def sniff(options: SniffOptions) -> int:
     which parts of the document the traffic covered and what contradicts it; exit code 1 if anything
     does.
     """
-    path, quiet = options.path, options.quiet
+    path, quiet, wait = options.path, options.quiet, options.wait
     style = options.shown.style()
-    rotation = options.rotation()
     protocol = protocol_in_use()
     settings = options.line.settings(protocol)
     test = compiled(options.shown.expression, protocol)
     rows = options.shown.rows.style(protocol, style)
     timeout = timeout_in_ns(protocol, options.truncation_timeout)
     preload(protocol)
+    kept, broken = "", None
     with ExitStack() as stack:
         stopper = stack.enter_context(Stopper())
-        given, wait = options.ports, options.wait
-        opened = _simulated(protocol, given, settings)
-        if opened is None:
-            open_it = partial(opened_tap, given, settings, protocol, timeout)
-            opened = _opened(open_it, stopper, wait)
+        opened = _opened(options, protocol, settings, timeout, stopper)
         if opened is None:
             return 0
         source = stack.enter_context(opened)
         note_hindrances(*source.names.values())
-        timeout = above_latency(timeout, *source.names.values())
         decoding: SessionSettings = {
-            "timeout": timeout,
+            "timeout": above_latency(timeout, *source.names.values()),
             "heard": source.heard,
             "skew": 0 if source.one_clock else SKEW,
             "attached": source.attached,
         }
-        if test:
-            test = test.started(source.start_wall)
+        test = test and test.started(source.start_wall)
         metadata = session_metadata(protocol, ports=source.names, line=str(settings), **decoding)
+        recorder: Recorder | None = None
         if path:
             note_each([not_carried(protocol)])
-        recorder: Recorder | None = None
-        kept: str | None = None
-        if path:
-            recorder = stack.enter_context(
-                Recorder(path, source.start_wall, metadata, rotation, shapes_of(protocol))
-            )
+            rotation = options.rotate and options.rotate._replace(keep=options.keep)
+            recorder = Recorder(path, source.start_wall, metadata, rotation, shapes_of(protocol))
         elif style == "live" and not quiet:
             try:
-                recorder = stack.enter_context(
-                    Spool(source.start_wall, metadata, shapes=shapes_of(protocol))
-                )
+                recorder = Spool(source.start_wall, metadata, shapes=shapes_of(protocol))
             except CaptureError as error:
                 note(str(error))
+        if recorder:
+            stack.enter_context(recorder)
         statistics = Statistics()
         judge = None
         if options.shown.judged:
@@ -200,7 +178,7 @@ def sniff(options: SniffOptions) -> int:
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
         decoder = StreamDecoder(protocol, **decoding)
 
-        def listened(shown: Shown, patience: int, tell: Callable[[str], object]) -> Lost:
+        def listened(shown: Shown, patience: int, tell: Callable[[str], object]) -> str:
             """Listen to the end, and finish the capture; `tell` is told at once what is lost."""
             pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
@@ -212,7 +190,6 @@ def sniff(options: SniffOptions) -> int:
                 recorder.finish()
             return lost
 
-        queue, broken = None, None
         if quiet:
             lost = listened(Shown(Output(), test, options.shown.count), BATCH, say)
         elif style == "live":
@@ -221,23 +198,17 @@ def sniff(options: SniffOptions) -> int:
             from bilprov.analyzer.screen.recording import Recording
             from bilprov.analyzer.screen.terminal import shown
 
-            def watched(feed: Feed[Lost]) -> Lost:
+            def watched(feed: Feed[str]) -> str:
                 output = ScreenOutput(feed, statistics, recorder)
                 tell = partial(setattr, feed, "notice")
-                lost = listened(AllShown(output, test, options.shown.count), BATCH, tell)
-                feed.stays, feed.said = lost.unplugged, lost.sentence
-                return lost
+                feed.said = listened(AllShown(output, test, options.shown.count), BATCH, tell)
+                feed.stays = source.ended and not wait
+                return feed.said
 
             feed = Feed(Recording(protocol), watched, stopper.stop, live=True)
             feed.keeps = isinstance(recorder, Spool)
-            told = Told(
-                title,
-                source.start_wall,
-                settings,
-                rows,
-                options.shown.expression or "",
-                test,
-            )
+            expression = options.shown.expression or ""
+            told = Told(title, source.start_wall, settings, rows, expression, test)
             try:
                 name = shown(feed, told, stopper)
             except Exception as error:  # who talks over a bridge goes on talking
@@ -250,49 +221,47 @@ def sniff(options: SniffOptions) -> int:
             queue = stack.enter_context(TextQueue(sys.stdout))
             output = opened_output(style, protocol, rows, source.start_wall, queue.write)
             lost = listened(Shown(output, test, options.shown.count), 0, say)
-    waited = (recorder.waited_ns if recorder else 0) + (queue.waited_ns if queue else 0)
     failure = recorder.failure if path and recorder else ""
     if path and recorder and not failure:
         kept = said_of_parts(recorder.paths)
     if path or quiet or style == "live":
-        _tell(statistics, kept, waited)
+        counts = (
+            quantity(statistics.instructions, "instruction"),
+            quantity(statistics.responses, "answer"),
+            quantity(statistics.faults, "fault"),
+        )
+        note(", ".join(counts) + (f" in {kept}" if kept else ""))
     code = tell_findings(judge.finish(), style) if judge else 0
-    if lost.sentence and kept:
-        raise LinkError(f"{lost.sentence}; what was captured is kept in {kept}")
-    if lost.sentence or failure:
-        raise UserError("; ".join(filter(None, (lost.sentence, failure))))
+    if lost and kept:
+        raise LinkError(f"{lost}; what was captured is kept in {kept}")
+    if lost or failure:
+        raise UserError("; ".join(filter(None, (lost, failure))))
     if broken:
         raise broken
     return code
 
 
-def _simulated(protocol: Protocol, given: Ports, settings: LineSettings) -> Source | None:
-    """The simulated drive, if it is asked for and no file has its name."""
-    if given.host != SIM or Path(SIM).exists():
-        return None
-    if given != Ports(SIM):
-        raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
-    only_for_ports(["wait"], SIM)
-    from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
+def _opened(
+    options: SniffOptions,
+    protocol: Protocol,
+    settings: LineSettings,
+    timeout: int,
+    stopper: Stopper,
+) -> Source | None:
+    """Open what was asked for; with `--wait`, once it can be. None if stopped before."""
+    given = Ports(options.host, options.device, options.bridge, options.half_duplex)
+    if given.host == SIM and not Path(SIM).exists():
+        if given != Ports(SIM):
+            raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
+        only_for_ports(["wait"], SIM)
+        from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
 
-    return SimulatedDrive(protocol, settings)
-
-
-def _opened(open_it: Callable[[], Source], stopper: Stopper, wait: bool) -> Source | None:
-    """Open the tap that was asked for; with `wait`, once it can be. None if stopped before."""
-    try:
-        if not wait:
-            return open_it()
-        return opened_when_there(open_it, lambda: stopper.stopped, say)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
-
-
-class Lost(NamedTuple):
-    """What was lost, in a sentence ("" for nothing), and whether it ended as all is `unplugged`."""
-
-    sentence: str = ""
-    unplugged: bool = False
+        return SimulatedDrive(protocol, settings)
+    open_it = partial(opened_tap, given, settings, protocol, timeout)
+    with refused(click.UsageError):
+        return (
+            opened_when_there(open_it, lambda: stopper.stopped, say) if options.wait else open_it()
+        )
 
 
 def _listen(
@@ -303,19 +272,18 @@ def _listen(
     tell: Callable[[str], object],
     *,
     wait: bool,
-) -> Lost:
-    """Process events until the end, and return whether bytes or a port were lost.
+) -> str:
+    """Process events until the end, and return in a sentence what was lost, "" for nothing.
 
     `tell` is told at once of what ends only a part of the work: a port is lost while there is
     another one, or it is to `wait` for it; the capture cannot be written. With `wait` a port that
     is there again is not lost.
     """
     end = None if duration is None else round(duration * 1e9)
-    overrun, told = "", False
-    unplugged: dict[str, str] = {}
-    recorder = pipeline.recorder
+    lost: dict[str, str] = {}
+    recorder, told = pipeline.recorder, False
     with collecting_when_idle() as collect:
-        while not stopper.stopped and not pipeline.shown.full:
+        while not (stopper.stopped or pipeline.shown.full or (source.ended and not wait)):
             now, due = source.now(), pipeline.deadline
             if due is None or due > source.seen:
                 pipeline.tick(now)
@@ -329,33 +297,28 @@ def _listen(
                 tell(f"{why}; listening goes on, without recording")
             if end is not None and now >= end:
                 break
-            pause = LONGEST_WAIT
-            for at in (due, end):
-                if at is not None:
-                    pause = min(pause, max(0.0, (at - now) / 1e9))
-            events = source.poll(pause, [stopper.fileno()])
+            waits = [max(0.0, (at - now) / 1e9) for at in (due, end) if at is not None]
+            events = source.poll(min([LONGEST_WAIT, *waits]), [stopper.fileno()])
             collect(not events)
-            if not events:
-                continue
             pipeline.busy = source.busy
             pipeline.events(events)
             for event in events:
-                if isinstance(event, Line) and event.event == "unplugged":
-                    unplugged[event.tap] = event.detail
-                    if not source.ended:
-                        tell(f"listening goes on without the {event.tap}: {event.detail}")
-                    elif wait:
-                        tell(f"waiting for the {event.tap}: {event.detail}")
-                if isinstance(event, Line) and event.event == "reconnected":
+                if not isinstance(event, Line):
+                    continue
+                if event.event == "unplugged":
+                    lost[event.tap] = event.detail
+                    doing = "waiting for" if source.ended else "listening goes on without"
+                    if wait or not source.ended:
+                        tell(f"{doing} the {event.tap}: {event.detail}")
+                elif event.event == "reconnected":
                     tell(f"{event.detail}, and listened to")
                     if wait:
-                        unplugged.pop(event.tap, None)
-                if isinstance(event, Line) and event.event == "overrun":
-                    overrun = f"bytes of the {event.tap} were lost on the way: {event.detail}"
-            if source.ended and not wait:
-                break
-    ended = source.ended and not wait
-    return Lost("; ".join(filter(None, (*unplugged.values(), overrun))), unplugged=ended)
+                        lost.pop(event.tap, None)
+                elif event.event == "overrun":
+                    lost["overrun"] = (
+                        f"bytes of the {event.tap} were lost on the way: {event.detail}"
+                    )
+    return "; ".join(lost.values())
 
 
 @contextmanager
@@ -381,14 +344,3 @@ def collecting_when_idle() -> Iterator[Callable[[bool], None]]:
     finally:
         gc.enable()
         gc.unfreeze()
-
-
-def _tell(statistics: Statistics, path: str | None, waited_ns: int) -> None:
-    """Print the totals in one line."""
-    where = f" in {path}" if path else ""
-    late = f"; the reader waited {waited_ns / 1e9:.3f} s for slow output" if waited_ns else ""
-    note(
-        f"{quantity(statistics.instructions, 'instruction')}, "
-        f"{quantity(statistics.responses, 'answer')}, "
-        f"{quantity(statistics.faults, 'fault')}{where}{late}"
-    )

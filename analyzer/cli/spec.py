@@ -24,9 +24,8 @@ from bilprov.analyzer.cli.output_files import (
     require_writable,
     write_output,
 )
-from bilprov.analyzer.cli.typed_input import file_or_bytes, recorded_chunks
+from bilprov.analyzer.cli.typed_input import decoded_chunks, file_or_bytes, recorded_chunks
 from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share
-from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_protocol, not_carried
 from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.console import facts, heading, show_as
@@ -36,7 +35,6 @@ from bilprov.captures.schemas import Chunk, Direction
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from bilprov.analyzer.decode.records import Record
     from bilprov.spec.protocol import Protocol
 
 
@@ -243,35 +241,25 @@ def check(options: CheckOptions) -> int:
 
 
 def _share(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) -> DecodedShare:
-    """What decodes of a file, or of bytes in hex; with `half_duplex` they are of one wire."""
-    return decoded_share(protocol, _records(protocol, options, half_duplex=half_duplex))
+    """What decodes of a file, or of bytes in hex; with `half_duplex` they are of one wire.
 
-
-def _records(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) -> Iterator[Record]:
-    """The records of that. Raises UserError, or ClickException."""
-    source, sender = file_or_bytes(options.words), options.sender
+    Raises UserError, or ClickException.
+    """
+    source = file_or_bytes(options.words)
     if isinstance(source, bytes):
-        chunks = [Chunk(0, sender, source)]
+        chunks = [Chunk(0, options.sender, source)]
     elif source.suffix == ".mcap" or kept_parts(source):
         from bilprov.analyzer.api import read_capture
         from bilprov.captures.reader import open_capture
 
         only_for_bytes()
         if not half_duplex:
-            yield from read_capture(source, protocol)
-            return
+            return decoded_share(protocol, read_capture(source, protocol))
         chunks = [event for event in open_capture(source) if isinstance(event, Chunk)]
     else:
-        chunks = recorded_chunks(source, sender)
-    if half_duplex:
-        from bilprov.analyzer.taps.half_duplex import separated
-
-        chunks = separated(protocol, chunks)
-    heard = frozenset(chunk.direction for chunk in chunks)
-    session = Session(protocol, heard=heard, skew=0)  # one clock stamped them all
-    for chunk in chunks:
-        yield from session.feed(chunk)
-    yield from session.finish()
+        chunks = recorded_chunks(source, options.sender)
+    batches = decoded_chunks(protocol, chunks, half_duplex=half_duplex)
+    return decoded_share(protocol, (record for batch in batches for record in batch.records()))
 
 
 def _drawn(protocol: Protocol, share: DecodedShare) -> Iterator[RenderableType]:

@@ -6,9 +6,9 @@ Recorded bytes are JSON lines like `{"t": 0.5, "dir": "host", "hex": "5556"}`, o
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -21,6 +21,9 @@ from bilprov.spec.codec import Judgement, build, free_parts
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.layout import Part
 from bilprov.spec.protocol import InstructionSpec, Protocol
+
+if TYPE_CHECKING:
+    from bilprov.analyzer.decode.batch import Batch
 
 PAUSE = "pause="
 SEPARATOR = ";"
@@ -281,6 +284,21 @@ def recorded_chunks(path: Path, sender: Direction) -> list[Chunk]:
     lines = enumerate(text.splitlines(), 1)
     chunks = [_chunk(path, number, line) for number, line in lines if line.strip()]
     return sorted((chunk for chunk in chunks if chunk.data), key=lambda chunk: chunk.t)
+
+
+def decoded_chunks(
+    protocol: Protocol, chunks: Sequence[Chunk], *, half_duplex: bool
+) -> Iterator[Batch]:
+    """Yield what is decoded from bytes that one clock stamped; of one wire with `half_duplex`."""
+    from bilprov.analyzer.decode.stream import StreamDecoder
+    from bilprov.analyzer.taps.half_duplex import separated
+
+    if half_duplex:
+        chunks = separated(protocol, chunks)
+    heard = frozenset(chunk.direction for chunk in chunks)
+    decoder = StreamDecoder(protocol, heard=heard, skew=0)
+    yield from decoder.feed(chunks)
+    yield from decoder.finish()
 
 
 def _chunk(path: Path, number: int, line: str) -> Chunk:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Literal, TextIO
 
@@ -206,12 +205,11 @@ MOST_WAITING = 16 * 1024 * 1024  # characters that may wait; then the writer doe
 class TextQueue(Closing):
     """Text for a stream that may be slower than the line; a context manager.
 
-    A thread writes it, in order. Nothing is dropped: when 16 MiB wait, `write` waits too, and
-    `waited_ns` tells how long it did in all. What the stream raises is raised by the next call.
+    A thread writes it, in order. Nothing is dropped: when 16 MiB wait, `write` waits too. What
+    the stream raises is raised by the next call.
     """
 
     def __init__(self, stream: TextIO) -> None:
-        self.waited_ns = 0
         self._stream = stream
         self._texts: list[str] = []
         self._size = 0
@@ -228,9 +226,7 @@ class TextQueue(Closing):
         """
         with self._changed:
             if self._size and self._size + len(text) > MOST_WAITING:
-                began = time.monotonic_ns()
                 self._changed.wait_for(lambda: self._size < MOST_WAITING)
-                self.waited_ns += time.monotonic_ns() - began
             self._raise()
             if text:
                 self._texts.append(text)

@@ -70,7 +70,7 @@ def _kept(number: int) -> object:
 
 
 def _as_steps(array: NDArray[Any]) -> Any:
-    """How an array is packed: 64-bit integers as steps, with their high bytes, mostly 0, together."""
+    """How an array is packed: 64-bit integers as steps, their high bytes, mostly 0, together."""
     if array.dtype != np.int64 or array.ndim != 1:
         return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
     steps = np.diff(array, prepend=0).view(np.uint8).reshape(-1, 8)

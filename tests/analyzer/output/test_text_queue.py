@@ -53,13 +53,10 @@ def test_a_reader_that_pauses_holds_nobody_up_and_misses_nothing(pipe: Pipe) -> 
     queue.close()
 
     assert taken == expected + b"last\n"
-    assert queue.waited_ns == 0
 
 
 @pytest.mark.waits
-def test_a_full_queue_makes_the_writer_wait_and_tells_how_long(
-    pipe: Pipe, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_queue_makes_the_writer_wait(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outputs, "MOST_WAITING", 100_000)
     ours, stream = pipe
     texts = ["x" * 50_000] * 8
@@ -79,7 +76,6 @@ def test_a_full_queue_makes_the_writer_wait_and_tells_how_long(
     queue.close()
 
     assert len(taken) == 400_000
-    assert queue.waited_ns > 0
 
 
 def test_what_the_stream_raises_is_raised_in_the_writers_thread(pipe: Pipe) -> None:
