@@ -26,7 +26,7 @@ from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.grammar_file import grammar_words
 from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle
 from bilprov.analyzer.replay.recorder import new_name
-from bilprov.analyzer.screen.details import FieldList
+from bilprov.analyzer.screen.details import FieldTree
 from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
 from bilprov.analyzer.screen.frame_list import FrameList
 from bilprov.analyzer.screen.keys import ALIASES, BINDINGS, Help
@@ -113,8 +113,8 @@ class Browser(App[str | None]):
         self._shown: tuple[object, ...] = ()
         self._drawn_at, self._used_at = 0.0, time.thread_time()
         self._written: dict[Static, Text] = {}
-        self.frames = FrameList(feed.recording, told.rows, told.start_wall, self._chosen)
-        self.fields = FieldList(feed.recording.protocol, self._light)
+        self.frames = FrameList(feed.recording, told.rows, told.start_wall)
+        self.fields = FieldTree(feed.recording.protocol)
         self.prompt = Prompt(self._left_prompt)
         names = ("head", "status", "car", "figures")
         panes = [Static(id=name, markup=False) for name in names]
@@ -343,7 +343,7 @@ class Browser(App[str | None]):
         self.prompt.line.replace(line, *self.prompt.line.selection)
         return True
 
-    def _chosen(self) -> None:
+    def on_frame_list_chosen(self) -> None:
         """Show the row that was chosen by hand; a capture is played from there on."""
         self.said = ""
         self.follows = self.follows and self.frames.cursor >= self.frames.count - 1
@@ -351,14 +351,13 @@ class Browser(App[str | None]):
         self._show_row()
         self._show_bars()
 
-    def action_fields(self) -> None:
+    def on_frame_list_entered(self) -> None:
         """Go from a frame to its fields, which are shown alone where there is no room."""
-        if self.frames.record is not None:
-            self.screen.add_class("zoomed")
-            self.screen.set_focus(self.fields)
-            self._light()
+        self.screen.add_class("zoomed")
+        self.screen.set_focus(self.fields)
+        self.on_tree_node_highlighted()
 
-    def _light(self) -> None:
+    def on_tree_node_highlighted(self) -> None:
         """Mark the bytes of the field in the list."""
         self.frames.lit = self.fields.bytes
         self.frames.refresh()
@@ -415,9 +414,9 @@ class Browser(App[str | None]):
         self._ask(Question("go to :", f"{REFUSAL}; Esc goes back", row, self._go_to))
 
     def _go_to(self, row: int) -> None:
-        self.frames.choose(self.frames.position(row))
+        self.frames.go_to(row)
         self.follows = False
-        self._chosen()
+        self.on_frame_list_chosen()
 
     def action_pause(self) -> None:
         """Hold the view of a line still, or go on; play a capture, or stop."""

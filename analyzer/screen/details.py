@@ -6,16 +6,21 @@ beside it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import groupby
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
+from rich.style import Style
 from rich.text import Text
+from textual.binding import Binding, BindingType
+from textual.geometry import Region, Size
+from textual.reactive import Reactive
+from textual.widgets import Tree
+from textual.widgets.tree import TreeNode
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
-from bilprov.analyzer.screen.lines import Lines
-from bilprov.analyzer.screen.signs import ORDINARY, Look, look_of
+from bilprov.analyzer.screen.signs import FOLDED, ORDINARY, UNFOLDED, Look, look_of
 from bilprov.captures.text import escape_controls
 from bilprov.spec.codec import spaced
 from bilprov.spec.explain import BitGroup, explain, explain_reply
@@ -25,7 +30,7 @@ _LEAST_WIDTH = 24  # columns in which text is wrapped
 
 
 class Detail(NamedTuple):
-    """One line: a `label` and what it says; the lines `below` it are indented.
+    """One line: a `label` and what it says; the lines `below` it fold away.
 
     `group` are the bits that it is about; `look` is another one than the ordinary where it is odd.
     """
@@ -121,59 +126,102 @@ def bit_picture(group: BitGroup) -> str:
     return " ".join(bits[low : low + 4] for low in range(0, width, 4))
 
 
-class FieldList(Lines):
-    """The details of one record, longer ones on several lines."""
+class FieldTree(Tree[Detail]):
+    """The details of one record; what was folded stays so in the next one."""
 
-    def __init__(self, protocol: Protocol, by_hand: Callable[[], object]) -> None:
-        super().__init__("fields", by_hand)
+    virtual_size = Reactive(Size(0, 0))
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left", "fold(True)", show=False),
+        Binding("right", "fold(False)", show=False),
+    ]
+
+    def __init__(self, protocol: Protocol) -> None:
+        super().__init__("", id="fields")
+        self.ICON_NODE, self.ICON_NODE_EXPANDED = FOLDED, UNFOLDED
+        self.show_root = self.show_guides = False
+        self.guide_depth = 2
         self._protocol = protocol
+        self._folded: set[str] = set()
         self._shown: tuple[Detail, ...] = ()
-        self._texts: list[tuple[Detail, Text]] = []
-
-    @property
-    def count(self) -> int:
-        """How many lines there are."""
-        return len(self._texts)
 
     @property
     def bytes(self) -> range:
         """The bytes that the chosen line is about, while fields are looked at."""
-        group = self._texts[self.cursor][0].group if self.has_focus and self._texts else None
+        detail = self.cursor_node.data if self.has_focus and self.cursor_node else None
+        group = detail.group if detail else None
         return range(group.byte, group.byte + group.size) if group else range(0)
 
     def show(self, record: Record | None, *, state: bool) -> None:
         """Show another record, with the predicted `state` if asked."""
         shown = tuple(details(self._protocol, record, state=state)) if record else ()
         if shown != self._shown:
-            self._shown = shown
-            self.on_resize()
+            self._fill(shown)
+
+    def render_label(self, node: TreeNode[Detail], base_style: Style, style: Style) -> Text:
+        """A line, which keeps its colours while another pane has the focus."""
+        return super().render_label(node, base_style, style if self.has_focus else Style())
+
+    def refresh(
+        self,
+        *regions: Region,
+        repaint: bool = True,
+        layout: bool = False,
+        recompose: bool = False,
+    ) -> Self:
+        """Draw it anew, without a new layout of the whole screen: other lines change no size."""
+        return super().refresh(*regions, repaint=repaint, recompose=recompose)
+
+    def watch_virtual_size(self, before: Size, after: Size) -> None:
+        """Have a new layout where a scroll bar comes or goes."""
+        if (before.height > self.size.height) != (after.height > self.size.height):
+            super().refresh(layout=True)
+        elif self.show_vertical_scrollbar:
+            self.vertical_scrollbar.window_virtual_size = after.height
 
     def on_resize(self) -> None:
-        """Wrap long lines."""
-        self._texts = list(self._wrapped(self._shown))
-        self.changed()
-        self.choose(0)
+        """Wrap long lines anew."""
+        self._fill(self._shown)
 
-    def lines(self, first: int, stop: int, width: int) -> list[Text]:
-        """The lines at the positions from `first` to before `stop`."""
-        return [text for _, text in self._texts[first:stop]]
+    def action_fold(self, fold: bool) -> None:
+        """Fold the lines below the chosen one, or those that it is among; or unfold them."""
+        node = self.cursor_node
+        if node and not node.allow_expand and node.parent is not self.root:
+            node = node.parent
+        if node and node.allow_expand:
+            self.move_cursor(node)
+            node.collapse() if fold else node.expand()
 
-    def chosen(self, line: Text, width: int) -> Text:
-        """The chosen line, which keeps its colours while another pane has the focus."""
-        return super().chosen(line, width) if self.has_focus else line
+    def on_tree_node_collapsed(self, event: Tree.NodeCollapsed[Detail]) -> None:
+        """Keep these lines folded in other records too."""
+        if event.node.data:
+            self._folded.add(event.node.data.label)
 
-    def _wrapped(
-        self, shown: tuple[Detail, ...], indent: str = ""
-    ) -> Iterator[tuple[Detail, Text]]:
-        """Yield details and those below them, with each of their lines."""
+    def on_tree_node_expanded(self, event: Tree.NodeExpanded[Detail]) -> None:
+        """Show these lines in other records too."""
+        if event.node.data:
+            self._folded.discard(event.node.data.label)
+
+    def _fill(self, shown: tuple[Detail, ...]) -> None:
+        self._shown = shown
+        self.clear()
+        self._add(self.root, shown)
+        self.cursor_line = 0
+
+    def _add(self, parent: TreeNode[Detail], shown: tuple[Detail, ...]) -> None:
+        """Add lines below another one: more than one each where they are longer than the pane."""
         room = max((len(detail.label) for detail in shown), default=0)
         for detail in shown:
-            style = detail.look.style
-            label = f"{indent}{detail.look.sign} {escape_controls(detail.label):<{room}}  "
+            style, sign = detail.look.style, "" if detail.below else f"{detail.look.sign} "
+            label = f"{sign}{escape_controls(detail.label):<{room}}  "
             text = Text(escape_controls(detail.text), style)
-            width = max(self.size.width - len(label), _LEAST_WIDTH)
-            first, *more = text.wrap(self.app.console, width) or [text]
-            yield detail, Text.assemble((label, style or "dim"), first)
+            width = self.size.width - len(label) - 2 * (2 if parent is self.root else 3)
+            first, *more = text.wrap(self.app.console, max(width, _LEAST_WIDTH)) or [text]
+            node = parent.add(
+                Text.assemble((label, style or "dim"), first),
+                detail,
+                expand=detail.label not in self._folded,
+                allow_expand=bool(detail.below),
+            )
             for line in more:
-                yield detail, Text(" " * len(label)) + line
-            yield from self._wrapped(detail.below, f"{indent}  ")
+                parent.add_leaf(Text(" " * len(label)) + line, detail)
+            self._add(node, detail.below)

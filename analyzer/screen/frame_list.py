@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import ClassVar
 
 from rich.text import Text
+from textual import events
+from textual.binding import Binding, BindingType
+from textual.geometry import Size
+from textual.message import Message
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
 
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, TimeStyle
 from bilprov.analyzer.output.text_lines import hex_width
-from bilprov.analyzer.screen.lines import Lines
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.analyzer.screen.signs import CUT, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
 from bilprov.captures.text import printable
@@ -36,24 +42,41 @@ _HEADINGS = {TimeStyle.ABSOLUTE: "clock", TimeStyle.UTC: "UTC"}
 _WHEN = slice(11, 24)  # the time of day of a date and time, to 0.1 ms
 
 
-class FrameList(Lines):
-    """The rows of a view, under a heading.
+class FrameList(ScrollView, can_focus=True):
+    """The rows of a view, of which the one at the position `cursor` is chosen.
 
     `held` is how many rows the recording had when the view was paused, None where it is not.
-    Times count from `reference` (ns). The bytes of the chosen row in the range `lit` stand out.
+    Times count from `reference` (ns). `repeat` is the number typed before a key, None for none.
     """
 
-    HEADING = 1
+    COMPONENT_CLASSES: ClassVar[set[str]] = {"chosen"}
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("up", "move(-1)", show=False),
+        Binding("down", "move(1)", show=False),
+        Binding("pageup", "page(-1.0)", show=False),
+        Binding("pagedown", "page(1.0)", show=False),
+        Binding("ctrl+u", "page(-0.5)", show=False),
+        Binding("ctrl+d", "page(0.5)", show=False),
+        Binding("home", "go_to_number(1)", show=False),
+        Binding("end", "go_to_number(0)", show=False),
+        Binding("enter,right", "enter", show=False),
+    ]
 
-    def __init__(
-        self, recording: Recording, style: RowStyle, start_wall: int, by_hand: Callable[[], object]
-    ) -> None:
-        super().__init__("frames", by_hand)
+    class Chosen(Message):
+        """The choice was moved by hand."""
+
+    class Entered(Message):
+        """Enter was pressed on the chosen row."""
+
+    def __init__(self, recording: Recording, style: RowStyle, start_wall: int) -> None:
+        super().__init__(id="frames")
         self.view = View(recording)
+        self.cursor = 0
         self.held: int | None = None
         self.columns = style.columns
         self.reference = 0
-        self.lit = range(0)
+        self.repeat: int | None = None
+        self.lit = range(0)  # the bytes of the chosen row that stand out
         asked = style.times(start_wall).style
         relative = asked is TimeStyle.DELTA  # the row before is what another column counts from
         self.time_style: TimeStyle = TimeStyle.RELATIVE if relative else asked
@@ -61,10 +84,12 @@ class FrameList(Lines):
         self._recording = recording
         self._bytes_width = hex_width(recording.protocol)
         self._longest = 0  # bytes of the longest row that was drawn
+        self._first = 0  # the first row of the view when it was last drawn
+        self._lines: dict[int, Text] = {}
 
     @property
     def count(self) -> int:
-        """How many rows are shown, those that were let go included."""
+        """How many rows are shown."""
         return self.view.count if self.held is None else self.view.position(self.held)
 
     @property
@@ -80,43 +105,131 @@ class FrameList(Lines):
         found = self._recording.records([row]) if row is not None else []
         return found[0] if found else None
 
-    def position(self, row: int) -> int:
-        """The position of a row of the recording, or of the next one of the view."""
-        return self.view.position(row)
+    @property
+    def room(self) -> int:
+        """How many rows fit under the heading."""
+        return max(1, self.size.height - 1)
 
-    def changed(self, first: int = 0) -> None:
-        """Draw all rows again; the view may have grown or lost its oldest rows."""
-        super().changed(self.view.first)
+    @property
+    def top(self) -> int:
+        """The position of the uppermost row on the screen."""
+        return self._first + self.scroll_offset.y
+
+    # Choosing.
 
     def choose(self, position: int) -> None:
         """Choose a row, the nearest one there is, and bring it onto the screen."""
         self.changed()
-        super().choose(position)
+        self.cursor = min(max(position, self._first), max(self.count - 1, self._first))
+        top, room = self.top, self.room
+        if not top <= self.cursor < top + room:
+            # One row further is one row; a leap puts the row into the middle.
+            near = top - 1 <= self.cursor <= top + room
+            above = (room - 1 if self.cursor > top else 0) if near else room // 2
+            self.scroll_to(y=self.cursor - above - self._first, animate=False, force=True)
+
+    def changed(self) -> None:
+        """Draw all rows anew; the view may have grown or lost its oldest rows."""
+        first, gone = self.view.first, self.view.first - self._first
+        self._first = first
+        self.virtual_size = Size(1, self.count - first + 1)
+        self.cursor = min(max(self.cursor, first), max(self.count - 1, first))
+        if gone:
+            self.scroll_to(y=self.scroll_offset.y - gone, animate=False, force=True)
+        self._lines.clear()
+        self.refresh()
+
+    def go_to(self, row: int) -> None:
+        """Choose a row of the recording, or the next one of the view."""
+        self.choose(self.view.position(row))
 
     def look_at(self, view: View) -> None:
         """Show another view, with the same row chosen if it has it."""
         row = self.row
         self.view = view
-        self.choose(self.position(row or 0))
+        self.go_to(row or 0)
 
-    def chosen(self, line: Text, width: int) -> Text:
-        """The chosen row; the bytes in `lit` stand out."""
-        chosen, at = super().chosen(line, width), _FRONT
+    def action_move(self, rows: int) -> None:
+        """Move the choice by some rows."""
+        self._choose_by_hand(self.cursor + rows * (self.repeat or 1))
+
+    def action_page(self, pages: float) -> None:
+        """Move the window and the choice by a screenful."""
+        step = round(pages * self.room) * (self.repeat or 1)
+        position = self.cursor + step
+        self.scroll_to(y=self.scroll_offset.y + step, animate=False, force=True)
+        self._choose_by_hand(position)
+
+    def action_go_to_number(self, number: int) -> None:
+        """Go to the row of this number, or of the one that was typed; 0 stands for the last."""
+        number = self.repeat or number
+        self._choose_by_hand(self.view.position(number - 1) if number else self.count - 1)
+
+    def action_enter(self) -> None:
+        """Tell that Enter was pressed."""
+        if self.count > self._first:
+            self.post_message(self.Entered())
+
+    def _choose_by_hand(self, position: int) -> None:
+        self.choose(position)
+        self.post_message(self.Chosen())
+
+    def on_resize(self) -> None:
+        """Keep the chosen row on the screen."""
+        self.choose(self.cursor)
+
+    def watch_scroll_y(self, old_value: float, new_value: float) -> None:
+        """Keep the choice on the screen, also where the wheel or the bar moves it."""
+        super().watch_scroll_y(old_value, new_value)
+        self._lines.clear()
+        inside = min(max(self.cursor, self.top), self.top + self.room - 1)
+        if inside != self.cursor:
+            self.cursor = inside
+            self.post_message(self.Chosen())
+
+    def on_click(self, event: events.Click) -> None:
+        """Choose the row under the mouse."""
+        place = event.get_content_offset(self)
+        if place is not None and 0 < place.y <= self.count - self.top:
+            self._choose_by_hand(self.top + place.y - 1)
+
+    # Drawing.
+
+    def render_line(self, y: int) -> Strip:
+        """One line of the screen: the heading, then rows."""
+        width = self.scrollable_content_region.width
+        position = self.top + y - 1
+        if not self._lines and self.count > self.top:
+            stop = min(self.top + self.room, self.count)
+            self._lines = dict(enumerate(self._rows(self.top, stop, width), self.top))
+        line = self._heading(width) if y == 0 else self._lines.get(position, Text())
+        if y and position == self.cursor and line:
+            line = self._chosen(line, width)
+        line.truncate(width, overflow="crop", pad=True)
+        return Strip(line.render(self.app.console, end="")).adjust_cell_length(width)
+
+    def _chosen(self, line: Text, width: int) -> Text:
+        """The chosen row, without colours, which would be a patchwork on its ground."""
+        chosen = Text(line.plain)
+        chosen.stylize(self.get_component_rich_style("chosen"))
+        at = _FRONT
         for column, room in self._widths(width):
             for byte in self.lit if column.name == BYTES.name else ():
                 chosen.stylize("bold underline", at + 3 * byte, at + 3 * byte + 2)
             at += room + 1
         return chosen
 
-    def lines(self, first: int, stop: int, width: int) -> Iterator[Text]:
-        """The heading, then the rows at the positions from `first` to before `stop`."""
+    def _heading(self, width: int) -> Text:
         names = {TIME: _HEADINGS.get(self.time_style, "since row" if self.reference else "time")}
         cells = [
-            _padded(names.get(column, column.heading), column, room)
+            self._padded(names.get(column, column.heading), room, column.right)
             for column, room in self._widths(width)
         ]
-        yield Text.assemble((" " * _FRONT + " ".join(cells), "dim"))
-        before = first > self.first  # the row before the first is what its delta counts from
+        return Text.assemble((" " * _FRONT + " ".join(cells), "dim"))
+
+    def _rows(self, first: int, stop: int, width: int) -> Iterator[Text]:
+        """The lines of the rows at the positions from `first` to before `stop`."""
+        before = first > self._first  # the row before the first is what its delta counts from
         rows = self.view.rows(first - before, stop)
         records = self._recording.records(rows)
         previous = records[0].t if records else 0
@@ -145,28 +258,33 @@ class FrameList(Lines):
             fitting.append((column, min(room, left)))
             left -= min(room, left) + 1
         if fitting and left >= 0:
-            fitting[-1] = fitting[-1][0], fitting[-1][1] + left + 1
+            column, room = fitting[-1]
+            fitting[-1] = column, room + left + 1
         return fitting
 
     def _room(self, column: Column) -> int:
         if column is NO:
             return max(column.width, len(str(self._recording.rows)))
-        if column is not TIME:
-            return column.width
+        return self._time_width if column is TIME else column.width
+
+    @property
+    def _time_width(self) -> int:
         return 10 if self.time_style is TimeStyle.RELATIVE else _WHEN.stop - _WHEN.start
 
     def _line(self, row: int, record: Record, previous: int, width: int) -> Text:
-        look, line = look_of(record), json_line(record)
+        look = look_of(record)
         text = Text(no_wrap=True)
         text.append(f"{look.sign} ", look.style)
-        own = self._own(row, record, previous)
+        own, line = self._own(row, record, previous), json_line(record)
         for column, room in self._widths(width):
-            cell = own.get(column.name, column.text(column.value(line)) if line else "")
-            dim = column.name in own and column.name != BYTES.name
             if column is WHAT:
                 text.append_text(self._what(record, look, room))
+            elif column.name in own:
+                style = look.style if column.name == BYTES.name else "dim"
+                text.append(self._padded(own[column.name], room, column.right), style)
             else:
-                text.append(_padded(cell, column, room), "dim" if dim else look.style)
+                cell = column.text(column.value(line)) if line else ""
+                text.append(self._padded(cell, room, column.right), look.style)
             text.append(" ")
         text.right_crop()
         return text
@@ -177,8 +295,10 @@ class FrameList(Lines):
             time = f"{(record.t - self.reference) / 1e9:.4f}"
         else:
             time = Times(self.time_style, self._start_wall).text(record.t)[_WHEN]
-        arrow = {HostRecord: TO_DEVICE, DeviceRecord: TO_HOST}.get(type(record), NEITHER)
-        data = record.hex if isinstance(record, HostRecord | DeviceRecord) else ""
+        arrow, data = NEITHER, ""
+        if isinstance(record, HostRecord | DeviceRecord):
+            arrow = TO_DEVICE if isinstance(record, HostRecord) else TO_HOST
+            data = record.hex
         delta = (record.t - previous) / 1e6
         cells = (str(row + 1), time, f"{delta:.{int(abs(delta) < 1e6)}f}", arrow, data)
         return dict(zip(OWN, cells, strict=False))
@@ -200,11 +320,9 @@ class FrameList(Lines):
         text.pad_right(room - text.cell_len)
         return text
 
-
-def _padded(text: str, column: Column, room: int) -> str:
-    """The text of a cell in so many columns."""
-    cut = text if len(text) <= room else text[: max(0, room - 1)] + CUT
-    return cut.rjust(room) if column.right else cut.ljust(room)
+    def _padded(self, text: str, room: int, right: bool) -> str:
+        cut = text if len(text) <= room else text[: max(0, room - 1)] + CUT
+        return cut.rjust(room) if right else cut.ljust(room)
 
 
 def words_of(record: Record) -> tuple[str, str]:

@@ -37,7 +37,6 @@ BINDINGS = [
     Binding("ctrl+c,ctrl+q", "end", show=False, priority=True),
     Binding("ctrl+z", "suspend_process", show=False, priority=True),
     Binding("escape", "go_back", show=False),
-    Binding("enter", "fields", show=False),
 ]
 """Keys that no pane takes for itself; the actions are those of the `Browser`."""
 
@@ -46,6 +45,7 @@ MOVES = {
     "^F ^B, PgDn PgUp": "a screenful on, back; ^D ^U: half of one",
     "g G, Home End": "the first, the last row; 120G: row 120",
     "Enter, Tab": "go to the fields of a frame; the next pane",
+    "h l": "in the fields: fold, unfold",
     "^Z": "suspend; fg goes on",
     "Esc": "go back; stop a filter or an export that takes long",
 }
@@ -54,6 +54,8 @@ MOVES = {
 ALIASES = {
     "j": "down",
     "k": "up",
+    "h": "left",
+    "l": "right",
     "g": "home",
     "G": "end",
     "ctrl+f": "pagedown",

@@ -50,3 +50,4 @@ def look_of(record: Record) -> Look:
 
 TO_DEVICE, TO_HOST, NEITHER = "→", "←", " "
 CUT, RECORDS = "…", "●"
+FOLDED, UNFOLDED = "▸ ", "▾ "

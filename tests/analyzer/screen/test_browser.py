@@ -193,7 +193,7 @@ def test_each_row_has_the_sign_and_the_colour_of_whose_fault_it_is(protocol: Pro
     screen = browser(protocol, decoded(protocol, [*talk, Line(90 * MS, "overrun", "host")]))
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
-        _, *rows = screen.frames.lines(0, screen.frames.count, 90)
+        rows = list(screen.frames._rows(0, screen.frames.count, 90))
         assert "".join(row.plain[0] for row in rows) == "  !-!x x x~"
         styles = {look.sign: look.style for look in LOOKS}
         for row in rows:
@@ -494,7 +494,7 @@ def test_columns_that_are_asked_for_are_those_of_an_export_too(
     assert (tmp_path / "out.csv").read_text().splitlines()[0] == "time,state.speed"
 
 
-def test_the_fields_light_their_bytes(screen: Browser) -> None:
+def test_the_fields_light_their_bytes_and_stay_folded(screen: Browser) -> None:
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
         await pilot.press("j", "enter", "j", "j")
         assert screen.fields.has_focus
@@ -502,6 +502,13 @@ def test_the_fields_light_their_bytes(screen: Browser) -> None:
         await pilot.pause()
         assert screen.frames.lit == range(1, 2)  # the speed's
         assert any("speed 0000 0000 0 speed" in " ".join(line.split()) for line in text_of(screen))
+        await pilot.press("j", "l", "j", "h")  # from a line below its heading
+        await pilot.press("escape", "j", "j")
+        shown = text_of(screen)
+        assert any("▸ answer" in line for line in shown)
+        assert not any("sets" in line for line in shown)
+        await pilot.press("enter", *"jjj", "l")
+        assert any("sets" in line for line in text_of(screen))
 
     operated(screen, steps)
 
