@@ -10,32 +10,25 @@ from collections import deque
 from collections.abc import Iterator
 from functools import cached_property, reduce
 from itertools import accumulate
-from typing import Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
-import msgspec
+from msgspec import Meta
 from msgspec.structs import force_setattr
 
-from bilprov.spec.errors import WrongValue, require_kind, require_whole, shown
+from bilprov.spec.errors import Declared, WrongValue
 
-_WIDTHS = (8, 16, 24, 32)
+Register = Annotated[int, Meta(ge=0, lt=1 << 32)]
 
 
-class Sum(msgspec.Struct, frozen=True):
+class Sum(Declared, frozen=True):
     """The sum of the bytes, cut to `bits`.
 
     With `complement` 1 (or True) each bit of it is inverted, with 2 it is subtracted from zero:
     the ones' and the two's complement.
     """
 
-    bits: int = 8
-    complement: int = 0
-
-    def __post_init__(self) -> None:
-        if self.bits not in _WIDTHS or isinstance(self.bits, bool):
-            allowed = ", ".join(map(str, _WIDTHS))
-            raise WrongValue(f"the bits of a Sum is {shown(self.bits)}, allowed are {allowed}")
-        if not isinstance(self.complement, int) or not 0 <= self.complement <= 2:
-            raise WrongValue(f"Sum.complement is {shown(self.complement)}, allowed are 0, 1, 2")
+    bits: Literal[8, 16, 24, 32] = 8
+    complement: Annotated[int, Meta(ge=0, le=2)] | bool = 0
 
     def running(self, data: bytes) -> Iterator[int]:
         """The sum of the first 0, 1, 2, ... bytes, up to all."""
@@ -52,14 +45,11 @@ class Sum(msgspec.Struct, frozen=True):
         return total & (1 << self.bits) - 1
 
 
-class Fletcher(msgspec.Struct, frozen=True):
+class Fletcher(Declared, frozen=True):
     """The sum of the bytes, and above it the sum of that sum after each byte, both by `modulus`."""
 
-    modulus: int = 256
+    modulus: Literal[255, 256] = 256
     bits: ClassVar[int] = 16
-
-    def __post_init__(self) -> None:
-        require_whole("the modulus of a Fletcher", self.modulus, 255, 256)
 
     def running(self, data: bytes) -> Iterator[int]:
         """The check of the first 0, 1, 2, ... bytes, up to all."""
@@ -75,19 +65,16 @@ class Fletcher(msgspec.Struct, frozen=True):
         return (second % self.modulus << 8) + total % self.modulus
 
 
-class Xor(msgspec.Struct, frozen=True, dict=True):
+class Xor(Declared, frozen=True, dict=True):
     """The exclusive or of `start` and each byte."""
 
-    start: int = 0
+    start: Annotated[int, Meta(ge=0, le=255)] = 0
     bits: ClassVar[int] = 8
 
     @property
     def first(self) -> int:
         """The value before the first byte, as that of a Crc."""
         return self.start
-
-    def __post_init__(self) -> None:
-        require_whole("the start of a Xor", self.start, 0, 255)
 
     def running(self, data: bytes) -> Iterator[int]:
         """The exclusive or of the first 0, 1, 2, ... bytes, up to all."""
@@ -98,7 +85,7 @@ class Xor(msgspec.Struct, frozen=True, dict=True):
         return reduce(operator.xor, data, self.start)
 
 
-class Crc(msgspec.Struct, frozen=True, dict=True):
+class Crc(Declared, frozen=True, dict=True):
     """A cyclic redundancy check of `width` bits.
 
     `poly` is the polynomial without its highest term, most significant bit first, `init` the value
@@ -107,21 +94,22 @@ class Crc(msgspec.Struct, frozen=True, dict=True):
     the result has its lowest bit first; where it is not given, that is as `reflected` is.
     """
 
-    width: int
-    poly: int
-    init: int = 0
+    width: Annotated[int, Meta(ge=1, le=32)]
+    poly: Register
+    init: Register = 0
     reflected: bool = False
-    xorout: int = 0
+    xorout: Register = 0
     refout: bool | None = None
 
     def __post_init__(self) -> None:
         if self.refout is None:
             force_setattr(self, "refout", self.reflected)
-        for name in ("reflected", "refout"):
-            require_kind(f"Crc.{name}", getattr(self, name), bool)
-        require_whole("the width of a Crc", self.width, 1, 32)
+        super().__post_init__()
         for name in ("poly", "init", "xorout"):
-            require_whole(f"Crc.{name}", getattr(self, name), 0, (1 << self.width) - 1)
+            if getattr(self, name) >> self.width:
+                raise WrongValue(
+                    f"Crc.{name} is {getattr(self, name):#x}, it has {self.width} bits"
+                )
 
     @property
     def bits(self) -> int:

@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
 from math import prod
-from typing import Any, Literal, NamedTuple, TypeAlias
+from operator import or_
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import msgspec
 from construct import (
     Array,
     Bytes,
+    BytesInteger,
     Const,
     Construct,
     Container,
     Enum,
     FlagsEnum,
     FocusedSeq,
+    FormatField,
     GreedyBytes,
     GreedyRange,
+    Int16un,
     Prefixed,
     Renamed,
 )
-from msgspec.structs import replace
 
-from bilprov.spec.errors import WrongValue, one_line, require_text, require_whole, require_word
+from bilprov.spec.errors import WrongValue, one_line, require, require_word
 from bilprov.spec.fields import Ranged, Reports
-from bilprov.spec.numbers import Number, number_of
 
 Value: TypeAlias = int | bytes | tuple[int, ...]
 """The value of a field: a number, bytes, or some numbers."""
@@ -35,7 +38,36 @@ Values: TypeAlias = Mapping[str, Value]
 _MOST_FIELDS = 32  # of an instruction: the suite's frames grow with the square of their number
 _MOST_BYTES = 1 << 16  # of a field
 
+Order = Literal["big", "little"]
+_NATIVE: Order = "little" if Int16un.build(1)[0] else "big"
+
 How = Literal["fixed", "bytes in front", "elements in front", "expression", "rest"]
+
+
+class Number(msgspec.Struct, frozen=True):
+    """A whole number of `size` bytes in a byte order, with two's complement if it is signed."""
+
+    size: int
+    order: Order
+    signed: bool
+
+    @property
+    def low(self) -> int:
+        """The lowest number there is."""
+        return -(1 << 8 * self.size - 1) if self.signed else 0
+
+    @property
+    def high(self) -> int:
+        """The highest number there is."""
+        return (1 << 8 * self.size - self.signed) - 1
+
+    def parse(self, data: bytes) -> int:
+        """The number in these bytes, which are `size` many."""
+        return int.from_bytes(data, self.order, signed=self.signed)
+
+    def build(self, value: int) -> bytes:
+        """The bytes of a number. Raises OverflowError for one that does not fit."""
+        return value.to_bytes(self.size, self.order, signed=self.signed)
 
 
 class Many(msgspec.Struct, frozen=True):
@@ -157,9 +189,9 @@ class FieldSpec(msgspec.Struct, frozen=True):
     def in_range(self, value: Value) -> bool:
         """Whether a value is in the range; that of several numbers is the range of each."""
         if isinstance(value, bytes):
-            return self.constant is None or value == self.constant
+            return self.constant in (None, value)
         if isinstance(value, tuple):
-            return all(self.in_range(one) for one in value)
+            return all(map(self.in_range, value))
         if self.names and value not in (known for _, known in self.names):
             return False
         if self.flags and value & ~self.mask:
@@ -167,10 +199,15 @@ class FieldSpec(msgspec.Struct, frozen=True):
         return self.low <= value <= self.high
 
     @property
+    def element(self) -> Number | None:
+        """How its number, or each of several, is written; None for bytes."""
+        return self.many.element if self.many else self.number
+
+    @property
     def unlimited(self) -> bool:
         """Whether any bytes are a value in the range."""
-        form = self.many.element if self.many else self.number
-        return self.constant is None and (form is None or self.count == 1 << 8 * form.size)
+        every = self.element is None or self.count == 1 << 8 * self.element.size
+        return self.constant is None and every
 
     @property
     def count(self) -> int:
@@ -209,10 +246,7 @@ class FieldSpec(msgspec.Struct, frozen=True):
     @property
     def mask(self) -> int:
         """The bits of all its flags."""
-        mask = 0
-        for _, flag in self.flags:
-            mask |= flag
-        return int(mask)
+        return reduce(or_, (flag for _, flag in self.flags), 0)
 
 
 class DataSpec(msgspec.Struct, frozen=True):
@@ -258,7 +292,8 @@ class DataSpec(msgspec.Struct, frozen=True):
             count = many.prefix.parse(begun[at : at + many.prefix.size])
             return self.length + count * (1 if many.how == "bytes in front" else many.width)
         assert many.expression is not None
-        context = Container({part.name: part.parse(_raw(part, begun)) for part in self.fields[:-1]})
+        before = self.fields[:-1]
+        context = Container({part.name: part.parse(self.raw(part, begun)) for part in before})
         context["_params"] = Container(asked=Container(asked or {}))
         try:
             count = int(many.expression(context))
@@ -286,11 +321,8 @@ class DataSpec(msgspec.Struct, frozen=True):
 
     def raw(self, part: FieldSpec, data: bytes) -> bytes:
         """The bytes of a field; a counted one goes to the end of the data."""
-        return data[part.offset :] if self.counted and part is self.fields[-1] else _raw(part, data)
-
-
-def _raw(part: FieldSpec, data: bytes) -> bytes:
-    return data[part.offset : part.offset + part.size]
+        last = self.counted and part is self.fields[-1]
+        return data[part.offset : None if last else part.offset + part.size]
 
 
 def unwrapped(declared: Construct) -> Construct:
@@ -370,86 +402,60 @@ def _require_counted(
 
 def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
     body = unwrapped(member)
+    prose = prose_of(member)
+    require(f"the prose of {owner}.{member.name}", prose, str)
     if isinstance(body, Const):
         raw = body.build(None)
-        require_whole(f"the size of a constant of {owner} in bytes", len(raw), 1, 255)
-        return FieldSpec(member.name or "", prose_of(member), offset, len(raw), constant=raw)
+        return FieldSpec(member.name or "", prose, offset, len(raw), constant=raw)
     if member.name is None:
         raise WrongValue(f'a field of {owner} has no name; write it "name" / type')
     require_word(f"the name of a field of {owner}", member.name)
     name = f"{owner}.{member.name}"
-    require_text(f"the prose of {name}", prose_of(member))
-    many = _many(name, body)
-    field = FieldSpec(member.name, prose_of(member), offset, 0, 0, 255)
-    if many:
-        allowed = _allowed(name, _element(body), many.element) if many.element else {}
-        return replace(field, size=many.least, many=many, **allowed)
     reports = None
     if isinstance(body, Reports):
         reports = Reported(body.variable, body.factor, body.plus)
         body = unwrapped(body.subcon)
-    number = _number(name, body, ", or Bytes, Array, Prefixed or PrefixedArray")
-    allowed = _allowed(name, body, number)
-    return replace(field, size=number.size, number=number, reports=reports, **allowed)
+    counted, element = _counted(name, body)
+    number, allowed = None, {"high": 255}
+    if element:
+        others = "" if counted else ", or Bytes, Array, Prefixed or PrefixedArray"
+        number, allowed = _number(name, element, others)
+    many = Many(number, **counted) if counted else None
+    form: Any = {"many": many, "size": many.least} if many else {"number": number}
+    return FieldSpec(
+        member.name,
+        prose,
+        offset,
+        **{"size": number.size if number else 0, "reports": reports, **form, **allowed},
+    )
 
 
-def _number(name: str, declared: Construct, others: str = "") -> Number:
-    """The number within a range and names."""
-    body = unwrapped(declared)
-    while isinstance(body, Ranged | Enum | FlagsEnum):
-        body = unwrapped(body.subcon)
-    return number_of(body, name, others)
-
-
-def _allowed(name: str, declared: Construct, number: Number) -> dict[str, Any]:
-    """What a number may be, as attributes of its FieldSpec: its range, its names, its flags."""
-    body = unwrapped(declared)
-    ranged = body if isinstance(body, Ranged) else None
-    inner = unwrapped(ranged.subcon) if ranged else body
-    names: tuple[tuple[str, int], ...] = ()
-    if isinstance(inner, Enum):
-        names = tuple((str(name), int(value)) for name, value in inner.encmapping.items())
-    flags = tuple(inner.flags.items()) if isinstance(inner, FlagsEnum) else ()
-    low, high = (ranged.low, ranged.high) if ranged else (number.low, number.high)
-    if not number.low <= low <= high <= number.high:
-        reach = f"from low to high within {number.low} to {number.high}"
-        raise WrongValue(f"{name} has the range {low} to {high}, allowed is one {reach}")
-    bits = ranged.bits if ranged else ""
-    if len(bits) > 8 * number.size:
-        raise WrongValue(f"{name} names {len(bits)} bits, it has {8 * number.size}")
-    if names and not ranged:
-        low, high = min(value for _, value in names), max(value for _, value in names)
-    allowed = {"low": low, "high": high, "bits": bits, "names": names, "flags": flags}
-    return allowed | ({"reading": ranged.reading, "code": ranged.code} if ranged else {})
-
-
-def _element(body: Construct) -> Construct:
-    """The type of one of the numbers of a field that has several."""
-    if isinstance(body, Prefixed):
-        return _element(unwrapped(body.subcon))
-    return (unwrapped(body.subcons[1]) if isinstance(body, FocusedSeq) else body).subcon
-
-
-def _many(name: str, body: Construct) -> Many | None:
-    """How many elements a field has; None for a single number."""
+def _counted(name: str, body: Construct) -> tuple[dict[str, Any], Construct | None]:
+    """How a field is counted, and what is: none for a single number, None for bytes."""
     if body is GreedyBytes:
-        return Many(None, "rest")
+        return {"how": "rest"}, None
     if isinstance(body, GreedyRange):
-        return Many(_number(name, body.subcon), "rest")
+        return {"how": "rest"}, body.subcon
     if isinstance(body, Bytes):
-        return _counted(name, None, body.length)
+        return _count(name, body.length), None
     if isinstance(body, Array):
-        return _counted(name, _number(name, body.subcon), body.count)
+        return _count(name, body.count), body.subcon
     if isinstance(body, Prefixed):
-        inner = _many(name, unwrapped(body.subcon))
-        if inner is None or inner.how != "rest" or body.includelength:
+        inner, element = _counted(name, unwrapped(body.subcon))
+        if inner != {"how": "rest"} or body.includelength:
             raise WrongValue(f"{name} must be written Prefixed(Byte, GreedyRange(Byte))")
-        return Many(inner.element, "bytes in front", prefix=_prefix(name, body.lengthfield))
+        return {"how": "bytes in front", "prefix": _prefix(name, body.lengthfield)}, element
     if isinstance(body, FocusedSeq) and body.parsebuildfrom == "items":  # PrefixedArray
         count, items = (unwrapped(part) for part in body.subcons)
-        element = _number(name, items.subcon)
-        return Many(element, "elements in front", prefix=_prefix(name, count.subcon))
-    return None
+        return {"how": "elements in front", "prefix": _prefix(name, count.subcon)}, items.subcon
+    return {}, body
+
+
+def _count(name: str, count: Any) -> dict[str, Any]:
+    if callable(count):
+        return {"how": "expression", "expression": count}
+    require(f"the count of {name}", count, Annotated[int, msgspec.Meta(ge=1, le=_MOST_BYTES)])
+    return {"how": "fixed", "fixed": count}
 
 
 def _prefix(name: str, declared: Construct) -> Number:
@@ -459,11 +465,52 @@ def _prefix(name: str, declared: Construct) -> Number:
     return number
 
 
-def _counted(name: str, element: Number | None, count: Any) -> Many:
-    if callable(count):
-        return Many(element, "expression", expression=count)
-    require_whole(f"the count of {name}", count, 1, _MOST_BYTES)
-    return Many(element, "fixed", fixed=int(count))
+def _number(name: str, declared: Construct, others: str) -> tuple[Number, dict[str, Any]]:
+    """A number, and what it may be as attributes of its FieldSpec: its range, names and flags."""
+    body = unwrapped(declared)
+    ranged = body if isinstance(body, Ranged) else None
+    inner = unwrapped(ranged.subcon) if ranged else body
+    named = isinstance(inner, Enum | FlagsEnum)
+    number = number_of(unwrapped(inner.subcon) if named else inner, name, others)
+    allowed: dict[str, Any] = {}
+    low, high = number.low, number.high
+    if isinstance(inner, Enum):
+        allowed["names"] = tuple((str(one), int(at)) for one, at in inner.encmapping.items())
+        low, high = min(inner.decmapping), max(inner.decmapping)
+    if isinstance(inner, FlagsEnum):
+        allowed["flags"] = tuple(inner.flags.items())
+    if ranged:
+        low, high = ranged.low, ranged.high
+        allowed |= {"bits": ranged.bits, "reading": ranged.reading, "code": ranged.code}
+        if len(ranged.bits) > 8 * number.size:
+            raise WrongValue(f"{name} names {len(ranged.bits)} bits, it has {8 * number.size}")
+    if not number.low <= low <= high <= number.high:
+        raise WrongValue(
+            f"{name} has the range {low} to {high}, allowed is one from low to high within "
+            f"{number.low} to {number.high}"
+        )
+    return number, {"low": low, "high": high, **allowed}
+
+
+def number_of(declared: Construct, what: str, others: str = "") -> Number:
+    """Read a whole number of construct. Raises WrongValue for anything else.
+
+    `others` names what else is allowed there.
+    """
+    if isinstance(declared, BytesInteger):
+        size, little = declared.length, declared.swapped
+        if isinstance(size, int) and 0 < size < 256 and isinstance(little, bool):
+            return Number(size, "little" if little else "big", bool(declared.signed))
+    if isinstance(declared, FormatField):
+        order, kind = declared.fmtstr
+        if kind in "BHLQbhlq":
+            orders: dict[str, Order] = {"<": "little", ">": "big"}
+            return Number(declared.length, orders.get(order, _NATIVE), kind.islower())
+        bits = 8 * declared.length
+        raise WrongValue(
+            f"{what} is a floating-point number; declare its bits, Int{bits}ub or Int{bits}ul"
+        )
+    raise WrongValue(f"the type of {what} must be a whole number, such as Byte{others}")
 
 
 def shown_value(part: FieldSpec, value: Value) -> str:

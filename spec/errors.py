@@ -6,8 +6,14 @@ and hold only characters that print: nothing that shows them has to make them sa
 
 from __future__ import annotations
 
+import re
 import reprlib
-from typing import Any
+from collections.abc import Callable, Mapping
+from functools import cache, wraps
+from inspect import Parameter, signature
+from typing import Any, ParamSpec, TypeVar, get_args, get_type_hints
+
+import msgspec
 
 LONGEST_SENTENCE = 4000
 
@@ -40,7 +46,20 @@ class UserError(Exception):
 LONGEST_NAME = 64
 LONGEST_TEXT = 1000
 LARGEST = 1 << 128
-"""The bound of the numbers that an effect may set or multiply with."""
+"""The bound of the numbers in a grammar."""
+
+# What msgspec calls a kind of values, and what a grammar's author does.
+_KINDS = {
+    "str": "a text",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "True or False",
+    "array": "a tuple",
+    "object": "a dict",
+}
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class WrongValue(UserError):
@@ -52,52 +71,70 @@ def shown(value: object) -> str:
     return one_line(reprlib.repr(value), LONGEST_NAME)
 
 
-def require_text(what: str, value: Any, most: int = LONGEST_TEXT) -> None:
-    """Raise WrongValue unless the value is a text of at most `most` characters that all print."""
-    if not isinstance(value, str):
-        raise WrongValue(f"{what} is {shown(value)}, allowed is a text")
-    if len(value) > most:
-        raise WrongValue(f"{what} has {len(value)} characters, allowed are {most}")
-    unseen = next((character for character in value if not character.isprintable()), "")
-    if unseen:
-        raise WrongValue(
-            f"{what} holds the character U+{ord(unseen):04X}, allowed are characters that print"
-        )
+def require(what: str, value: Any, allowed: Any) -> None:
+    """Raise WrongValue unless the value is of a type, texts are short and print, numbers small.
 
-
-def require_name(what: str, value: Any) -> None:
-    """Raise WrongValue unless the value is a short text that does not consist of spaces only."""
-    require_text(what, value, LONGEST_NAME)
-    if not value.strip():
-        raise WrongValue(f"{what} is empty, allowed is a name")
+    The type may have bounds: `Annotated[int, Meta(ge=0)]`.
+    """
+    try:
+        msgspec.convert(value, allowed)
+    except msgspec.ValidationError as error:
+        expected = re.sub(r", got.*| - at.*", "", str(error))
+        kind, bounds = re.sub(r"^Expected|^Invalid.*|`", "", expected).strip().partition(" ")[::2]
+        words = _KINDS.get(kind, f"a {kind}") if kind else ", ".join(map(str, get_args(allowed)))
+        within = " within it" if " - at " in str(error) else ""
+        sentence = f"{what} is {shown(value)}, allowed{within} is {words} {bounds}"
+        raise WrongValue(sentence.strip()) from error
+    if isinstance(value, str):
+        if len(value) > LONGEST_TEXT:
+            raise WrongValue(f"{what} has {len(value)} characters, allowed are {LONGEST_TEXT}")
+        unseen = next((character for character in value if not character.isprintable()), "")
+        if unseen:
+            raise WrongValue(
+                f"{what} holds the character U+{ord(unseen):04X}, allowed are characters that print"
+            )
+    if isinstance(value, int | float) and not abs(value) <= LARGEST:
+        raise WrongValue(f"{what} is {value}, allowed is a number up to 2 to the 128th")
 
 
 def require_word(what: str, value: Any) -> None:
-    """Raise WrongValue unless the value is a name without spaces, which can be typed as one."""
-    require_name(what, value)
+    """Raise WrongValue unless the value is a short name without spaces, to be typed as one."""
+    require(what, value, str)
+    if not value.strip():
+        raise WrongValue(f"{what} is empty, allowed is a name")
+    if len(value) > LONGEST_NAME:
+        raise WrongValue(f"{what} has {len(value)} characters, allowed are {LONGEST_NAME}")
     if len(value.split()) > 1:
         raise WrongValue(f"{what} is {shown(value)}, allowed is one word")
 
 
-def require_whole(what: str, value: Any, low: int = -LARGEST, high: int = LARGEST) -> None:
-    """Raise WrongValue unless the value is a whole number in low..high."""
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise WrongValue(f"{what} is {shown(value)}, allowed is a whole number")
-    if not low <= value <= high:
-        reach = "2 to the 128th at most" if high == LARGEST else f"{low} to {high}"
-        raise WrongValue(f"{what} is {value}, allowed is {reach}")
+def checked(function: Callable[P, T]) -> Callable[P, T]:
+    """The function of a grammar; called with a value of another type than it has, WrongValue."""
+    accepts = signature(function)
+
+    @wraps(function)
+    def call(*values: P.args, **named: P.kwargs) -> T:
+        types = _types(function)
+        owner = function.__qualname__.removesuffix(".__init__")
+        for name, value in accepts.bind(*values, **named).arguments.items():
+            if name in types:  # self has none
+                several = accepts.parameters[name].kind is Parameter.VAR_POSITIONAL
+                for one in value if several else (value,):
+                    require(f"{owner}.{name}", one, types[name])
+        return function(*values, **named)
+
+    return call
 
 
-def require_number(what: str, value: Any, above: float, most: float) -> None:
-    """Raise WrongValue unless the value is a number greater than `above`, and `most` at most."""
-    if not isinstance(value, int | float) or isinstance(value, bool) or value != value:
-        raise WrongValue(f"{what} is {shown(value)}, allowed is a number")
-    if not above < value <= most:
-        raise WrongValue(f"{what} is {value}, allowed is more than {above:g} and at most {most:g}")
+@cache
+def _types(of: Callable[..., Any]) -> Mapping[str, Any]:
+    return get_type_hints(of, include_extras=True)
 
 
-def require_kind(what: str, value: Any, kind: type) -> None:
-    """Raise WrongValue unless the value is of that kind."""
-    if not isinstance(value, kind):
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise WrongValue(f"{what} is {shown(value)}, allowed is {article} {kind.__name__}")
+class Declared(msgspec.Struct, frozen=True):
+    """A declaration of a grammar. Raises WrongValue for a value of another type than it has."""
+
+    def __post_init__(self) -> None:
+        types = _types(type(self))
+        for name in self.__struct_fields__:
+            require(f"{type(self).__name__}.{name}", getattr(self, name), types[name])

@@ -2,17 +2,15 @@
 
 Each keeps its arguments as public attributes. construct's own validators hide theirs in a closure,
 and a grammar whose ranges cannot be read could be used for nothing but parsing. Each raises
-WrongValue, in one sentence, for an argument of a wrong type or size; construct itself raises
-TypeError for what is to be a construct and is none.
+WrongValue, in one sentence, for an argument of another type than its annotation has.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
-from typing import Any
+from typing import Annotated, Any, Literal
 
-import msgspec
 from construct import (
     Adapter,
     BitsInteger,
@@ -24,18 +22,10 @@ from construct import (
     Validator,
     this,
 )
+from msgspec import Meta
 
 from bilprov.spec.checks import Crc, Fletcher, Sum, Xor
-from bilprov.spec.errors import (
-    LONGEST_NAME,
-    WrongValue,
-    require_kind,
-    require_name,
-    require_number,
-    require_text,
-    require_whole,
-    shown,
-)
+from bilprov.spec.errors import Declared, WrongValue, checked
 from bilprov.spec.motion import Wheels
 from bilprov.spec.state import (
     AllOf,
@@ -82,16 +72,14 @@ __all__ = [
     "asked",
 ]
 
-_LONGEST_TIME = 3_600_000.0  # ms
-_SHORTEST_TIME = 0.001
+Natural = Annotated[int, Meta(ge=0)]
+Code = Annotated[int, Meta(ge=0, le=255)]
+Milliseconds = Annotated[float, Meta(gt=0.001, le=3_600_000)]
 _ORDERED = (
     ("truncation_shortest", "truncation_timeout"),
     ("truncation_timeout", "truncation_longest"),
     ("answer_deadline", "answer_longest"),
 )  # the first is at most as long as the second
-_FASTEST = 1_000_000_000  # bits/s
-_PARITIES = ("N", "E", "O", "M", "S")
-_STOPBITS = (1, 1.5, 2)
 
 
 class Outcome(Enum):
@@ -107,16 +95,6 @@ class Outcome(Enum):
     OTHER_ADDRESS = "other address"
 
 
-OF_HEADERS = (
-    Outcome.VALID,
-    Outcome.UNKNOWN_ID,
-    Outcome.BAD_DATA,
-    Outcome.TOO_MANY,
-    Outcome.TOO_FEW,
-)
-"""The outcomes that a frame of a header and data can have."""
-
-
 class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
     """An integer that must lie in `low`..`high` (both included).
 
@@ -125,6 +103,7 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
     bad data, and `code` the answer to it where it is not that to any bad data.
     """
 
+    @checked
     def __init__(
         self,
         subcon: Construct,
@@ -134,11 +113,6 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
         reading: str = "",
         code: str = "",
     ) -> None:
-        require_whole("the lowest value of a field", low)
-        require_whole("the highest value of a field", high)
-        require_text("the bits of a field", bits)
-        require_text("the reading of a field", reading)
-        require_text("the code of a field", code)
         super().__init__(subcon)
         self.code = code
         self.reading = reading
@@ -157,10 +131,8 @@ class Reports(Subconstruct):  # type: ignore[misc]  # construct ships no types
     Enum. What it reports is predicted from then on.
     """
 
+    @checked
     def __init__(self, variable: str, subcon: Construct, factor: int = 1, plus: int = 0) -> None:
-        require_name("the variable of a Reports", variable)
-        require_whole("the factor of a Reports", factor)
-        require_whole("what a Reports adds", plus)
         super().__init__(subcon)
         self.variable = variable
         self.factor = factor
@@ -178,7 +150,7 @@ class Sets:
         self.values = values
 
 
-class Memory(msgspec.Struct, frozen=True):
+class Memory(Declared, frozen=True):
     """Cells of a device's memory `name`, so that what was written is read back.
 
     A request with the fields `at` and `value` writes them; one with `at`, whose answer has `value`,
@@ -200,13 +172,13 @@ class Memory(msgspec.Struct, frozen=True):
     at: str = ""
     value: str = ""
     count: str = ""
-    factor: int = 1
+    factor: Annotated[int, Meta(ge=1)] = 1
     bits: bool = False
     of: str = ""
     latest: bool = False
     by: tuple[str, ...] = ()
-    only: str = ""
-    power_on: Mapping[int, int] = {}
+    only: Literal["", "reads", "writes"] = ""
+    power_on: Mapping[Natural, Natural] = {}
     keep: str = ""
     until: str = ""
     blocks: bool = False
@@ -214,24 +186,11 @@ class Memory(msgspec.Struct, frozen=True):
     code: str = ""
 
     def __post_init__(self) -> None:
-        require_text("the name of a Memory", self.name)
-        for name in (self.value, *filter(None, (self.at, self.count, self.of, self.keep))):
-            require_name("a field of a Memory", name)
-        require_whole("the factor of a Memory", self.factor, 1)
-        for name in ("bits", "latest", "blocks"):
-            require_kind(f"the {name} of a Memory", getattr(self, name), bool)
-        require_kind("the instructions of a Memory", self.by, tuple)
-        for name in ("until", "reset", "code"):
-            require_text(f"the {name} of a Memory", getattr(self, name))
-        require_kind("the power_on of a Memory", self.power_on, dict)
-        for number in (*self.power_on, *self.power_on.values()):
-            require_whole("a number in the power_on of a Memory", number, 0)
+        super().__post_init__()
         if self.blocks and not self.count:
             raise WrongValue(
                 "a Memory with blocks needs a count, the number of cells in each block"
             )
-        if self.only not in ("", "reads", "writes"):
-            raise WrongValue(f"a Memory is only {shown(self.only)}, allowed are reads and writes")
 
     def cell(self, at: int | bytes) -> int:
         """The first cell for a value of the field `at`."""
@@ -250,6 +209,7 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
     it changes that the state does not have, such as "flash".
     """
 
+    @checked
     def __init__(
         self,
         *fields: Construct,
@@ -258,14 +218,6 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
         answer: Construct | None = NO_DATA,
         changes: str = "",
     ) -> None:
-        for one in fields:
-            require_kind("a field of an Instruction", one, Construct)
-        require_text("the document of an Instruction", document)
-        if effect is not None:
-            require_kind("the effect of an Instruction", effect, Sets)
-        if answer is not None:
-            require_kind("the answer of an Instruction", answer, Construct)
-        require_text("what an Instruction changes", changes, LONGEST_NAME)
         super().__init__(*fields)
         self.document = document
         self.changes = changes
@@ -273,7 +225,7 @@ class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
         self.effect = effect or Sets()
 
 
-class Answer(msgspec.Struct, frozen=True):
+class Answer(Declared, frozen=True):
     """A response: its name, the outcome it stands for, the document's text and our description.
 
     It may stand for several outcomes, and with () for none: it tells the device's own condition.
@@ -287,14 +239,8 @@ class Answer(msgspec.Struct, frozen=True):
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
         """The outcomes that it stands for."""
-        return self.outcome if isinstance(self.outcome, tuple) else (self.outcome,)
-
-    def __post_init__(self) -> None:
-        require_name("the name of an Answer", self.name)
-        for outcome in self.outcomes:
-            require_kind(f"the outcome of {self.name}", outcome, Outcome)
-        require_text(f"the document of {self.name}", self.document)
-        require_text(f"the prose of {self.name}", self.prose)
+        several = self.outcome if isinstance(self.outcome, tuple) else (self.outcome,)
+        return tuple(map(Outcome, several))
 
 
 class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
@@ -303,15 +249,12 @@ class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
     With `flags` a code other than 0 is one bit, and several may be set: it parses to their names.
     """
 
+    @checked
     def __init__(
-        self, subcon: Construct, answers: Mapping[int, Answer], flags: bool = False
+        self, subcon: Construct, answers: Mapping[Code, Answer], flags: bool = False
     ) -> None:
-        require_kind("the responses", answers, dict)
-        require_kind("the flags of the responses", flags, bool)
-        for code, answer in answers.items():
-            require_whole("the code of a response", code, 0, 255)
-            require_kind(f"the response {code}", answer, Answer)
-            if flags and code.bit_count() > 1:
+        for code in answers if flags else ():
+            if code.bit_count() > 1:
                 raise WrongValue(f"the response {code} is not one bit, as flags must be")
         codes = {answer.name: code for code, answer in answers.items()}
         super().__init__(
@@ -329,21 +272,18 @@ def codes_in(code: int, flags: bool) -> list[int]:
     return bits if flags and code else [code]
 
 
-class Timing(msgspec.Struct, frozen=True):
+class Timing(Declared, frozen=True):
     """Times in ms that the document leaves open; the named readings give the reasons."""
 
-    truncation_timeout: float  # R-truncation-timeout: between two bytes of a frame
-    truncation_shortest: float
-    truncation_longest: float
-    answer_deadline: float  # R-answer-deadline: after the frame's last byte
-    answer_longest: float
-    stop_longest: float  # R-stop-latency: after the answer
+    truncation_timeout: Milliseconds  # R-truncation-timeout: between two bytes of a frame
+    truncation_shortest: Milliseconds
+    truncation_longest: Milliseconds
+    answer_deadline: Milliseconds  # R-answer-deadline: after the frame's last byte
+    answer_longest: Milliseconds
+    stop_longest: Milliseconds  # R-stop-latency: after the answer
 
     def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            require_number(
-                f"Timing.{name} in ms", getattr(self, name), _SHORTEST_TIME, _LONGEST_TIME
-            )
+        super().__post_init__()
         for first, then in _ORDERED:
             least, most = getattr(self, first), getattr(self, then)
             if least > most:
@@ -352,33 +292,21 @@ class Timing(msgspec.Struct, frozen=True):
                 )
 
 
-class LineDefaults(msgspec.Struct, frozen=True):
+class LineDefaults(Declared, frozen=True):
     """Default settings of the serial line (R-line)."""
 
-    baud: int
-    parity: str
-    stopbits: float
-
-    def __post_init__(self) -> None:
-        require_whole("LineDefaults.baud", self.baud, 1, _FASTEST)
-        for name, allowed in (("parity", _PARITIES), ("stopbits", _STOPBITS)):
-            value = getattr(self, name)
-            if value not in allowed or isinstance(value, bool):
-                words = ", ".join(map(str, allowed))
-                raise WrongValue(f"LineDefaults.{name} is {shown(value)}, allowed are {words}")
+    baud: Annotated[int, Meta(ge=1, le=1_000_000_000)]
+    parity: Literal["N", "E", "O", "M", "S"]
+    stopbits: Annotated[float, Meta(ge=1, le=2, multiple_of=0.5)]
 
 
-class Clauses(msgspec.Struct, frozen=True):
+class Clauses(Declared, frozen=True):
     """The clause of the document in which each kind of rule stands."""
 
     header: str
     instructions: str
     responses: str
     safety: str
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            require_text(f"Clauses.{name}", getattr(self, name))
 
 
 asked = this._params.asked
@@ -391,15 +319,12 @@ class Address(Subconstruct):  # type: ignore[misc]  # construct ships no types
     What is sent to all is not answered.
     """
 
+    @checked
     def __init__(
-        self, subcon: Construct, low: int, high: int, broadcast: int | None = None
+        self, subcon: Construct, low: Natural, high: Natural, broadcast: Natural | None = None
     ) -> None:
-        require_whole("the lowest address", low, 0)
-        require_whole("the highest address", high, 0)
         if low > high:
             raise WrongValue(f"the addresses {low} to {high} hold nothing")
-        if broadcast is not None:
-            require_whole("the broadcast address", broadcast, 0)
         super().__init__(subcon)
         self.low = low
         self.high = high
@@ -409,8 +334,8 @@ class Address(Subconstruct):  # type: ignore[misc]  # construct ships no types
 class Length(Adapter):  # type: ignore[misc]  # construct ships no types
     """The part that announces the data; it counts `also` bytes more than the data have."""
 
-    def __init__(self, subcon: Construct, also: int = 0) -> None:
-        require_whole("what a Length counts besides the data", also, -255, 255)
+    @checked
+    def __init__(self, subcon: Construct, also: Annotated[int, Meta(ge=-255, le=255)] = 0) -> None:
         super().__init__(subcon)
         self.also = also
 
@@ -427,9 +352,8 @@ class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
     What does not fit into the type is cut off.
     """
 
-    def __init__(self, name: str, subcon: Construct, plus: int = 0) -> None:
-        require_name("the part that a Same repeats", name)
-        require_whole("what a Same adds", plus, 0)
+    @checked
+    def __init__(self, name: str, subcon: Construct, plus: Natural = 0) -> None:
         super().__init__(subcon)
         self.part = name
         self.plus = plus

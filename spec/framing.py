@@ -234,7 +234,7 @@ def _unknown_size(layout: Layout, held: bytes) -> int | None:
     if layout.check and layout.check.part.size > 1:
         right = layout.check.right_sizes(held[:_MOST_UNKNOWN], least)
         return next((n for n in right if not layout.wrong_constant(held[:n])), None)
-    marked = any(offset < 0 for offset, _ in layout.constants)
+    marked = any(part.offset < 0 and not part.width for part in layout.constants)
     if marked and len(held) >= least and not layout.wrong_constant(held[:least]):
         return least
     return None

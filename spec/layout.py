@@ -6,9 +6,11 @@ cannot be read into a layout raises WrongValue.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Literal
+from itertools import accumulate
+from typing import Annotated, Any, Literal
 
 import msgspec
 from construct import (
@@ -26,14 +28,15 @@ from construct import (
 from msgspec.structs import replace
 
 from bilprov.spec.checks import CheckFunction
-from bilprov.spec.data import DataSpec, Values, prose_of, unwrapped
-from bilprov.spec.errors import WrongValue, require_text, require_whole, require_word
+from bilprov.spec.data import DataSpec, Number, Values, number_of, prose_of, unwrapped
+from bilprov.spec.errors import WrongValue, require, require_word
 from bilprov.spec.fields import Address, Answers, Data, Length, Same
-from bilprov.spec.numbers import Number, number_of, path_of
 
 Role = Literal["constant", "address", "id", "length", "code", "other", "check"]
 
+Width = Annotated[int, msgspec.Meta(ge=1, le=64)]
 _ROLES: dict[str, Role] = {"id": "id", "length": "length", "address": "address"}
+_BITS = type(BitStruct())
 _MOST_PARTS = 32
 _MOST_DATA = 1 << 20  # bytes of data that a frame may announce; more is no frame
 _ASKED = b"\x01asked"
@@ -87,6 +90,14 @@ class Part(msgspec.Struct, frozen=True):
         """Its bytes, or those of the byte of bits that it is in."""
         return self.number.size
 
+    @property
+    def fixed(self) -> tuple[bytes, bytes]:
+        """Of a constant a mask of its bits in its bytes, and their value."""
+        if self.constant:
+            return b"\xff" * self.size, self.constant
+        mask = (1 << self.width) - 1
+        return self.number.build(mask << self.shift), self.number.build(self.low << self.shift)
+
     def raw(self, frame: bytes) -> bytes:
         """Its bytes in a frame."""
         return frame[self.offset : self.offset + self.size or None]
@@ -97,6 +108,15 @@ class Part(msgspec.Struct, frozen=True):
         if self.width:
             value = value >> self.shift & (1 << self.width) - 1
         return value - self.also
+
+    def written(self, value: int, before: bytes) -> bytes:
+        """Its bytes with a value; in a byte of bits the others are as `before`."""
+        value += self.also
+        if not self.width:
+            return self.number.build(value)
+        if not 0 <= value < 1 << self.width:
+            raise OverflowError(f"{self.name} is {value}, it has {self.width} bits")
+        return self.number.build(self.number.parse(before) | value << self.shift)
 
     @property
     def most(self) -> int:
@@ -128,11 +148,6 @@ class Check(msgspec.Struct, frozen=True):
     last: int
     asked: bool = False
 
-    def due(self, frame: bytes, asked: bytes = b"") -> int:
-        """The right value in a frame; `asked` is what the request's check covers."""
-        covered = self.covered(frame)
-        return self.function(asked + covered if self.asked else covered)
-
     def right_sizes(self, begun: bytes, least: int, asked: bytes = b"") -> Iterator[int]:
         """The sizes, `least` or more, that a frame which begins so can have: it is right there.
 
@@ -152,11 +167,12 @@ class Check(msgspec.Struct, frozen=True):
 
     def holds(self, frame: bytes, asked: bytes = b"") -> bool:
         """Whether the value in a frame is the right one."""
-        return self.part.read(frame) == self.due(frame, asked)
+        return self.part.raw(frame) == self.right(frame, asked)
 
     def right(self, frame: bytes, asked: bytes = b"") -> bytes:
-        """The bytes that it must have in a frame."""
-        return self.part.number.build(self.due(frame, asked))
+        """The bytes that it must have in a frame; `asked` is what the request's check covers."""
+        covered = self.covered(frame)
+        return self.part.number.build(self.function(asked + covered if self.asked else covered))
 
     def wrong(self, frame: bytes, asked: bytes = b"") -> str:
         """What is wrong with it in a frame, in words; "" where it is right."""
@@ -199,14 +215,19 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
         return found
 
     @cached_property
-    def constants(self) -> tuple[tuple[int, bytes], ...]:
-        """The offset and the bytes of each constant of whole bytes."""
-        return tuple((part.offset, part.constant) for part in self.parts if part.constant)
+    def constants(self) -> tuple[Part, ...]:
+        """The constants, of whole bytes or of some bits."""
+        return tuple(part for part in self.parts if part.role == "constant")
 
     @cached_property
-    def fixed_bits(self) -> tuple[Part, ...]:
-        """The constants of some bits."""
-        return tuple(part for part in self.parts if part.role == "constant" and part.width)
+    def fixed(self) -> tuple[tuple[int, int, int], ...]:
+        """The offset of each byte that has constant bits, a mask of these, and their value."""
+        return tuple(
+            (part.offset + at, mask, value)
+            for part in self.constants
+            for at, (mask, value) in enumerate(zip(*part.fixed, strict=True))
+            if mask
+        )
 
     def value(self, role: Role, frame: bytes) -> int | None:
         """The value of the part of that role in a frame; None where it has no such part."""
@@ -219,47 +240,35 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
 
     def begins(self, held: bytes) -> bool:
         """Whether bytes may begin a frame: the constants in front that are there are right."""
-        right = all(
-            held[offset : offset + len(raw)] == raw[: max(0, len(held) - offset)]
-            for offset, raw in self.constants
-            if 0 <= offset < len(held)
-        )
-        return right and not any(
-            part.read(held) != part.low
-            for part in self.fixed_bits
-            if 0 <= part.offset <= len(held) - part.size
-        )
+        size = len(held)
+        return all(held[at] & mask == value for at, mask, value in self.fixed if 0 <= at < size)
 
     def wrong_constant(self, frame: bytes) -> str:
         """What is wrong with the first wrong constant in a whole frame; "" if all are right."""
-        for offset, raw in self.constants:
-            found = frame[offset : offset + len(raw) or None]
-            if found != raw:
-                return f"{found.hex(' ')} stands where {raw.hex(' ')} must be"
-        for part in self.fixed_bits:
-            if part.read(frame) != part.low:
+        for part in self.constants:
+            found = part.raw(frame)
+            if part.width and part.read(frame) != part.low:
                 return f"{part.name or 'a constant'} is {part.read(frame)}, right is {part.low}"
+            if part.constant not in (b"", found):
+                return f"{found.hex(' ')} stands where {part.constant.hex(' ')} must be"
         return ""
 
-    def unrepeated(self, held: bytes, asked: Values) -> tuple[Part, int] | None:
+    def unrepeated(self, held: bytes, asked: Values | None) -> tuple[Part, int] | None:
         """The first part that does not repeat the request's, and its right value.
 
-        Only the parts count that are within the bytes; None if all of these do.
+        Without a request, the first one that can repeat none. Only the parts count that are within
+        the bytes; None if all of these do.
         """
         for part in self.parts:
-            if part.same and part.offset >= 0 and part.offset + part.size <= len(held):
-                right = part.repeating(asked.get(part.same, -1))
-                if part.same not in asked or part.read(held) != right:
+            if part.same and 0 <= part.offset <= len(held) - part.size:
+                found = part.read(held)
+                if asked is None:
+                    right = max(found, part.plus)
+                else:
+                    right = part.repeating(asked.get(part.same, -1))
+                if found != right or (asked is not None and part.same not in asked):
                     return part, right
         return None
-
-    def may_repeat(self, held: bytes) -> bool:
-        """Whether the parts that repeat some request's can, as far as the bytes go."""
-        return all(
-            part.read(held) >= part.plus
-            for part in self.parts
-            if part.same and part.offset >= 0 and part.offset + part.size <= len(held)
-        )
 
     @cached_property
     def told(self) -> Mapping[str, Part]:
@@ -300,29 +309,17 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
         frame = bytearray(size)
         frame[self.head : self.head + len(data)] = data
         for part in self.parts:
-            if part.role == "check":
-                continue
             at = part.offset if part.offset >= 0 else size + part.offset
-            given = {"length": len(data), "constant": part.low}.get(part.role)
-            if given is None:
-                given = values.get(part.name, 0)
-            before = bytes(frame[at : at + part.size])
-            frame[at : at + part.size] = part.constant or self._written(part, given, before)
+            value = {"length": len(data), "constant": part.low}.get(part.role)
+            if value is None:
+                value = values.get(part.name, 0)
+            raw = part.constant or part.written(value, bytes(frame[at : at + part.size]))
+            if part.role != "check":
+                frame[at : at + part.size] = raw
         if self.check:
             at = size + self.check.part.offset
-            right = self.check.right(bytes(frame), covered)
-            frame[at : at + len(right)] = right
+            frame[at : at + self.check.part.size] = self.check.right(bytes(frame), covered)
         return bytes(frame)
-
-    @staticmethod
-    def _written(part: Part, value: int, before: bytes) -> bytes:
-        """The bytes of a part; in a byte of bits the other bits stay as they are."""
-        value += part.also
-        if not part.width:
-            return part.number.build(value)
-        if not 0 <= value < 1 << part.width:
-            raise OverflowError(f"{part.name} is {value}, it has {part.width} bits")
-        return part.number.build(part.number.parse(before) | value << part.shift)
 
 
 def read_layout(what: str, declared: Construct, asked: tuple[str, ...] = ()) -> tuple[Layout, Any]:
@@ -336,239 +333,178 @@ def read_layout(what: str, declared: Construct, asked: tuple[str, ...] = ()) -> 
         body = Struct("code" / body)
     if not isinstance(body, Struct):
         raise WrongValue(f"{what} is a {type(body).__name__}, it must be a Struct of parts")
-    reader = _Reader(what, asked)
-    reader.struct(body)
-    return reader.layout(), reader.data
-
-
-class _Reader:
-    def __init__(self, what: str, asked: tuple[str, ...]) -> None:
-        self._what = what
-        self._asked = asked
-        self._names = {"_"}  # of all that was read so far; `_` goes out of a Struct
-        self._front: list[Part] = []
-        self._behind: list[Part] = []  # offsets from the first byte behind the data
-        self._at = 0
-        self._spans: dict[str, tuple[bool, int, bool, int]] = {}  # covered: begin, end as places
-        self._check: tuple[Part, Checksum] | None = None
-        self.data: Any = None
-
-    @property
-    def _parts(self) -> list[Part]:
-        return self._front if self.data is None else self._behind
-
-    def struct(self, declared: Struct) -> None:
-        """Read the parts of a Struct one after the other."""
-        for member in declared.subcons:
-            self._member(member)
-        if len(self._front) + len(self._behind) > _MOST_PARTS:
-            raise WrongValue(f"{self._what} has more than {_MOST_PARTS} parts")
-
-    def _member(self, member: Construct) -> None:
-        body, name = unwrapped(member), member.name or ""
-        self._names.add(name)
-        require_text(f"the prose of a part of {self._what}", prose_of(member))
-        if isinstance(body, RawCopy):
-            self._covered(name, body)
-        elif isinstance(body, Const):
-            self._add(member, "constant", _size_of(body, self._what), constant=body.build(None))
-        elif isinstance(body, Checksum):
-            self._checksum(member, body)
-        elif _is_bits(body):
-            self._bits(body)
-        elif isinstance(body, Struct):
-            self.struct(body)
-        elif name == "data" or isinstance(body, Data | Switch | FixedSized):
-            self._place_of_data(body)
-        else:
-            self._number(member, body)
-
-    def _covered(self, name: str, body: RawCopy) -> None:
-        require_word(f"the name of the covered part of {self._what}", name)
-        inner = unwrapped(body.subcon)
-        if not isinstance(inner, Struct):
-            raise WrongValue(f"{self._what}.{name} must be written RawCopy(Struct(...))")
-        begin = self.data is not None, self._at
-        self.struct(inner)
-        self._spans[name] = (*begin, self.data is not None, self._at)
-
-    def _place_of_data(self, body: Construct) -> None:
-        if self.data is not None:
-            raise WrongValue(f"{self._what} has two places for data")
-        inner = body
-        if isinstance(body, FixedSized):
-            self._require_path("FixedSized", body.length, "length")
-            inner = unwrapped(body.subcon)
-        elif isinstance(body, Switch) and any(
-            part.role == "length" and not part.width for part in self._front
-        ):
+    spans: dict[str, tuple[int, int]] = {}
+    members = [*_members(what, body, spans, 0)]
+    if len(members) > _MOST_PARTS:
+        raise WrongValue(f"{what} has more than {_MOST_PARTS} parts")
+    roles = [part.role if part else "data" for part, _ in members]
+    for role in ("id", "length", "address", "code", "check", "data"):
+        if roles.count(role) > 1:
+            raise WrongValue(f"{what} has two parts for the {role}")
+    place = roles.index("data") if "data" in roles else len(roles)
+    for role in {"id", "length"} & {*roles[place:]}:
+        raise WrongValue(f"the {role} of {what} is behind the data; it must be before")
+    # The bytes before each member, and those of all; of a byte of bits the last part has the byte.
+    before = [0, *accumulate(0 if one is None or one.shift else one.size for one, _ in members)]
+    total, data = before[-1], None
+    parts = tuple(
+        replace(part, offset=before[at] - (total if at > place or part.role == "check" else 0))
+        for at, (part, _) in enumerate(members)
+        if part
+    )
+    if place < len(roles):
+        data = members[place][1]
+        _require_paths(what, data, [p for p in parts if p.offset >= 0])
+    check, covered = None, tuple(spans)
+    if "check" in roles:
+        at = roles.index("check")
+        name, both = _covered_name(what, members[at][1], spans, asked)
+        first, last = spans[name]
+        if at < last or (data is not None and not first <= place < last):
             raise WrongValue(
-                f"the data of {self._what} must be written FixedSized(this.length, ...), since "
-                f"{self._what} has a length"
+                f"the check of {what} must stand behind the data, and cover them and what is "
+                "before them"
             )
-        if isinstance(inner, Switch) and any(part.role == "id" for part in self._front):
-            self._require_path("Switch", inner.keyfunc, "id")
-        self.data, self._at, self._head = body, 0, self._at
+        function, covered = members[at][1].hashfunc, (name,)
+        (part,) = (one for one in parts if one.role == "check")
+        check = Check(part, function, before[first], total - before[last], both)
+    head = before[place]
+    return Layout(parts, head, total - head, check, data is not None, covered), data
 
-    def _require_path(self, word: str, expression: Any, name: str) -> None:
-        """Raise WrongValue unless an expression is the path to the part of that name."""
-        names = path_of(expression)
-        if names[-1:] != (name,) or not self._names.issuperset(names):
-            told = f"this.{'.'.join(names)}" if names else "..."
+
+def _members(
+    what: str, declared: Struct, spans: dict[str, tuple[int, int]], at: int
+) -> Iterator[tuple[Part | None, Construct]]:
+    """Yield each part of a Struct with its declaration, and None with that of the data.
+
+    `at` is the place of the first one; `spans` gets the places of what each RawCopy covers.
+    """
+    for member in declared.subcons:
+        body, found = unwrapped(member), list[tuple[Part | None, Construct]]()
+        inner = unwrapped(body.subcon) if isinstance(body, RawCopy) else body
+        if isinstance(inner, Struct):
+            found += _members(what, inner, spans, at)
+        elif type(inner) is _BITS:
+            found += _bits(what, unwrapped(inner.subcon).subcons)
+        elif member.name == "data" or isinstance(inner, Data | Switch | FixedSized):
+            found.append((None, inner))
+        else:
+            found.append((_part(what, member), inner))
+        yield from found
+        if isinstance(body, RawCopy):
+            spans[member.name] = at, at + len(found)
+        at += len(found)
+
+
+def _require_paths(what: str, declared: Construct, before: Sequence[Part]) -> None:
+    """Raise WrongValue unless data are as long as the part before tells, and those of its ID."""
+    roles = [part.role for part in before if part.role != "length" or not part.width]
+    paths = []
+    if isinstance(declared, FixedSized):
+        paths.append(("FixedSized", declared.length, "length"))
+        declared = unwrapped(declared.subcon)
+    elif isinstance(declared, Switch) and "length" in roles:
+        raise WrongValue(
+            f"the data of {what} must be written FixedSized(this.length, ...), since {what} has a "
+            "length"
+        )
+    if isinstance(declared, Switch) and "id" in roles:
+        paths.append(("Switch", declared.keyfunc, "id"))
+    for word, expression, name in paths:
+        path = re.sub(r"\['(\w+)'\]", r".\1", repr(expression))
+        if not re.fullmatch(rf"this\.(\w+\.)*{name}", path):
             raise WrongValue(
-                f"{self._what} has {word}({told}, ...), allowed is the path to its part {name}: "
+                f"{what} has {word}({path}, ...), allowed is the path to its part {name}: "
                 f"{word}(this.{name}, ...)"
             )
 
-    def _number(
-        self, member: Construct, body: Construct, bits: Mapping[str, Any] | None = None
-    ) -> None:
-        """Read a part that is a number; `bits` is where it is in a byte of bits."""
-        name = f"{self._what}.{member.name}"
-        if member.name is None:
-            raise WrongValue(f'a part of {self._what} has no name; write it "name" / type')
-        require_word(f"the name of a part of {self._what}", member.name)
-        place = bits or {"number": number_of(_type_of(body), name)}
-        most = (1 << bits["width"]) - 1 if bits else place["number"].high
-        role: Role = _ROLES.get(member.name, "other")
-        more: dict[str, Any] = {}
-        if isinstance(body, Address):
-            ends = (body.high, body.broadcast or 0)
-            _require_room(name, "addresses", ends, most)
-            role = "address"
-            more = {"low": body.low, "high": body.high, "broadcast": body.broadcast}
-        elif isinstance(body, Length):
-            role, more = "length", {"also": body.also}
-        elif isinstance(body, Same):
-            role, more = _ROLES.get(body.part, "other"), {"same": body.part, "plus": body.plus}
-        elif isinstance(body, Answers):
-            _require_room(name, "codes", body.answers, most)
-            role = "code"
-        else:
-            more = {"high": most}
-        self._add(member, role, **place, **more)
 
-    def _bits(self, body: Construct) -> None:
-        """Read a byte (or some) of bits: whole parts of it with their widths."""
-        members = unwrapped(body.subcon).subcons
-        for part in members:
-            bits = _type_of(part)
-            name = f"{self._what}.{part.name}"
-            if type(bits) is not BitsInteger or bits.signed or bits.swapped:
-                raise WrongValue(f"{name} must be written BitsInteger(width)")
-            self._names.add(part.name or "")
-            require_text(f"the prose of {name}", prose_of(part))
-            require_whole(f"the width of {name}", bits.length, 1, 64)
-        above = sum(_type_of(part).length for part in members)
-        if above % 8 or not above:
-            raise WrongValue(
-                f"the bits of {self._what} are {above} together; they must fill whole bytes"
-            )
-        number = Number(above // 8, "big", signed=False)
-        for part in members:
-            width = _type_of(part).length
-            above -= width
-            place = {"number": number, "width": width, "shift": above, "moves": above == 0}
-            inner = unwrapped(part)
-            if isinstance(inner, Const):
-                self._add(part, "constant", low=inner.value, **place)
-            else:
-                self._number(part, inner, place)
-
-    def _checksum(self, member: Construct, body: Checksum) -> None:
-        name = f"{self._what}.{member.name}"
-        if self._check:
-            raise WrongValue(f"{self._what} has two checks")
+def _part(what: str, member: Construct, bits: Mapping[str, Any] | None = None) -> Part:
+    """Read a part, its offset still 0; `bits` is where it is in a byte of bits."""
+    body, name = unwrapped(member), f"{what}.{member.name}"
+    require(f"the prose of {name}", prose_of(member), str)
+    if member.name is not None:
+        require_word(f"the name of a part of {what}", member.name)
+    elif not isinstance(body, Const):
+        raise WrongValue(f'a part of {what} has no name; write it "name" / type')
+    role: Role = _ROLES.get(member.name, "other")
+    if isinstance(body, Const) and not bits:
+        raw = body.build(None)
+        require(f"the bytes of {name}", len(raw), Width)
+        number = Number(len(raw), "big", signed=False)
+        return Part(member.name or "", prose_of(member), "constant", 0, number, constant=raw)
+    place = bits or {"number": number_of(_type_of(body), name)}
+    most = (1 << bits["width"]) - 1 if bits else place["number"].high
+    values: tuple[int, ...] = ()
+    more: dict[str, Any] = {}
+    if isinstance(body, Const):
+        role, values, more = "constant", (body.value,), {"low": body.value}
+    elif isinstance(body, Address):
+        role, values = "address", (body.high, body.broadcast or 0)
+        more = {"low": body.low, "high": body.high, "broadcast": body.broadcast}
+    elif isinstance(body, Length):
+        role, more = "length", {"also": body.also}
+    elif isinstance(body, Same):
+        role, more = _ROLES.get(body.part, "other"), {"same": body.part, "plus": body.plus}
+    elif isinstance(body, Answers):
+        role, values = "code", tuple(body.answers)
+    elif isinstance(body, Checksum):
         if not isinstance(body.hashfunc, CheckFunction):
             raise WrongValue(
                 f"{name} must be a Sum, a Fletcher, a Xor or a Crc of bilprov.spec.fields"
             )
-        number = number_of(unwrapped(body.checksumfield), name)
-        function, largest = body.hashfunc, (1 << body.hashfunc.bits) - 1
-        if number.high < largest:
-            raise WrongValue(
-                f"{name} is a {type(function).__name__} of up to {largest} in a type of up to "
-                f"{number.high}; give it a wider type or a narrower check"
-            )
-        self._check = self._add(member, "check", number), body
-
-    def _add(
-        self, member: Construct, role: Role, number: Number, *, moves: bool = True, **more: Any
-    ) -> Part:
-        part = Part(member.name or "", prose_of(member), role, self._at, number, **more)
-        if role in ("id", "length", "address", "code") and any(
-            one.role == role for one in (*self._front, *self._behind)
-        ):
-            raise WrongValue(f"{self._what} has two parts for the {role}")
-        if self.data is not None and role in ("id", "length"):
-            raise WrongValue(f"the {role} of {self._what} is behind the data; it must be before")
-        self._parts.append(part)
-        if moves:
-            self._at += number.size
-        return part
-
-    def layout(self) -> Layout:
-        """The layout of what was read."""
-        has_data = self.data is not None
-        head, tail = (self._head, self._at) if has_data else (self._at, 0)
-        behind = [replace(part, offset=part.offset - tail) for part in self._behind]
-        check = self._read_check(head, tail) if self._check else None
-        front = [check.part if check and part.role == "check" else part for part in self._front]
-        counted = [self._covered_name(self._check[1])[0]] if self._check else self._spans
-        return Layout((*front, *behind), head, tail, check, has_data, tuple(counted))
-
-    def _read_check(self, head: int, tail: int) -> Check:
-        assert self._check is not None
-        part, declared = self._check
-        has_data = self.data is not None
-        offset = part.offset - (tail if has_data else head)
-        name, asked = self._covered_name(declared)
-        after_begin, begin, after_end, end = self._spans[name]
-        if after_begin or offset >= 0 or (has_data and not after_end):
-            raise WrongValue(
-                f"the check of {self._what} must stand behind the data, and cover them and what is "
-                "before them"
-            )
-        last = (tail if has_data else head) - end
-        return Check(replace(part, offset=offset), declared.hashfunc, begin, last, asked)
-
-    def _covered_name(self, declared: Checksum) -> tuple[str, bool]:
-        """Which covered part a check counts, and whether the request's stands before it."""
-        for name in self._spans:
-            context = Container({name: Container(data=_HERE)})
-            covered = Container(data=_ASKED)
-            context["_params"] = Container(asked=Container(dict.fromkeys(self._asked, covered)))
-            try:
-                found = declared.bytesfunc(context)
-            except Exception:
-                continue
-            if found in (_HERE, _ASKED + _HERE):
-                return name, found != _HERE
-        besides = f", or asked.{self._asked[0]}.data + this.covered.data," if self._asked else ""
+        role, values = "check", ((1 << body.hashfunc.bits) - 1,)
+    else:
+        more = {"high": most}
+    if not 0 <= max(values, default=0) <= most:
         raise WrongValue(
-            f"the check of {self._what} must cover one part: write this.covered.data{besides} "
-            'behind "covered" / RawCopy(Struct(...))'
+            f"{name} has values up to {max(values)} in a type of up to {most}; give it a wider type"
         )
+    return Part(member.name or "", prose_of(member), role, 0, **place, **more)
+
+
+def _bits(what: str, members: Sequence[Construct]) -> Iterator[tuple[Part, Construct]]:
+    """Yield the parts of a byte (or some) of bits, each with its declaration."""
+    types = [_type_of(member) for member in members]
+    for member, bits in zip(members, types, strict=True):
+        if type(bits) is not BitsInteger or bits.signed or bits.swapped:
+            raise WrongValue(f"{what}.{member.name} must be written BitsInteger(width)")
+        require(f"the width of {what}.{member.name}", bits.length, Width)
+    above = sum(bits.length for bits in types)
+    if above % 8 or not above:
+        raise WrongValue(f"the bits of {what} are {above} together; they must fill whole bytes")
+    number = Number(above // 8, "big", signed=False)
+    for member, bits in zip(members, types, strict=True):
+        above -= bits.length
+        place = {"number": number, "width": bits.length, "shift": above}
+        yield _part(what, member, place), unwrapped(member)
+
+
+def _covered_name(
+    what: str, declared: Checksum, spans: Iterable[str], asked: tuple[str, ...]
+) -> tuple[str, bool]:
+    """Which covered part a check counts, and whether the request's stands before it."""
+    for name in spans:
+        context = Container({name: Container(data=_HERE)})
+        request = Container(dict.fromkeys(asked, Container(data=_ASKED)))
+        context["_params"] = Container(asked=request)
+        try:
+            found = declared.bytesfunc(context)
+        except Exception:
+            continue
+        if found in (_HERE, _ASKED + _HERE):
+            return name, found != _HERE
+    besides = f", or asked.{asked[0]}.data + this.covered.data," if asked else ""
+    raise WrongValue(
+        f"the check of {what} must cover one part: write this.covered.data{besides} "
+        'behind "covered" / RawCopy(Struct(...))'
+    )
 
 
 def _type_of(declared: Construct) -> Construct:
     """The number within what a part is declared as."""
     body = unwrapped(declared)
+    if isinstance(body, Checksum):
+        return unwrapped(body.checksumfield)
     marks = Address | Answers | Const | Length | Same
     return _type_of(body.subcon) if isinstance(body, marks) else body
-
-
-def _require_room(name: str, what: str, values: Iterable[int], most: int) -> None:
-    """Raise WrongValue for a value that does not fit into the type of a part."""
-    if max(values, default=0) > most:
-        raise WrongValue(f"{name} has {what} up to {max(values)} in a type of up to {most}")
-
-
-def _is_bits(body: Construct) -> bool:
-    return isinstance(getattr(body, "subcon", None), Struct) and type(body) is type(BitStruct())
-
-
-def _size_of(body: Const, what: str) -> Number:
-    raw = body.build(None)
-    require_whole(f"the size of a constant of {what} in bytes", len(raw), 1, 64)
-    return Number(len(raw), "big", signed=False)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-import msgspec
+from msgspec import Meta
 
-from bilprov.spec.errors import WrongValue, require_kind, require_name, shown
+from bilprov.spec.errors import Declared
 from bilprov.spec.state import Effect, State
 
 
@@ -35,6 +35,9 @@ class Moment(StrEnum):
 MOTIONS = (Moment.DRIVE, Moment.ROTATION)
 
 
+Turn = Annotated[int, Meta(ge=-1, le=1)]
+
+
 class Drive(NamedTuple):
     """How a car drives, or is set to: a kind of motion, its speed, its steering (right positive).
 
@@ -46,7 +49,7 @@ class Drive(NamedTuple):
     steering: Any
 
 
-class Wheels(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+class Wheels(Declared, frozen=True, kw_only=True, dict=True):
     """The declaration of a car with two wheels, which is steered by their speeds.
 
     `by` is the variable whose words are the kinds of motion: `turns` has how the wheels (left,
@@ -58,16 +61,8 @@ class Wheels(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     by: str
     speed: str
     steering: str
-    turns: Mapping[str, tuple[int, int]]
+    turns: Mapping[str, tuple[Turn, Turn]]
     still: str = ""
-
-    def __post_init__(self) -> None:
-        for name in (self.by, self.speed, self.steering):
-            require_name("a variable of Wheels", name)
-        require_kind("the turns of Wheels", self.turns, dict)
-        for word, both in self.turns.items():
-            if not (isinstance(both, tuple) and len(both) == 2 and {*both} <= {-1, 1}):
-                raise WrongValue(f"Wheels turns {shown(word)} by {shown(both)}, allowed is (1, -1)")
 
     def __hash__(self) -> int:
         return hash((self.by, self.speed, self.steering, self.still, *self.turns))

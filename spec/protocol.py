@@ -13,10 +13,11 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 from construct import Construct, FixedSized, Struct, Switch
+from msgspec import Meta
 from msgspec.structs import replace
 
 from bilprov.spec import grammar
@@ -28,24 +29,15 @@ from bilprov.spec.data import (
     read_register,
     unwrapped,
 )
-from bilprov.spec.errors import (
-    UserError,
-    WrongValue,
-    one_line,
-    require_kind,
-    require_text,
-    require_whole,
-    require_word,
-    shown,
-)
+from bilprov.spec.errors import UserError, WrongValue, one_line, require, require_word, shown
 from bilprov.spec.fields import (
-    OF_HEADERS,
     Answers,
     Clauses,
     Data,
     Instruction,
     LineDefaults,
     Memory,
+    Natural,
     Outcome,
     Sets,
     Timing,
@@ -82,11 +74,39 @@ _SAME_AS_FIRST = frozenset(
 )  # hashes of the texts that say the same
 
 
-# What a grammar declares under which name, with the kind of value that has no other use.
-_DECLARATIONS: Mapping[str, type | None] = {
-    **dict.fromkeys(("NAME", "VERSION", "DOCUMENT", "DEVICE", "INSTRUCTIONS", "FRAME", "REPLY")),
-    **dict.fromkeys(("RESPONSE", "ACK", "ERROR", "SILENT", "FAULTY", "POWER_ON", "MEMORY")),
-    "REGISTERS": None,
+_NEAR = 0.8  # how alike two names are of which one is a slip of the other
+
+Title = Annotated[str, Meta(min_length=1)]
+
+
+class _Grammar(msgspec.Struct, frozen=True):
+    """What a grammar declares, by name."""
+
+    NAME: Title
+    VERSION: Title
+    DOCUMENT: Title
+    INSTRUCTIONS: Mapping[Natural, Construct]
+    FRAME: Construct
+    TIMING: Timing
+    LINE: LineDefaults
+    CLAUSES: Clauses
+    DEVICE: str = ""
+    RESPONSE: Answers | None = None
+    REPLY: Construct | None = None
+    ACK: Construct | None = None
+    ERROR: Any = ()
+    SILENT: tuple[Outcome, ...] = ()
+    STATE: Variables | None = None
+    AT_REST: Condition | None = None
+    WHEELS: Wheels | None = None
+    FAULTY: Sets | None = None
+    POWER_ON: Sets | None = None
+    MEMORY: tuple[Memory, ...] = ()
+    REGISTERS: Mapping[str, Mapping[Natural, Construct]] = {}
+
+
+# The kinds of values that have no use under another name.
+_KINDS = {
     "STATE": Variables,
     "AT_REST": Condition,
     "WHEELS": Wheels,
@@ -94,7 +114,6 @@ _DECLARATIONS: Mapping[str, type | None] = {
     "LINE": LineDefaults,
     "CLAUSES": Clauses,
 }
-_NEAR = 0.8  # how alike two names are of which one is a slip of the other
 
 
 class GrammarError(UserError):
@@ -533,6 +552,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
     """
     origin = one_line(origin, _LONGEST)
     space: dict[str, Any] = {"__name__": "grammar", "__file__": origin}
+    unusable = f"the grammar {origin} cannot be used: "
     try:
         with warnings.catch_warnings():  # Python's remarks about the text are not ours to print
             warnings.simplefilter("ignore")
@@ -540,13 +560,11 @@ def load(source: str, origin: str = "grammar") -> Protocol:
             # dont_inherit: a grammar does not inherit this file's __future__ imports.
             code = compile(tree, origin, "exec", dont_inherit=True)
         exec(code, space)
-    except WrongValue as error:
-        raise GrammarError(
-            f"the grammar {origin} cannot be used: {error}{_line(error, origin)}"
-        ) from error
     except (Exception, SystemExit) as error:
-        where = _line(error, origin)
         what: object = error
+        where = _line(error, origin)
+        if isinstance(error, WrongValue):
+            raise GrammarError(f"{unusable}{error}{where}") from error
         if isinstance(error, SyntaxError):
             what, where = error.msg, f" (line {error.lineno})"
         if isinstance(error, ImportError):
@@ -558,13 +576,12 @@ def load(source: str, origin: str = "grammar") -> Protocol:
     try:
         _require_each_id_once(tree)
         _require_no_slip(tree, space)
-        return _read(space, source, origin)
-    except (GrammarError, WrongValue) as error:
-        where = _declared_in(tree, str(error))
-        raise GrammarError(f"the grammar {origin} cannot be used: {error}{where}") from None
+        return _read(_declarations(space), source, origin)
+    except UserError as error:
+        raise GrammarError(f"{unusable}{error}{_declared_in(tree, str(error))}") from None
     except Exception as error:  # construct raises many kinds for declarations that make no sense
         raise GrammarError(
-            f"the grammar {origin} cannot be used: {one_line(error, _LONGEST)}; "
+            f"{unusable}{one_line(error, _LONGEST)}; "
             "compare it with what `bilprov spec emit grammar` writes"
         ) from error
 
@@ -613,14 +630,14 @@ def _require_no_slip(tree: ast.Module, space: dict[str, Any]) -> None:
 
     An AT_REST under another name would be lost, and with it what stops the device.
     """
+    known = _Grammar.__struct_fields__
     names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
-    used = {*_DECLARATIONS, *(node.id for node in names if isinstance(node.ctx, ast.Load))}
+    used = {*known, *(node.id for node in names if isinstance(node.ctx, ast.Load))}
     for name in (node.id for node in names if node.id not in used):
         from difflib import get_close_matches  # a few milliseconds, for few grammars
 
-        value = space.get(name)
-        kinds = [known for known, kind in _DECLARATIONS.items() if kind and isinstance(value, kind)]
-        near = kinds or get_close_matches(name.upper(), _DECLARATIONS, 1, _NEAR)
+        near = [word for word, kind in _KINDS.items() if isinstance(space.get(name), kind)]
+        near = near or get_close_matches(name.upper(), known, 1, _NEAR)
         if near:
             raise GrammarError(f"nothing uses '{name}'; did you mean {near[0]}?")
 
@@ -637,184 +654,152 @@ def _require_each_id_once(tree: ast.Module) -> None:
                 )
 
 
-def _read(space: dict[str, Any], source: str, origin: str) -> Protocol:
-    layout, place_of_data = read_layout("FRAME", _take(space, "FRAME", Construct))
-    declared = _take(space, "INSTRUCTIONS", dict)
-    _require_place_of_data(place_of_data, declared)
-    identities = layout.part("id")
-    if identities is None:
-        raise GrammarError("FRAME has no part named id, by which a frame names its instruction")
-    for identity in declared:
-        require_whole("an ID in INSTRUCTIONS", identity)
-        if not 0 <= identity <= identities.most:
-            raise GrammarError(
-                f"the header cannot carry the ID {identity} of "
-                f"{shown(getattr(declared[identity], 'name', ''))}, allowed are 0 to "
-                f"{identities.most}"
-            )
-    space = _with_answers(space, declared)
-    reply, acknowledgement, errors, flags = _replies(space, layout.covered)
-    specs = [_instruction(i, declared[i], layout, reply) for i in sorted(declared)]
+def _declarations(space: dict[str, Any]) -> _Grammar:
+    """What a grammar declares, each of the kind that it must be."""
+    fields = {field.name: field for field in msgspec.structs.fields(_Grammar)}
+    for name, field in fields.items():
+        if field.required and name not in space:
+            raise GrammarError(f"it declares no {name}")
+        if name in space:
+            require(name, space[name], field.type)
+    return _Grammar(**{name: space[name] for name in fields if name in space})
+
+
+def _read(declared: _Grammar, source: str, origin: str) -> Protocol:
+    layout, data = read_layout("FRAME", declared.FRAME)
+    data = unwrapped(data.subcon) if isinstance(data, FixedSized) else data
+    if not isinstance(data, Switch) or data.cases is not declared.INSTRUCTIONS:
+        raise GrammarError('FRAME must have "data" / Switch(this.id, INSTRUCTIONS)')
+    reply, acknowledgement, errors = _replies(declared, layout.covered)
+    specs = [_instruction(declared, one, layout, reply) for one in sorted(declared.INSTRUCTIONS)]
+    _require_each_name_once("two instructions are named", (spec.name for spec in specs))
     asked = {*layout.told, *(name for spec in specs for name in spec.numbers)}
     _require_repeated("FRAME", layout, set())
     for what, one in (("REPLY", reply), ("ACK", acknowledgement), *(("ERROR", e) for e in errors)):
         _require_repeated(what, one, asked)
-    _require_each_name_once("two instructions are named", (spec.name for spec in specs))
-    effects = {identity: unwrapped(one).effect for identity, one in declared.items()}
-    space = _with_state(space, effects.values())
-    at_rest: Condition | None = _given(space, "AT_REST", Condition)
-    faulty, at_power_on = (
-        _take(space, name, Sets) if {"WHEELS", name} & {*space} else Sets()
-        for name in ("FAULTY", "POWER_ON")
-    )
-    variables = _variables(space, specs, effects, {"FAULTY": faulty, "POWER_ON": at_power_on})
-    instructions = tuple(
-        replace(spec, effect=_effect(effects[spec.id], variables, f"{spec.name}.effect", spec))
+    every: list[tuple[str, Sets, InstructionSpec | None]] = [
+        (f"{spec.name}.effect", unwrapped(declared.INSTRUCTIONS[spec.id]).effect, spec)
         for spec in specs
+    ]
+    every += [(name, getattr(declared, name) or Sets(), None) for name in ("FAULTY", "POWER_ON")]
+    if not (declared.STATE or declared.REPLY) and any(sets.values for _, sets, _ in every):
+        declared = replace(  # grammars could not declare the state at first: it was the car's
+            declared,
+            **{name: getattr(declared, name) or getattr(grammar, name) for name in _OF_A_CAR},
+        )
+    variables = _variables(declared, every)
+    *effects, on_fault, at_power_on = (_effect(variables, *one) for one in every)
+    instructions = tuple(
+        replace(
+            spec,
+            effect=effect,
+            writes=next((one for one in declared.MEMORY if _uses(spec, one, "writes")), None),
+            reads=next((one for one in declared.MEMORY if _uses(spec, one, "reads")), None),
+        )
+        for spec, effect in zip(specs, effects, strict=True)
     )
     _require_reported(instructions, variables)
-    instructions = _with_memory(instructions, space.get("MEMORY", ()))
-    responses = _responses(space)
-    _require_each_outcome(space, layout, instructions, responses)
+    _require_memory(instructions, declared.MEMORY)
+    responses = tuple(
+        ResponseSpec(code, answer.name, answer.document, answer.prose, answer.outcomes)
+        for code, answer in sorted(declared.RESPONSE.answers.items() if declared.RESPONSE else ())
+    )
+    _require_each_name_once("two responses are named", (spec.name for spec in responses))
+    _require_each_outcome(declared, layout, instructions, responses)
     _require_codes(instructions, responses)
-    on_fault = _effect(faulty, variables, "FAULTY")
-    _require_condition(at_rest, variables)
-    wheels = _given(space, "WHEELS", Wheels)
-    if wheels:
-        _require_wheels(wheels, at_rest, variables)
-    made = state_class(variables.values(), at_rest, wheels)
+    _require_rest_and_wheels(declared, variables)
+    made = state_class(variables.values(), declared.AT_REST, declared.WHEELS)
     first = made.of({name: spec.default for name, spec in variables.items()})
-    power_on = _effect(at_power_on, variables, "POWER_ON").apply(first)
     protocol = Protocol(
         source=source,
         origin=origin,
-        name=_text(space, "NAME"),
-        version=_text(space, "VERSION"),
-        document=_text(space, "DOCUMENT"),
+        name=declared.NAME,
+        version=declared.VERSION,
+        document=declared.DOCUMENT,
         instructions=instructions,
         responses=responses,
         layout=layout,
         reply=reply,
         acknowledgement=acknowledgement,
         errors=errors,
-        flags=flags,
-        device=_text(space, "DEVICE") if "DEVICE" in space else "device",
-        registers=_registers(space.get("REGISTERS", {}), instructions),
+        flags=bool(declared.RESPONSE and declared.RESPONSE.flags),
+        device=declared.DEVICE or "device",
+        registers=_registers(declared.REGISTERS, instructions),
         variables=variables,
-        at_rest=at_rest,
+        at_rest=declared.AT_REST,
         wheels=made.wheels,
         on_fault=on_fault,
-        power_on=power_on,
-        timing=_take(space, "TIMING", Timing),
-        line=_take(space, "LINE", LineDefaults),
-        clauses=_take(space, "CLAUSES", Clauses),
+        power_on=at_power_on.apply(first),
+        timing=declared.TIMING,
+        line=declared.LINE,
+        clauses=declared.CLAUSES,
     )
-    if wheels:
-        _require_stops(protocol, wheels)
-    elif at_rest:
-        _require_rest(protocol, at_rest)
+    _require_stops(protocol)
     return protocol
 
 
-def _require_rest(protocol: Protocol, at_rest: Condition) -> None:
-    """Raise GrammarError where no requests bring the device to rest."""
-    if not protocol.rest_requests:
+def _require_stops(protocol: Protocol) -> None:
+    """Raise GrammarError where nothing stops the device, or a car runs at power-on."""
+    device, wheels, at_rest = protocol.device, protocol.wheels, protocol.at_rest
+    if at_rest and not wheels and not protocol.rest_requests:
         wanted = ", ".join(f"{name}={value}" for name, value in at_rest.values.items())
         raise GrammarError(
             f"AT_REST is {type(at_rest).__name__}({wanted}), and no requests reach that; give an "
             "instruction with an effect that does, or leave AT_REST out"
         )
-
-
-def _require_stops(protocol: Protocol, wheels: Wheels) -> None:
-    """Raise GrammarError for a car that cannot be stopped, or runs where it must stand still."""
-    still = " or ".join(
-        word for word in protocol.variables[wheels.by].words if word not in wheels.turns
-    )
+    if not wheels:
+        return
     if protocol.stop_or_none is None:
         raise GrammarError(
-            f"no instruction without data stops the {protocol.device}; the kit needs one to home"
+            f"no instruction without data stops the {device}; the kit needs one to home"
         )
     if not protocol.stops(protocol.on_fault):
         raise GrammarError(
-            f"FAULTY does not set {wheels.by} to {still}; a faulty instruction must stop the "
-            f"{protocol.device}"
+            f"FAULTY does not set {wheels.by} to {wheels.still}; a faulty instruction must stop "
+            f"the {device}"
         )
     at_first = getattr(protocol.power_on, wheels.by)
     if at_first in wheels.turns:
         raise GrammarError(
-            f"POWER_ON sets {wheels.by} to {at_first}; a {protocol.device} must stand still at "
-            "power-on"
+            f"POWER_ON sets {wheels.by} to {at_first}; a {device} must stand still at power-on"
         )
 
 
-def _with_state(space: dict[str, Any], effects: Iterable[Sets]) -> dict[str, Any]:
-    """The declarations with the car's state, where a grammar sets variables but declares none.
-
-    Grammars could not declare the state at first: it was the car's.
-    """
-    others = [space[name] for name in ("FAULTY", "POWER_ON") if name in space]
-    framed = "REPLY" in space or "STATE" in space
-    if framed or not any(getattr(one, "values", {}) for one in (*effects, *others)):
-        return {"STATE": Variables(), **space}
-    car = {name: getattr(grammar, name) for name in ("AT_REST", "WHEELS", "DEVICE")}
-    return {**car, **space, "STATE": None}
-
-
 def _variables(
-    space: dict[str, Any],
-    specs: Iterable[InstructionSpec],
-    effects: Mapping[int, Sets],
-    others: Mapping[str, Sets],
+    declared: _Grammar, every: Iterable[tuple[str, Sets, InstructionSpec | None]]
 ) -> dict[str, VariableSpec]:
     """The variables by name.
 
     A grammar that does not declare its state sets the car's, to any numbers.
     """
-    declared = space["STATE"]
-    found = dict((grammar.STATE if declared is None else _take(space, "STATE", Variables)).specs)
-    every = {**{f"{spec.name}.effect": effects[spec.id] for spec in specs}, **others}
-    for where, sets in every.items():
+    state = declared.STATE or (grammar.STATE if declared.WHEELS else Variables())
+    found = dict(state.specs)
+    for where, sets, of in every:
+        ranges = {part.name: (part.low, part.high) for part in of.fields} if of else {}
         for name, value in sets.values.items():
             if name not in found:
                 raise GrammarError(
                     f"{where} sets {name}, allowed are "
                     f"{', '.join(found) or 'none, since STATE declares none'}"
                 )
+            spec, ends = found[name], [value] if type(value) is int else []
+            if isinstance(value, From):
+                ends = [end * value.factor for end in ranges.get(value.field, ())]
             if isinstance(value, Unknown):
-                found[name] = replace(found[name], unknown=True)
-    if declared is None:
-        ranges = {
-            spec.id: {part.name: (part.low, part.high) for part in spec.fields} for spec in specs
-        }
-        for identity, sets in (*effects.items(), *((-1, one) for one in others.values())):
-            for name, value in sets.values.items():
-                ends = [value]
-                if isinstance(value, From):
-                    ends = [end * value.factor for end in ranges[identity].get(value.field, ())]
-                numbers = [end for end in ends if type(end) is int]
-                spec = found[name]
-                if not spec.words and numbers:
-                    low, high = min(spec.low, *numbers), max(spec.high, *numbers)
-                    found[name] = replace(spec, low=low, high=high)
+                found[name] = replace(spec, unknown=True)
+            elif ends and not (declared.STATE or spec.words):
+                found[name] = replace(spec, low=min(spec.low, *ends), high=max(spec.high, *ends))
     return found
 
 
-def _require_condition(at_rest: Condition | None, variables: Mapping[str, VariableSpec]) -> None:
-    """Raise GrammarError where AT_REST names what STATE does not have."""
-    for name, value in at_rest.values.items() if at_rest else ():
-        _require_variable("AT_REST", name, variables)
-        if not variables[name].holds(value):
+def _require_variable(
+    where: str, names: Iterable[str], variables: Mapping[str, VariableSpec]
+) -> None:
+    for name in names:
+        if name not in variables:
             raise GrammarError(
-                f"AT_REST names {name}={shown(value)}, allowed is {variables[name].allowed}"
+                f"{where} names the variable {shown(name)}, allowed are {', '.join(variables)}"
             )
-
-
-def _require_variable(where: str, name: str, variables: Mapping[str, VariableSpec]) -> None:
-    if name not in variables:
-        raise GrammarError(
-            f"{where} names the variable {shown(name)}, allowed are {', '.join(variables)}"
-        )
 
 
 def _require_reported(
@@ -826,29 +811,33 @@ def _require_reported(
             if part.reports:
                 raise GrammarError(f"{spec.name}.{part.name} has a Reports: only answers report")
         for part in spec.answer.fields if spec.answer else ():
-            if part.reports:
-                _require_report(f"the answer of {spec.name}.{part.name}", part, variables)
+            if part.reports is None:
+                continue
+            where = f"the answer of {spec.name}.{part.name}"
+            _require_variable(where, [part.reports.variable], variables)
+            told = variables[part.reports.variable]
+            for value in told.words or (told.low, told.high):
+                reported = part.reports.value(value, part.names)
+                if reported is None or not part.in_range(reported):
+                    raise GrammarError(
+                        f"{where} reports {told.name}, and cannot hold its value {value}"
+                    )
 
 
-def _require_report(where: str, part: FieldSpec, variables: Mapping[str, VariableSpec]) -> None:
-    assert part.reports is not None
-    _require_variable(where, part.reports.variable, variables)
-    spec = variables[part.reports.variable]
-    values = [*spec.words] if spec.words else [spec.low, spec.high]
-    for value in values:
-        reported = part.reports.value(value, part.names)
-        if reported is None or not part.in_range(reported):
-            raise GrammarError(f"{where} reports {spec.name}, and cannot hold its value {value}")
-
-
-def _require_wheels(
-    wheels: Wheels, at_rest: Condition | None, variables: Mapping[str, VariableSpec]
-) -> None:
-    """Raise GrammarError where WHEELS names what STATE does not have."""
-    for name in (wheels.by, wheels.speed, wheels.steering):
-        _require_variable("WHEELS", name, variables)
-    words = variables[wheels.by].words
-    if {*words} <= {*wheels.turns} or not {*wheels.turns} <= {*words}:
+def _require_rest_and_wheels(declared: _Grammar, variables: Mapping[str, VariableSpec]) -> None:
+    """Raise GrammarError where AT_REST or WHEELS name what STATE does not have."""
+    at_rest, wheels = declared.AT_REST, declared.WHEELS
+    wanted = at_rest.values if at_rest else {}
+    _require_variable("AT_REST", wanted, variables)
+    for name, value in wanted.items():
+        if not variables[name].holds(value):
+            raise GrammarError(
+                f"AT_REST names {name}={shown(value)}, allowed is {variables[name].allowed}"
+            )
+    if wheels is None:
+        return
+    _require_variable("WHEELS", (wheels.by, wheels.speed, wheels.steering), variables)
+    if not {*wheels.turns} < {*variables[wheels.by].words}:
         raise GrammarError(
             f"WHEELS turns by {', '.join(wheels.turns)}; allowed are words of {wheels.by}, and "
             "one of them must be left out, in which the wheels stand still"
@@ -863,29 +852,8 @@ def _require_wheels(
         )
 
 
+_OF_A_CAR = ("AT_REST", "WHEELS", "DEVICE")
 _OF_WHEELS = ("t", "left", "right", "wheels", "curve", "answer")
-
-
-def _given(space: dict[str, Any], name: str, kind: type) -> Any:
-    """Return the declaration of that name, None if there is none."""
-    return _take(space, name, kind) if name in space else None
-
-
-def _take(space: dict[str, Any], name: str, kind: type) -> Any:
-    """Return the declaration of that name. Raises GrammarError if it is not of that kind."""
-    if name not in space:
-        raise GrammarError(f"it declares no {name}")
-    require_kind(name, space[name], kind)
-    return space[name]
-
-
-def _text(space: dict[str, Any], name: str) -> str:
-    """Return the text of that name, which is not empty."""
-    text: str = _take(space, name, object)
-    require_text(name, text)
-    if not text.strip():
-        raise GrammarError(f"{name} is empty, allowed is a text")
-    return text
 
 
 def _require_each_name_once(what: str, names: Iterable[str]) -> None:
@@ -897,46 +865,20 @@ def _require_each_name_once(what: str, names: Iterable[str]) -> None:
         by_name[name.lower()] = name
 
 
-def _require_place_of_data(declared: Any, instructions: dict[Any, Any]) -> None:
-    """Raise GrammarError unless FRAME has a place for the data of the instructions."""
-    body = unwrapped(declared) if declared is not None else None
-    if isinstance(body, FixedSized):
-        body = unwrapped(body.subcon)
-    if not isinstance(body, Switch) or body.cases is not instructions:
-        raise GrammarError('FRAME must have "data" / Switch(this.id, INSTRUCTIONS)')
-
-
-def _with_answers(space: dict[str, Any], instructions: dict[Any, Any]) -> dict[str, Any]:
-    """The declarations with a REPLY, where nothing says how answers look: then there are none."""
-    if {"REPLY", "RESPONSE"} & {*space}:
-        return space
-    for one in instructions.values():
-        if not isinstance(one, Construct) or getattr(unwrapped(one), "answer", "") is not None:
-            raise GrammarError(
-                "it declares no REPLY and no RESPONSE; declare how answers look, or give each "
-                "Instruction answer=None"
-            )
-    return {"SILENT": tuple(Outcome)[1:], **space, "REPLY": Struct("data" / Data())}
-
-
 def _replies(
-    space: dict[str, Any], covered: tuple[str, ...]
-) -> tuple[Layout, Layout, tuple[Layout, ...], bool]:
-    """The layouts of an answer, of one without data, of errors, and whether codes are flags."""
-    response = space.get("RESPONSE")
-    if "REPLY" not in space:
-        reply, _ = read_layout("RESPONSE", _take(space, "RESPONSE", Answers))
-        if reply.head != 1:
+    declared: _Grammar, covered: tuple[str, ...]
+) -> tuple[Layout, Layout, tuple[Layout, ...]]:
+    """The layouts of an answer, of one without data, and of errors."""
+    if declared.REPLY is None:
+        reply, _ = read_layout("RESPONSE", declared.RESPONSE or Struct("data" / Data()))
+        if declared.RESPONSE and reply.head != 1:
             raise GrammarError("RESPONSE must be one byte")
-        return reply, reply, (), False
-    reply, _ = read_layout("REPLY", space["REPLY"], covered)
-    acknowledgement = reply
-    if "ACK" in space:
-        acknowledgement, _ = read_layout("ACK", space["ACK"], covered)
-    declared = space.get("ERROR", ())
-    declared = declared if isinstance(declared, tuple) else (declared,)
-    errors = tuple(read_layout("ERROR", one, covered)[0] for one in declared)
-    return reply, acknowledgement, errors, isinstance(response, Answers) and response.flags
+        return reply, reply, ()
+    reply, _ = read_layout("REPLY", declared.REPLY, covered)
+    acknowledgement, _ = read_layout("ACK", declared.ACK or declared.REPLY, covered)
+    several = declared.ERROR if isinstance(declared.ERROR, tuple) else (declared.ERROR,)
+    errors = tuple(read_layout("ERROR", one, covered)[0] for one in several)
+    return reply, reply if acknowledgement == reply else acknowledgement, errors
 
 
 def _require_repeated(what: str, layout: Layout, asked: set[str]) -> None:
@@ -947,52 +889,26 @@ def _require_repeated(what: str, layout: Layout, asked: set[str]) -> None:
             raise GrammarError(f"{what}.{part.name} is Same({part.same!r}), allowed are {allowed}")
 
 
-def _responses(space: dict[str, Any]) -> tuple[ResponseSpec, ...]:
-    """The responses that RESPONSE declares."""
-    if "REPLY" in space and "RESPONSE" not in space:
-        return ()
-    response = _take(space, "RESPONSE", Answers)
-    responses = tuple(
-        ResponseSpec(code, answer.name, answer.document, answer.prose, answer.outcomes)
-        for code, answer in sorted(response.answers.items())
-    )
-    _require_each_name_once("two responses are named", (spec.name for spec in responses))
-    return responses
-
-
 def _require_each_outcome(
-    space: dict[str, Any],
+    declared: _Grammar,
     layout: Layout,
     instructions: tuple[InstructionSpec, ...],
     responses: tuple[ResponseSpec, ...],
 ) -> None:
     """Raise GrammarError unless each outcome that a frame can have is answered, or is in SILENT."""
-    answered = [outcome for spec in responses for outcome in spec.outcomes]
-    if "REPLY" not in space:
-        possible: tuple[Outcome, ...] = OF_HEADERS
-        silent: tuple[Outcome, ...] = ()
-    else:
-        possible = tuple(_outcomes(layout, instructions))
-        silent = space.get("SILENT", ())
-        if not isinstance(silent, tuple) or not all(isinstance(one, Outcome) for one in silent):
-            raise GrammarError(
-                f"SILENT is {shown(silent)}, allowed is a tuple: (Outcome.UNKNOWN_ID,)"
-            )
-        both = [one.value for one in silent if one in answered]
-        if both:
-            raise GrammarError(
-                f"{both[0]} stands in RESPONSE and in SILENT, allowed is one of them"
-            )
-    missing = [one for one in possible if one not in answered and one not in silent]
+    answered = {outcome for spec in responses for outcome in spec.outcomes}
+    if declared.REPLY:
+        answered |= {*declared.SILENT, Outcome.VALID}
+    elif declared.RESPONSE is None:
+        return
+    missing = [one for one in _outcomes(layout, instructions) if one not in answered]
     if missing:
         told = ", ".join(f"Outcome.{one.name}" for one in missing)
         where = f"; give it an Answer in RESPONSE, or put {told} into SILENT"
         raise GrammarError(
             f"no response stands for {', '.join(one.value for one in missing)}"
-            f"{where if 'REPLY' in space else ''}"
+            f"{where if declared.REPLY else ''}"
         )
-    if "REPLY" not in space:
-        _require_each_name_once("two responses stand for", (o.value for o in answered))
 
 
 def _require_codes(
@@ -1012,86 +928,98 @@ def _require_codes(
 
 
 def _outcomes(layout: Layout, instructions: tuple[InstructionSpec, ...]) -> Iterable[Outcome]:
-    """The faults that a frame of this layout can have, of those that a device may answer."""
-    yield Outcome.UNKNOWN_ID
+    """The outcomes that a frame of this layout can have, of those that a device may answer."""
+    yield from (Outcome.VALID, Outcome.UNKNOWN_ID)
     if any(not part.unlimited for spec in instructions for part in spec.fields):
         yield Outcome.BAD_DATA
     if layout.part("length"):
         yield from (Outcome.TOO_MANY, Outcome.TOO_FEW)
     if layout.check:
         yield Outcome.BAD_CHECKSUM
-    if any(offset < 0 for offset, _ in layout.constants):
+    if any(part.offset < 0 for part in layout.constants):
         yield Outcome.BAD_SYNC
 
 
 def _instruction(
-    identity: int, declaration: Construct, layout: Layout, reply: Layout
+    declared: _Grammar, identity: int, layout: Layout, reply: Layout
 ) -> InstructionSpec:
-    body = unwrapped(declaration)
-    if not isinstance(body, Instruction) or not declaration.name:
+    """Read an instruction; its effect and its memory are still open."""
+    declaration = declared.INSTRUCTIONS[identity]
+    body, name, prose = unwrapped(declaration), declaration.name, prose_of(declaration)
+    part = layout.part("id")
+    if part is None:
+        raise GrammarError("FRAME has no part named id, by which a frame names its instruction")
+    if identity > part.most:
+        raise GrammarError(
+            f"the header cannot carry the ID {identity} of {shown(name)}, allowed are 0 to "
+            f"{part.most}"
+        )
+    if not isinstance(body, Instruction) or not name:
         raise GrammarError(
             f'instruction {identity} of INSTRUCTIONS must be written "Name" / Instruction(...)'
         )
-    name = declaration.name
     require_word(f"the name of instruction {identity}", name)
-    require_text(f"the prose of {name}", prose_of(declaration))
+    require(f"the prose of {name}", prose, str)
     announced = layout.part("length")
     data = read_data(name, body.subcons, framed=announced is not None)
     if announced and data.length > announced.most:
         raise GrammarError(
             f"{name} has {data.length} data bytes; a header announces at most {announced.most}"
         )
-    parts = {part.name for part in layout.parts}
-    shared = next((part.name for part in data.fields if part.name in parts), "")
+    shared = {part.name for part in layout.parts} & {part.name for part in data.fields} - {""}
     if shared:
-        raise GrammarError(f"{name}.{shared} has the name of a part of FRAME; give it another")
+        raise GrammarError(f"{name}.{min(shared)} has the name of a part of FRAME; give it another")
+    answer = None
+    if body.answer is not None:
+        if not (declared.REPLY or declared.RESPONSE):
+            raise GrammarError(
+                "it declares no REPLY and no RESPONSE; declare how answers look, or give each "
+                "Instruction answer=None"
+            )
+        members = body.answer.subcons if isinstance(body.answer, Struct) else [body.answer]
+        if members and not reply.has_data:
+            raise GrammarError(f"the answer of {name} has data; REPLY has no part Data()")
+        answer = read_data(
+            f"the answer of {name}",
+            members,
+            framed=reply.part("length") is not None,
+            asked=[*layout.told, *data.numbers],
+        )
     return InstructionSpec(
         id=identity,
         name=name,
         document=body.document,
-        prose=prose_of(declaration),
+        prose=prose,
         fields=data.fields,
         length=data.length,
         effect=Effect(),
-        answer=_answer(name, body.answer, reply, [*layout.told, *data.numbers]),
+        answer=answer,
         changes=body.changes,
     )
 
 
-def _with_memory(
-    instructions: tuple[InstructionSpec, ...], declared: Any
-) -> tuple[InstructionSpec, ...]:
-    """The instructions with the memory that each writes and reads."""
-    if not isinstance(declared, tuple) or not all(isinstance(one, Memory) for one in declared):
-        raise GrammarError(f"MEMORY is {shown(declared)}, it must be a tuple of Memory")
+def _require_memory(
+    instructions: tuple[InstructionSpec, ...], declared: tuple[Memory, ...]
+) -> None:
+    """Raise GrammarError for a memory that no instruction uses, or that names one that is none."""
+    names = {"", *(spec.name for spec in instructions)}
     for memory in declared:
-        if not any(_writes(spec, memory) or _reads(spec, memory) for spec in instructions):
+        if not any(memory in (spec.writes, spec.reads) for spec in instructions):
             raise GrammarError(
                 f"MEMORY has {memory.name} at {memory.at}, and no instruction writes or reads "
                 f"{memory.value} there"
             )
-        for word in ("until", "reset"):
-            name = getattr(memory, word)
-            if name and name not in {spec.name for spec in instructions}:
+        for word, name in (("until", memory.until), ("reset", memory.reset)):
+            if name not in names:
                 raise GrammarError(
                     f"MEMORY has {memory.name} {word} {name}, and there is no such instruction"
                 )
-    return tuple(
-        replace(
-            spec,
-            writes=next((one for one in declared if _writes(spec, one)), None),
-            reads=next((one for one in declared if _reads(spec, one)), None),
-        )
-        for spec in instructions
-    )
 
 
 def _registers(
-    declared: Any, instructions: tuple[InstructionSpec, ...]
+    declared: Mapping[str, Mapping[int, Construct]], instructions: tuple[InstructionSpec, ...]
 ) -> Mapping[str, Mapping[int, FieldSpec]]:
     """The named cells of each memory by their place."""
-    if not isinstance(declared, dict) or not all(isinstance(m, dict) for m in declared.values()):
-        raise GrammarError('REGISTERS must be written {"memory": {place: "name" / type}}')
     used = [one for spec in instructions for one in (spec.writes, spec.reads) if one]
     memories = {one.name for one in used if not (one.bits or one.latest)}
     found: dict[str, dict[int, FieldSpec]] = {}
@@ -1101,8 +1029,6 @@ def _registers(
                 f"REGISTERS has {shown(memory)}, allowed are memories whose cells are numbers at a "
                 f"place that each request has: {', '.join(sorted(memories)) or 'there is none'}"
             )
-        for place in cells:
-            require_whole(f"a place in REGISTERS of {memory}", place, 0)
         found[memory] = {place: read_register(memory, cells[place]) for place in sorted(cells)}
     data = [one for spec in instructions for one in (spec, spec.answer) if one]
     fields = {part.name.lower() for one in data for part in one.fields}
@@ -1113,49 +1039,23 @@ def _registers(
     return found
 
 
-def _writes(spec: InstructionSpec, memory: Memory) -> bool:
-    """Whether an instruction writes a memory."""
-    return _addresses(spec, memory, "writes") and memory.value in spec.names
+def _uses(spec: InstructionSpec, memory: Memory, how: str) -> bool:
+    """Whether an instruction "writes" a memory, or "reads" it: its answer tells what is in it.
 
-
-def _reads(spec: InstructionSpec, memory: Memory) -> bool:
-    """Whether the answer to an instruction tells a memory, and not what was just asked."""
-    if spec.answer is None or memory.value not in {part.name for part in spec.answer.fields}:
-        return False
-    counted = not memory.count or memory.count in spec.names
-    told = memory.only == "reads" or memory.value not in spec.names
-    return _addresses(spec, memory, "reads") and counted and told
-
-
-def _addresses(spec: InstructionSpec, memory: Memory, how: str) -> bool:
-    """Whether an instruction may use a memory in this way, and tells the place."""
-    named = not memory.by or spec.name in memory.by
-    placed = memory.latest or not memory.at or memory.at in spec.names
-    of = not memory.of or memory.of in spec.names
-    return memory.only in ("", how) and named and placed and of
-
-
-def _answer(
-    name: str, declared: Construct | None, reply: Layout, asked: Iterable[str]
-) -> DataSpec | None:
-    """The data of an instruction's answer; None where it is not answered.
-
-    `asked` names the numbers of the request.
+    An answer that repeats what was just written tells nothing.
     """
-    if declared is None:
-        return None
-    members = declared.subcons if isinstance(declared, Struct) else [declared]
-    if members and not reply.has_data:
-        raise GrammarError(f"the answer of {name} has data; REPLY has no part Data()")
-    framed = reply.part("length") is not None
-    return read_data(f"the answer of {name}", members, framed=framed, asked=asked)
+    needed = {memory.of, "" if memory.latest else memory.at}
+    held = memory.value in spec.names
+    if how == "reads":
+        told = spec.answer.fields if spec.answer else ()
+        held = memory.value in [part.name for part in told] and (memory.only == how or not held)
+        needed.add(memory.count)
+    named = not memory.by or spec.name in memory.by
+    return held and named and memory.only in ("", how) and needed - {""} <= spec.names
 
 
 def _effect(
-    sets: Sets,
-    variables: Mapping[str, VariableSpec],
-    where: str,
-    of: InstructionSpec | None = None,
+    variables: Mapping[str, VariableSpec], where: str, sets: Sets, of: InstructionSpec | None
 ) -> Effect:
     """The effect of an instruction. Raises GrammarError for one that STATE does not allow.
 
@@ -1164,7 +1064,7 @@ def _effect(
     assignments: list[tuple[str, Source]] = []
     for name, value in sets.values.items():
         spec = variables[name]
-        source: Source
+        source: Any = value
         if isinstance(value, From):
             source = _from(value, spec, where, of)
         elif isinstance(value, Changed):
@@ -1173,10 +1073,11 @@ def _effect(
             source = replace(value, low=spec.low, high=spec.high)
         elif isinstance(value, Unknown):
             source = None
-        else:
-            spec.require(value, where)
-            source = str(value) if isinstance(value, str) else value
-        assignments.append((name, source))
+        elif value is None or not spec.holds(value):
+            raise GrammarError(
+                f"the value of {name} in {where} is {shown(value)}, allowed is {spec.allowed}"
+            )
+        assignments.append((name, plain(source)))
     return Effect(tuple(assignments))
 
 

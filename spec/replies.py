@@ -326,9 +326,7 @@ def _size(
 ) -> int | None:
     """As `reply_size`, for one way."""
     layout = way.layout
-    if asked is not None and layout.unrepeated(held, values):
-        return -1
-    if asked is None and not layout.may_repeat(held):
+    if layout.unrepeated(held, values if asked else None):
         return -1
     whole = len(held) >= layout.head
     if asked is None and not layout.has_data and whole and layout.value("length", held):

@@ -15,12 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeAlias, TypeV
 import msgspec
 from msgspec.structs import replace
 
-from bilprov.spec.errors import (
-    WrongValue,
-    require_name,
-    require_whole,
-    shown,
-)
+from bilprov.spec.errors import Declared, WrongValue, checked, shown
 
 Kind = Literal["word", "whole", "bits"]
 _MOST = 30  # variables, and words or bits of one
@@ -67,20 +62,10 @@ class VariableSpec(msgspec.Struct, frozen=True):
             return value in self.words
         return type(value) is int and self.low <= value <= self.high
 
-    def require(self, value: object, where: str) -> None:
-        """Raise WrongValue unless the effect at `where` can set it to this value."""
-        if not self.words:
-            require_whole(f"the value of {self.name} in {where}", value, self.low, self.high)
-        elif value not in self.words:
-            raise WrongValue(
-                f"the value of {self.name} in {where} is {shown(value)}, allowed is {self.allowed}"
-            )
 
-
+@checked
 def Word(*words: str) -> VariableSpec:
     """A variable that is one of some words; at first it is the first one."""
-    for word in words:
-        require_name("a word of a variable", word)
     if not 1 <= len(set(words)) == len(words) <= _MOST:
         raise WrongValue(
             f"the words of a variable are {shown(words)}, allowed are 1 to {_MOST} words, each once"
@@ -88,17 +73,18 @@ def Word(*words: str) -> VariableSpec:
     return VariableSpec("", "word", 0, len(words) - 1, words=tuple(map(str, words)))
 
 
+@checked
 def Whole(low: int, high: int) -> VariableSpec:
     """A variable that is a whole number in `low`..`high`."""
-    require_whole("the lowest value of a variable", low)
-    require_whole("the highest value of a variable", high, low)
+    if low > high:
+        raise WrongValue(f"the numbers {low} to {high} hold nothing")
     return VariableSpec("", "whole", low, high)
 
 
+@checked
 def Bits(names: str) -> VariableSpec:
     """A variable that is some bits, named by a letter each, most significant first."""
-    require_name("the bits of a variable", names)
-    if not len(set(names)) == len(names) <= _MOST:
+    if not 1 <= len(set(names)) == len(names) <= _MOST:
         raise WrongValue(
             f"the bits of a variable are {shown(names)}, allowed are at most {_MOST} letters, "
             "each once"
@@ -166,7 +152,7 @@ class AllOf(Condition):
     _decides = False
 
 
-class Changed(msgspec.Struct, frozen=True):
+class Changed(Declared, frozen=True):
     """The new value of a variable: its old one times `factor`, and `plus` added.
 
     It is held in `low`..`high`, the bounds of the variable, which the loader fills in.
@@ -176,10 +162,6 @@ class Changed(msgspec.Struct, frozen=True):
     plus: int = 0
     low: int = 0
     high: int = 0
-
-    def __post_init__(self) -> None:
-        require_whole("the factor of a Changed", self.factor)
-        require_whole("what a Changed adds", self.plus)
 
     def value(self, old: int | None) -> int | None:
         """The new value; None: not known."""
@@ -192,7 +174,7 @@ class Unknown:
     """The new value of a variable that is not told by the instruction."""
 
 
-class From(msgspec.Struct, frozen=True):
+class From(Declared, frozen=True):
     """The value of a data field, times `factor`, as the new value of a state variable.
 
     A Word is set to the name of the value, from an Enum whose names are words of it; the loader
@@ -202,10 +184,6 @@ class From(msgspec.Struct, frozen=True):
     field: str
     factor: int = 1
     words: tuple[tuple[str, int], ...] = ()
-
-    def __post_init__(self) -> None:
-        require_name("the field of a From", self.field)
-        require_whole("the factor of a From", self.factor)
 
     def value(self, number: int) -> int | str:
         """The value of the variable where the field has this number."""

@@ -14,10 +14,10 @@ from bilprov.captures.schemas import Direction
 from bilprov.captures.text import quantity
 from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
 from bilprov.spec.codec import judge, spaced
+from bilprov.spec.data import Order
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import frame_size
 from bilprov.spec.layout import Check, Layout
-from bilprov.spec.numbers import Order
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.replies import covered
 

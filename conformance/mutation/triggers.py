@@ -15,14 +15,15 @@ from typing import Any, NamedTuple
 
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import Event
-from bilprov.spec.fields import OF_HEADERS
+from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Moment, visible_motion
 from bilprov.spec.open_points import open_point, points_after
 from bilprov.spec.state import Effect
 
 Subject = Callable[[Event], Any]
 
-OUTCOMES = {outcome.name.lower().replace("_", "-"): outcome for outcome in OF_HEADERS}
+# The first five are those that a frame of a header and data can have.
+OUTCOMES = {outcome.name.lower().replace("_", "-"): outcome for outcome in tuple(Outcome)[:5]}
 """Outcomes by the word that names them in triggers, effects and names of faults: `too-few`."""
 OUTCOME_WORDS = {outcome: word for word, outcome in OUTCOMES.items()}
 TRUNCATED = "truncated"

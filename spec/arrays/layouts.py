@@ -11,10 +11,9 @@ from construct import Container
 from numpy.typing import NDArray
 
 from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum
-from bilprov.spec.data import DataSpec, FieldSpec, Many
+from bilprov.spec.data import DataSpec, FieldSpec, Many, Number
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
-from bilprov.spec.numbers import Number
 
 Bytes: TypeAlias = NDArray[np.uint8]
 Places: TypeAlias = NDArray[np.int64]
@@ -145,10 +144,8 @@ def same_bytes(raw: bytes, data: Bytes, at: Places) -> Mask:
 def constants_hold(layout: Layout, data: Bytes, start: Places, end: Places) -> Mask:
     """Which of the frames have the right constants."""
     found = np.ones(len(start), np.bool_)
-    for offset, raw in layout.constants:
-        found &= same_bytes(raw, data, (start if offset >= 0 else end) + offset)
-    for part in layout.fixed_bits:
-        found &= part_values(part, data, start, end) == part.low
+    for offset, mask, value in layout.fixed:
+        found &= data.take((start if offset >= 0 else end) + offset, mode="clip") & mask == value
     return found
 
 

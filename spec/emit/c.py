@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping
 
 from msgspec.structs import asdict
 
-from bilprov.spec.data import DataSpec, FieldSpec
-from bilprov.spec.fields import OF_HEADERS, Outcome
+from bilprov.spec.data import DataSpec, FieldSpec, Number
+from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Check, Layout, Part
-from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
 _WIDEST = 4  # bytes of a number that C90 has for sure
@@ -26,7 +25,7 @@ def c_header(protocol: Protocol) -> str:
         prefix = f"P_{prefix}"
     taken: set[str] = set()
     named = protocol.registers.items()
-    due = {one: protocol.answers[one].code for one in (OF_HEADERS if protocol.plain else Outcome)}
+    due = {one: protocol.answers[one].code for one in Outcome}
     parts = [
         *([("The frame", _frame(protocol))] if protocol.plain else _layouts(protocol)),
         *(

@@ -37,7 +37,7 @@ def read(fields: str, answer: str = "STATUS") -> dict[str, str]:
 WRONG: list[tuple[dict[str, str], str]] = [
     (
         {SUM: "Checksum(Byte, Sum(16), this.covered.data)"},
-        "FRAME.sum is a Sum of up to 65535 in a type of up to 255; give it a wider type",
+        "FRAME.sum has values up to 65535 in a type of up to 255; give it a wider type",
     ),
     (
         {'Same("address", Byte)': 'Same("adress", Byte)'},
@@ -60,9 +60,9 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ),
     (
         {"Address(Byte, 1, 4)": "Address(Byte, 1, 400)"},
-        "FRAME.address has addresses up to 400 in a type of up to 255",
+        "FRAME.address has values up to 400 in a type of up to 255",
     ),
-    ({'NAME = "relay-board"': 'NAME = ""'}, "NAME is empty, allowed is a text"),
+    ({'NAME = "relay-board"': 'NAME = ""'}, "NAME is '', allowed is a text of length >= 1"),
     ({'"Toggle"': '"On now"'}, "the name of instruction 3 is 'On now', allowed is one word"),
     ({'"sum" /': '"the sum" /', ID: f'"a b" / Byte, {ID}'}, "is 'a b', allowed is one word"),
     (
@@ -103,11 +103,11 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ),
     (
         {SUM: "Checksum(Byte, Sum(8, complement=3), this.covered.data)"},
-        "Sum.complement is 3, allowed are 0, 1, 2",
+        "Sum.complement is 3, allowed is a whole number <= 2",
     ),
     (
         {"(Outcome.UNKNOWN_ID, Outcome.BAD_CHECKSUM)": "Outcome.UNKNOWN_ID"},
-        "allowed is a tuple: (Outcome.UNKNOWN_ID,)",
+        "SILENT is <Outcome.UNKN... 'unknown ID'>, allowed is a tuple",
     ),
     (
         {

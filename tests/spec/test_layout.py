@@ -226,7 +226,7 @@ def test_fixed_bits_behind_the_data_end_a_frame() -> None:
 @pytest.mark.parametrize(
     ("part", "wrong", "refused"),
     [
-        ("Address(BitsInteger(3), 1, 7)", "Address(BitsInteger(3), 1, 8)", "addresses up to 8 in"),
+        ("Address(BitsInteger(3), 1, 7)", "Address(BitsInteger(3), 1, 8)", "values up to 8 in"),
         ('"sender" / BitsInteger(3)', '"sender" / BitsInteger(2)', "they must fill whole bytes"),
         ('"sender" / BitsInteger(3)', '"sender" / Byte', "must be written BitsInteger(width)"),
     ],

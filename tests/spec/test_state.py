@@ -68,14 +68,14 @@ WRONG: list[tuple[dict[str, str], str]] = [
         "High.effect sets wind, allowed are relays, fan, level, on",
     ),
     ({'relays=From("mask")': 'level=From("mask")'}, "sets level to 0 to 15, allowed is -5 to 5"),
-    ({"Whole(-5, 5)": "Whole(5, -5)"}, "the highest value of a variable is -5"),
+    ({"Whole(-5, 5)": "Whole(5, -5)"}, "the numbers 5 to -5 hold nothing"),
     ({"Whole(-5, 5)": "7"}, "the variable level is 7"),
     ({"level=Whole": "moving=Whole"}, "a variable is named moving"),
     ({'"low", "high"': '"low", "low"'}, "each once"),
     ({"HEADER =": "AT_REST = AnyOf(fan='on')\nHEADER ="}, "AT_REST names fan='on'"),
     ({"HEADER =": "AT_REST = AnyOf(wind=1)\nHEADER ="}, "AT_REST names the variable 'wind'"),
     ({"HEADER =": "AT_REST = AnyOf()\nHEADER ="}, "AnyOf names no variable"),
-    ({'changes="flash"': "changes=5"}, "what an Instruction changes is 5"),
+    ({'changes="flash"': "changes=5"}, "Instruction.changes is 5"),
 ]
 
 

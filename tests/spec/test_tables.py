@@ -17,9 +17,9 @@ from bilprov.spec.arrays.requests import RequestTables, request_tables
 from bilprov.spec.arrays.states import Known
 from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
 from bilprov.spec.codec import Steps, build, judge, nearest, raw_frame
+from bilprov.spec.data import Number
 from bilprov.spec.framing import Framer
 from bilprov.spec.motion import Motion
-from bilprov.spec.numbers import Number
 from bilprov.spec.protocol import Protocol, load
 from bilprov.spec.state import State, after
 from tests.support.car import VARIABLES, car_state

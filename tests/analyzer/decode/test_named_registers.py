@@ -222,8 +222,8 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
     [
         ('{"cells": {}}', "REGISTERS has 'cells', allowed are memories .*: holding, input"),
         ('{"coils": {}}', "REGISTERS has 'coils', allowed are memories .*: holding, input"),
-        ("{107: 5}", "REGISTERS must be written"),
-        ('{"holding": {-1: "a" / Int16ub}}', "a place in REGISTERS of holding is -1"),
+        ("{107: 5}", "allowed within it is a text"),
+        ('{"holding": {-1: "a" / Int16ub}}', "REGISTERS is {'holding': {-1: "),
         ('{"holding": {1: Int16ub}}', 'a register of holding must be written "name" / type'),
         ('{"holding": {1: "start" / Int16ub}}', "a field and a register, are named start"),
         ('{"holding": {1: "a" / Int16ub, 2: "A" / Int16ub}}', "are named a"),

@@ -185,8 +185,8 @@ def test_a_report_that_cannot_be_is_refused(old: str, new: str, why: str) -> Non
             "the Memory that RegWrite writes has code='NO', allowed are names of an Answer: OK, ",
         ),
         ('value="blocks"', 'value="block"', "no instruction writes or reads block there"),
-        ("blocks=True", "power_on=[1]", "the power_on of a Memory is [1]"),
-        ("blocks=True", "power_on={0: -1}", "a number in the power_on of a Memory is -1"),
+        ("blocks=True", "power_on=[1]", "Memory.power_on is [1], allowed is a dict"),
+        ("blocks=True", "power_on={0: -1}", "power_on is {0: -1}, allowed within it is a whole"),
     ],
 )
 def test_a_memory_that_cannot_be_used_is_refused(old: str, new: str, why: str) -> None:
