@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from bilprov.analyzer.transport.port import open_pty
-from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.ports import open_port
 
 _SLOW = 0.01  # s that a byte takes whose reader is slow
 _DRAINED = 0.06  # s without a byte, after which none is on its way
@@ -78,8 +78,8 @@ class Adapter(AbstractContextManager["Adapter"]):
 
     def _relay(self) -> None:
         while not self._over.is_set():
-            ready = wait_readable([self._line], 0.01, [self._plug.pair.master])
-            said = self._taken() if ready[1] else b""
+            ready = select.select([self._line.fileno(), self._plug.pair.master], [], [], 0.01)[0]
+            said = self._taken() if self._plug.pair.master in ready else b""
             handed = said if self._left is None or self._late else said[: self._left]
             self._line.write(handed)
             self.passed += len(handed)

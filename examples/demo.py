@@ -21,7 +21,7 @@ import click
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.ports import open_port
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import ERRATA, EXAMPLES
@@ -93,7 +93,7 @@ def _drive(protocol: Protocol, port: Port) -> None:
             framer = Framer(protocol, None)
             for frame in [*framer.feed(line, 0), *framer.drop(0, "truncated")]:
                 port.write(frame.data)
-                wait_readable([port], _ANSWER)
+                select.select([port], [], [], _ANSWER)
                 time.sleep(_PAUSE)
                 port.read()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import subprocess
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +24,6 @@ from bilprov.analyzer.client.operations import (
 from bilprov.analyzer.client.probes import Probe, ProbeError
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.replug import Place, opened_again
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.spec.errors import UserError
@@ -144,7 +144,7 @@ class PortLink:
         """
         probe = self._probe
         while self._asked and probe is not None and (waits := probe.fileno()) is not None:
-            if not wait_readable([], probe.patience, [waits])[1]:
+            if not select.select([waits], [], [], probe.patience)[0]:
                 raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
             self._asked = probe.take(self.now()) is None
         self._asked = False
@@ -203,10 +203,11 @@ class PortLink:
 
         Returns those of the descriptors `also` that are readable. Raises LinkError.
         """
-        ports, ready = wait_readable([self._port], max(seconds, 0), also)
-        if ports:
+        port = self._port.fileno()
+        ready = select.select([port, *also], [], [], max(seconds, 0))[0]
+        if port in ready:
             self._read(ready=True)
-        return ready
+        return [descriptor for descriptor in also if descriptor in ready]
 
     def _wait(self, patience: int, other: int | None = None) -> bool:
         """Wait up to `patience` ns, reading the port; true if stopped or `other` is ready.

@@ -10,6 +10,7 @@ only for their delay, or for a peer that does not read: at most 64 KiB, for 1 s.
 
 from __future__ import annotations
 
+import select
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -21,7 +22,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
-from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 
 
@@ -173,9 +174,5 @@ def _stopped(ways: Sequence[_Way], stop: Stopper, now: int) -> bool:
     starts = [way.start for way in ways if way.lost is None]
     turns = [due for way in ways if (due := way.direction.deadline) is not None]
     turns += [now + _RETRY for way in ways if way.out.owed]
-    _, found = wait_readable(
-        [start for start in starts if isinstance(start, Port)],
-        max(0, min(turns) - now) / 1e9 if turns else None,
-        [stop.fileno(), *(start.master for start in starts if isinstance(start, PtyPair))],
-    )
-    return stop.fileno() in found
+    patience = max(0, min(turns) - now) / 1e9 if turns else None
+    return stop in select.select([stop, *starts], [], [], patience)[0]

@@ -8,7 +8,6 @@ from random import Random
 from bilprov.analyzer.simulated.device import SimulatedDevice, drawn_request, faulty_request
 from bilprov.analyzer.taps.sources import Events, Source
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.protocol import Protocol
 
@@ -64,7 +63,7 @@ class SimulatedDrive(Source):
 
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
         pause = max(0.0, (self._next.t - self.now()) / 1e9)
-        wait_readable([], pause if timeout_s is None else min(pause, timeout_s), also)
+        self._ready(pause if timeout_s is None else min(pause, timeout_s), also)
         while self._next.t <= self.now():
             events.append(self._next)
             self._next = next(self._chunks)

@@ -5,11 +5,12 @@ A source polls its ports in one loop; all times `t` are in ns (monotonic) since 
 
 from __future__ import annotations
 
+import select
 import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
 from bilprov.analyzer.transport.errors import LinkError
@@ -17,7 +18,7 @@ from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Openings, Port, open_pty
-from bilprov.analyzer.transport.ports import open_port, same_line, wait_readable
+from bilprov.analyzer.transport.ports import open_port, same_line
 from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Chunk, Direction, Line
@@ -170,6 +171,10 @@ class Source(Closing):
         for port in ports:
             port.close()
 
+    def _ready(self, timeout_s: float | None, also: Sequence[Any]) -> list[Any]:
+        """Wait for the ports and for `also`; return those that are readable."""
+        return select.select([*self._ports.values(), *also], [], [], timeout_s)[0]
+
     def _read(self, tap: Direction, *, ready: bool) -> Chunk | Line | None:
         """The next chunk of one side, or its `unplugged`; `ready` is as in `Port.read`."""
         try:
@@ -239,7 +244,7 @@ class Taps(Source):
 
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
         ports = dict(self._ports)
-        ready, _ = wait_readable(list(ports.values()), timeout_s, also)
+        ready = self._ready(timeout_s, also)
         # The device is read first: what it has answered, the host has said by then. So no answer
         # comes before its instruction because of the order of reading.
         answer = self._read("device", ready=True) if ports.get("device") in ready else None
@@ -268,8 +273,8 @@ class HalfDuplexTap(Source):
         self._wire = HalfDuplex(protocol, max(timeout, Machine().least_pause(port.name)))
 
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
-        ports = list(self._ports.values())
-        if wait_readable(ports, timeout_s, also)[0]:
+        ready = self._ready(timeout_s, also)
+        if self._ports.get("host") in ready:
             came = self._read("host", ready=True)
             if isinstance(came, Chunk):
                 events += self._wire.feed(came.data, came.t)
@@ -315,17 +320,15 @@ class Bridge(Source):
     def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
         if self._to_device.owed or self._to_host.owed:
             timeout_s = _RETRY if timeout_s is None else min(timeout_s, _RETRY)
-        ports = list(self._ports.values())
-        opening = self._openings.descriptors
-        ready, others = wait_readable(ports, timeout_s, [self._pty.master, *opening, *also])
-        if opening and opening[0] in others and self._openings.taken():
-            for port in ports:
-                port.pulse_dtr()
-        said = self._pty.read() if self._pty.master in others else b""
+        port = self._ports.get("device")
+        ready = self._ready(timeout_s, [self._pty, *self._openings.descriptors, *also])
+        if port and self._openings.taken():
+            port.pulse_dtr()
+        said = self._pty.read() if self._pty in ready else b""
         if said:
             events.append(self._chunk("host", said))
         self._hand_on(self._to_device, said, "host", events)
-        answer = self._read("device", ready=True) if ready else None
+        answer = self._read("device", ready=True) if port in ready else None
         if answer:
             events.append(answer)
         answered = answer.data if isinstance(answer, Chunk) else b""

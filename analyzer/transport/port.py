@@ -14,7 +14,9 @@ import fcntl
 import os
 import queue
 import select
+import socket
 import termios
+import threading
 import time
 import tty
 from collections.abc import Mapping
@@ -35,7 +37,6 @@ ECHO_TIMEOUT = 0.5  # s that an echo may come late
 _READ_LIMIT = 1 << 16  # bytes in one read(), so that a flood cannot hold the caller
 _MORE_COMES = 2048  # bytes: a shorter read has emptied a terminal's or a socket's buffer
 _PULSE = 0.01  # s
-POLL_STEP = 0.001  # s between looks at a port that select cannot wait for
 _TIOCGICOUNT = 0x545D
 # Places in Linux's struct serial_icounter_struct: cts dsr rng dcd rx tx frame overrun parity brk
 # buf_overrun, then room for more.
@@ -51,17 +52,19 @@ class Port(Closing):
         self.name = name
         self.settings = settings
         self._handle = handle
-        self._fd = _descriptor(handle)
         self._unechoed = bytearray()
         self._instant = "://" in name or is_pty(name)
         # spy:// prints the traffic, so its bytes have to go through pyserial's own calls.
-        self._direct = self._fd is not None and not name.lower().startswith("spy://")
+        self._spied = name.lower().startswith("spy://")
+        self._pump: _Pump | None = None
+        try:
+            self._fd = int(handle.fileno())
+        except OSError:  # io.UnsupportedOperation
+            self._pump = _Pump(handle)
+            self._fd = self._pump.fileno()
 
-    def fileno(self) -> int | None:
-        """Return the descriptor for select, None where the URL handler has none (loop, rfc2217).
-
-        Raises LinkError when the port is closed.
-        """
+    def fileno(self) -> int:
+        """Return the descriptor for select. Raises LinkError when the port is closed."""
         self._require_open()
         return self._fd
 
@@ -76,9 +79,9 @@ class Port(Closing):
     def read(self, *, ready: bool = False) -> bytes:
         """Return the available bytes, at most 64 KiB, without waiting; b"" if there are none now.
 
-        `ready` is true if `wait_readable` has just said that the port is readable. Raises LinkError
-        at the end of the line (unplugged, closed by the other side), but only after all bytes that
-        came before the end have been returned.
+        `ready` is true if `select` has just found the port readable. Raises LinkError at the end
+        of the line (unplugged, closed by the other side), but only after all bytes that came before
+        the end have been returned.
         """
         self._require_open()
         taken = b""
@@ -97,12 +100,12 @@ class Port(Closing):
     def write_some(self, data: bytes | memoryview) -> int:
         """Write as many bytes as the port takes without waiting, and return their number.
 
-        A port without fileno, and spy://, take up to 1 KiB and may wait as long as `write` does.
-        Raises LinkError.
+        loop://, rfc2217:// and spy:// take up to 1 KiB and may wait as long as `write` does. Raises
+        LinkError.
         """
         self._require_open()
         try:
-            if self._direct and self._fd is not None:
+            if not (self._spied or self._pump):
                 return os.write(self._fd, data)
             part = bytes(data[:1024])
             self._handle.write(part)
@@ -133,8 +136,6 @@ class Port(Closing):
         """
         self._require_open()
         buffer = array.array("i", [0] * 20)
-        if self._fd is None:
-            return None
         try:
             fcntl.ioctl(self._fd, _TIOCGICOUNT, buffer)
         except OSError:
@@ -170,14 +171,12 @@ class Port(Closing):
     def renew(self, other: Port) -> None:
         """Go on as another open port, which was opened in place of this one; this one is closed."""
         self.close()
-        self.name, self.settings = other.name, other.settings
-        self._handle, self._fd, self._direct = other._handle, other._fd, other._direct
-        self._instant = other._instant
+        vars(self).update(vars(other))
 
     def close(self) -> None:
         """Close the port. Never raises; further calls do nothing."""
         sock = getattr(self._handle, "_socket", None)
-        if sock and self._fd is not None:
+        if sock and self._pump is None:
             # socket:// would sleep 0.3 s, and leaks the socket when the other side went first.
             self._handle._socket = None
             self._handle.is_open = False
@@ -185,17 +184,11 @@ class Port(Closing):
             self._handle.close()
         if sock:
             sock.close()
+        if self._pump is not None:
+            self._pump.close()
 
     def __repr__(self) -> str:
         return f"<Port {self.name} {self.settings}>"
-
-    def has_input(self) -> bool:
-        """Return whether a read would give bytes or the end of the line now. Raises LinkError."""
-        self._require_open()
-        try:
-            return bool(self._handle.in_waiting) or _gone(self._handle)
-        except FAULTS as error:
-            raise link_lost(self.name, error) from error
 
     def _write_all(self, data: bytes) -> None:
         left = memoryview(data)
@@ -210,7 +203,7 @@ class Port(Closing):
                 give_up = now + WRITE_TIMEOUT
             elif now >= give_up:
                 raise writing_failed(self.name, TimeoutError(), WRITE_TIMEOUT)
-            elif self._fd is not None:
+            else:
                 # Waits are short, since a UART reports room long after it could take some bytes.
                 select.select([], [self._fd], [], 0.02)
 
@@ -230,32 +223,24 @@ class Port(Closing):
             if not part and time.monotonic() >= give_up:
                 raise echo_missing(self.name, sent, came, ECHO_TIMEOUT)
             if not part:
-                self._wait_readable()
+                select.select([self._fd], [], [], 0.02)
 
     def _take(self, ready: bool, most: int = _READ_LIMIT) -> bytes:
-        if self._direct and self._fd is not None:
-            if not ready and not select.select([self._fd], [], [], 0)[0]:
-                return b""
-            try:
-                data = os.read(self._fd, most)
-            except BlockingIOError:
-                return b""
-            if not data:  # readable, yet nothing comes: unplugged
-                raise OSError(errno.EIO, "end of the line")
-            return data
-        if hasattr(self._handle, "_read_buffer"):
-            return _take_rfc2217(self._handle, most)
-        return bytes(self._handle.read(most))
+        if self._spied:
+            return bytes(self._handle.read(most))
+        if not ready and not select.select([self._fd], [], [], 0)[0]:
+            return b""
+        try:
+            data = os.read(self._fd, most)
+        except BlockingIOError:
+            return b""
+        if not data:  # readable, yet nothing comes: unplugged
+            raise OSError(errno.EIO, "end of the line")
+        return data
 
     def _require_open(self) -> None:
         if not self._handle.is_open:
             raise LinkError(f"{self.name} is closed")
-
-    def _wait_readable(self) -> None:
-        if self._fd is not None:
-            select.select([self._fd], [], [], 0.02)
-        else:
-            time.sleep(POLL_STEP)
 
 
 def is_pty(name: str) -> bool:
@@ -266,34 +251,28 @@ def is_pty(name: str) -> bool:
         return False
 
 
-def _descriptor(handle: Any) -> int | None:
-    try:
-        return int(handle.fileno())
-    except OSError:  # io.UnsupportedOperation
-        return None
+class _Pump(Closing):
+    """Copies what a URL handler without a descriptor (loop, rfc2217) has read to one for select.
 
+    Such a handler puts each byte into a queue, and None at the end.
+    """
 
-def _gone(handle: Any) -> bool:
-    """Whether rfc2217's reader thread has ended, as it does when the peer closes."""
-    return hasattr(handle, "_read_buffer") and not handle._thread.is_alive()
+    def __init__(self, handle: Any) -> None:
+        self._came = handle.queue if hasattr(handle, "queue") else handle._read_buffer
+        self._reader, self._writer = socket.socketpair()
+        self.fileno = self._reader.fileno
+        threading.Thread(target=self._copy, daemon=True).start()
 
+    def _copy(self) -> None:
+        with self._writer, contextlib.suppress(OSError):  # closed at the other end
+            while byte := self._came.get():
+                self._writer.sendall(byte)
 
-def _take_rfc2217(handle: Any, most: int) -> bytes:
-    """Return what the reader thread has queued; pyserial's read drops it once the peer closes."""
-    gone = _gone(handle)
-    taken = bytearray()
-    while len(taken) < most:
-        try:
-            byte = handle._read_buffer.get_nowait()
-        except queue.Empty:
-            break
-        if byte is None:  # the thread's mark for the end
-            gone = True
-        else:
-            taken += byte
-    if gone and not taken:
-        raise OSError(errno.ECONNRESET, "end of the line")
-    return bytes(taken)
+    def close(self) -> None:
+        """End the copying; further calls do nothing."""
+        self._reader.close()
+        with contextlib.suppress(queue.Full):
+            self._came.put_nowait(None)
 
 
 class PtyPair(Closing):
@@ -307,6 +286,10 @@ class PtyPair(Closing):
         self.master = master
         self.name = os.ttyname(slave)
         self._descriptors = [master, slave]
+
+    def fileno(self) -> int:
+        """Return our descriptor, for select."""
+        return self.master
 
     def read(self) -> bytes:
         """Return what the program at the path has written, at most 64 KiB, without waiting."""

@@ -1,14 +1,11 @@
-"""Lists ports, opens them, and waits for several of them. The only module that uses pyserial."""
+"""Lists ports and opens them. The only module that uses pyserial."""
 
 from __future__ import annotations
 
 import os
-import select
 import socket
 import termios
-import time
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
@@ -19,7 +16,7 @@ from serial.tools import list_ports as serial_list_ports
 from bilprov.analyzer.transport.errors import LinkError, opening_failed
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.machine import Machine, Process
-from bilprov.analyzer.transport.port import FAULTS, POLL_STEP, WRITE_TIMEOUT, Port, is_pty
+from bilprov.analyzer.transport.port import FAULTS, WRITE_TIMEOUT, Port, is_pty
 
 
 def open_port(name: str, settings: LineSettings | None = None) -> Port:
@@ -54,9 +51,8 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
         if sock is not None:
             # Without this option bytes that follow an answer arrive up to 43 ms late, in pieces.
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if port.fileno() is None:
-                sock.settimeout(WRITE_TIMEOUT)
-        else:
+            sock.settimeout(WRITE_TIMEOUT)
+        elif os.isatty(port.fileno()):
             _ignore_break_signal(port.fileno())
     except FAULTS as error:
         port.close()
@@ -68,31 +64,6 @@ def _usual_settings() -> LineSettings:
     from bilprov.analyzer.grammar_file import load_protocol
 
     return line_settings(load_protocol())
-
-
-def wait_readable(
-    ports: Sequence[Port], timeout: float | None, also: Sequence[int] = ()
-) -> tuple[list[Port], list[int]]:
-    """Wait until a port or another descriptor is readable, at most `timeout` s (None: for ever).
-
-    Returns the readable ports and descriptors, in the order given; both are empty after a time-out.
-    Ports without fileno are polled every millisecond. A port at its end counts as readable, and its
-    read raises LinkError. Raises LinkError for a closed port.
-    """
-    waited = {fd: port for port in ports if (fd := port.fileno()) is not None}
-    if len(waited) == len(ports):
-        found = select.select([*waited, *also], [], [], timeout)[0]
-        return [waited[fd] for fd in found if fd in waited], [fd for fd in found if fd in also]
-    looked_at = [port for port in ports if port.fileno() is None]
-    give_up = None if timeout is None else time.monotonic() + timeout
-    while True:
-        full = [port for port in looked_at if port.has_input()]
-        left = None if give_up is None else max(0.0, give_up - time.monotonic())
-        step = POLL_STEP if left is None else min(left, POLL_STEP)
-        found = select.select([*waited, *also], [], [], 0 if full else step)[0]
-        if found or full or left == 0:
-            ready = [port for port in ports if port in full or port.fileno() in found]
-            return ready, [fd for fd in also if fd in found]
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -178,10 +149,8 @@ def _require_address(name: str) -> None:
         )
 
 
-def _ignore_break_signal(fd: int | None) -> None:
+def _ignore_break_signal(fd: int) -> None:
     """Clear BRKINT, which pyserial leaves unchanged: with it a break discards pending input."""
-    if fd is None:
-        return
     attributes = termios.tcgetattr(fd)
     if attributes[0] & termios.BRKINT:
         attributes[0] &= ~termios.BRKINT

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
@@ -16,7 +17,6 @@ from bilprov.analyzer.client.probes import ProbeError
 from bilprov.analyzer.transport.ending import ending_requested
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.analyzer.transport.replug import (
     LOOK_AGAIN,
     ConnectionWatch,
@@ -103,7 +103,7 @@ class Comeback:
             if changed:
                 note(f"{changed[0]} has changed")
                 break
-            wait_readable([], LOOK_AGAIN, [stopper.fileno()])
+            select.select([stopper], [], [], LOOK_AGAIN)
 
     def begin(self, *, lost: bool) -> None:
         """The run is over and its port closed; `lost` where that was why it ended."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.ports import open_port
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
@@ -158,7 +159,7 @@ def asked(port: Port, data: bytes) -> bytes:
     for count, byte in enumerate(data, 1):
         port.write(bytes([byte]))
         while len(heard) < count:
-            assert wait_readable([port], PATIENCE)[0], "no answer"
+            assert select.select([port], [], [], PATIENCE)[0], "no answer"
             heard += port.read()
     return heard
 

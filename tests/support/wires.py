@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from bilprov.analyzer.transport.port import Port, PtyPair
-from bilprov.analyzer.transport.ports import wait_readable
 from bilprov.spec.codec import judge
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
@@ -88,7 +87,7 @@ def read_from(port: Port, count: int) -> bytes:
     """Read `count` bytes; the test's own time limit ends a wait that is in vain."""
     data = b""
     while len(data) < count:
-        wait_readable([port], None)
+        select.select([port], [], [])
         data += port.read()
     return data
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import shutil
 import socket
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.ports import open_port
 from tests.support.commands import command
 from tests.support.robots import PATIENCE, simulate, unwell
 from tests.support.wires import running
@@ -131,7 +132,7 @@ def test_every_byte_passes_both_ways(behind: Behind, tmp_path: Path) -> None:
                 here.write(ALL)
                 heard = b""
                 while len(heard) < len(ALL):
-                    ready, _ = wait_readable([there], PATIENCE)
+                    ready = select.select([there], [], [], PATIENCE)[0]
                     assert ready, f"only {heard!r} came"
                     heard += there.read()
                 assert heard == ALL

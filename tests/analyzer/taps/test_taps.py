@@ -28,7 +28,7 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
-from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol
@@ -89,7 +89,7 @@ def poll_until(source: Source, host: int = 0, device: int = 0) -> list[Event]:
 
 
 def visible(port: Port) -> None:
-    wait_readable([port], None)
+    select.select([port], [], [])
 
 
 # Taps

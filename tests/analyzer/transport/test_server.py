@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import select
 import signal
 import socket
 import time
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import pytest
 
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.ports import open_port, wait_readable
+from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.server import (
     Listener,
     parse_address,
@@ -144,7 +145,7 @@ def test_after_a_host_has_left_the_device_is_heard_by_who_is_still_there(served:
             assert client.recv(1) == b"\x10"
         assert "error" in ask(probe, b"x\n")  # in this turn the host is seen to have gone
         ask(probe)
-        assert wait_readable([pty], PATIENCE)[0] == [pty]
+        assert select.select([pty], [], [], PATIENCE)[0] == [pty]
         assert pty.read() == b"!"
 
 
