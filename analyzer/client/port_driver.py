@@ -22,12 +22,12 @@ from bilprov.analyzer.client.operations import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.grammar_file import given_protocol
-from bilprov.analyzer.transport.ending import SUSPENDING
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import (
+    SUSPENDING,
     Stopper,
     as_usual,
     handled,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from shlex import quote
 from urllib.parse import urlsplit
 
-from bilprov.analyzer.transport.machine import Held, Machine, Process
+from bilprov.analyzer.transport.machine import Held, Machine
 from bilprov.captures.text import near
 from bilprov.spec.errors import UserError, one_line
 
@@ -31,21 +31,16 @@ _LOSING = {
     errno.EIO: "{name} disappeared while it was in use; plug it in again",
     errno.ECONNRESET: "{name} was closed by the other side; is the program that serves it running?",
 }
-# Error numbers that get the same sentence as another number.
-_SAME_AS = {
-    errno.EPERM: errno.EACCES,
-    errno.EAGAIN: errno.EBUSY,  # flock: another program holds the lock
-    errno.ENXIO: errno.EIO,
-    errno.ENODEV: errno.EIO,
-    errno.ENOTDIR: errno.ENOENT,
-    errno.ETIMEDOUT: errno.EHOSTUNREACH,
-    errno.ENETUNREACH: errno.EHOSTUNREACH,
-    errno.EPIPE: errno.ECONNRESET,
-    errno.ENOTCONN: errno.ECONNRESET,
-    errno.ECONNABORTED: errno.ECONNRESET,
-}
-
-
+# Error numbers that get the sentence of the first in their row.
+_ALIKE = (
+    (errno.EACCES, errno.EPERM),
+    (errno.EBUSY, errno.EAGAIN),  # flock: another program holds the lock
+    (errno.EIO, errno.ENXIO, errno.ENODEV),
+    (errno.ENOENT, errno.ENOTDIR),
+    (errno.EHOSTUNREACH, errno.ETIMEDOUT, errno.ENETUNREACH),
+    (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN, errno.ECONNABORTED),
+)
+_SAME_AS = {number: numbers[0] for numbers in _ALIKE for number in numbers}
 _SHOWN = 16  # bytes that a sentence lists
 _NEAR = 0.85  # how alike two names are, of 1, where one may be meant by the other
 
@@ -91,26 +86,20 @@ def missing(name: str, ports_here: Sequence[str], machine: Machine) -> LinkError
 
 def denied(name: str, machine: Machine) -> LinkError:
     """Return a LinkError that says who may open the port, and the command that lets you."""
-    owner = machine.owner(name)
-    device = quote(machine.device(name))
+    owner, device = machine.owner(name), quote(machine.device(name))
     if owner is None or not owner.group_may or owner.group == "root":
         whose = f"it belongs to {owner.user} alone" if owner else "its owner cannot be seen"
-        return LinkError(
-            f"permission to open {name} is denied: {whose}; until it is plugged in again this "
-            "lets everybody",
-            f"sudo chmod a+rw {device}",
-        )
-    belongs = f"it belongs to {owner.user} and the group {owner.group}"
-    if machine.is_member(owner.group):
-        return LinkError(
-            f"permission to open {name} is denied: {belongs}, which you have joined after this "
-            "session began; log in again, or begin a shell that knows it",
-            f"newgrp {quote(owner.group)}",
-        )
-    return LinkError(
-        f"permission to open {name} is denied: {belongs}; join the group, then log in again",
-        f"sudo usermod -aG {quote(owner.group)} $USER",
-    )
+        advice = "until it is plugged in again this lets everybody"
+        command = f"sudo chmod a+rw {device}"
+    else:
+        whose = f"it belongs to {owner.user} and the group {owner.group}"
+        advice = "join the group, then log in again"
+        command = f"sudo usermod -aG {quote(owner.group)} $USER"
+        if machine.is_member(owner.group):
+            whose += ", which you have joined after this session began"
+            advice = "log in again, or begin a shell that knows it"
+            command = f"newgrp {quote(owner.group)}"
+    return LinkError(f"permission to open {name} is denied: {whose}; {advice}", command)
 
 
 def busy(name: str, held: Held, machine: Machine) -> LinkError:
@@ -124,19 +113,16 @@ def busy(name: str, held: Held, machine: Machine) -> LinkError:
         )
     holder = held.holders[0]
     more = f" and {len(held.holders) - 1} more" if len(held.holders) > 1 else ""
-    sentence = f"{name} is in use by another program, {holder}{more}; close it there, or end it"
-    return LinkError(sentence, _ending(holder, name, machine))
-
-
-def _ending(holder: Process, name: str, machine: Machine) -> str:
-    """The kindest command that ends a process for good: what is started anew, by its service."""
+    # The kindest command that ends it for good: what is started anew, by its service.
     service = {
         "ModemManager": "ModemManager.service",
         "agetty": f"serial-getty@{machine.title(name)}.service",
     }.get(holder.name)
-    if service:
-        return f"sudo systemctl stop {service}"
-    return f"{'' if machine.is_own(holder.pid) else 'sudo '}kill {holder.pid}"
+    sudo = "" if machine.is_own(holder.pid) else "sudo "
+    return LinkError(
+        f"{name} is in use by another program, {holder}{more}; close it there, or end it",
+        f"sudo systemctl stop {service}" if service else f"{sudo}kill {holder.pid}",
+    )
 
 
 # What is said with the help of the machine: who holds the port, whose it is, what else there is.
@@ -155,31 +141,29 @@ def opening_failed(
     `settings` is the line as text, like `115200 8N1`; `ports_here` are the paths that could be
     opened instead. pyserial often drops the error number, so the whole chain of causes is searched.
     """
-    chain = list(_causes(error))
-    number = _number(chain)
+    number, cause = _cause(error)
     path = path_in(name)
     if number in _EXPLAINED and path is not None:
         return _EXPLAINED[number](path, ports_here, Machine())
-    if number in (errno.EIO, errno.EAGAIN) and "://" in name and not _is_wrapped_path(name):
+    if _is_remote(name) and number in (errno.EIO, errno.EBUSY):
         number = errno.EHOSTUNREACH
-    if number is None and isinstance(chain[-1], TimeoutError):
+    if number is None and isinstance(cause, TimeoutError):
         number = errno.EHOSTUNREACH
     sentence = _OPENING.get(number or 0)
     if sentence is None:
-        return LinkError(f"{name} cannot be opened: {_reason(chain[-1])}; see `bilprov ports`")
+        return LinkError(f"{name} cannot be opened: {_reason(cause)}; see `bilprov ports`")
     address = urlsplit(name).netloc if "://" in name else name
     return LinkError(sentence.format(name=name, settings=settings, address=address))
 
 
 def link_lost(name: str, error: BaseException) -> LinkError:
     """Return a LinkError that says why the open port `name` can no longer be used."""
-    chain = list(_causes(error))
-    number = _number(chain)
-    if number == errno.EIO and "://" in name and not _is_wrapped_path(name):
+    number, cause = _cause(error)
+    if _is_remote(name) and number == errno.EIO:
         number = errno.ECONNRESET
     sentence = _LOSING.get(number or 0)
     if sentence is None:
-        return LinkError(f"{name} failed while it was in use: {_reason(chain[-1])}")
+        return LinkError(f"{name} failed while it was in use: {_reason(cause)}")
     return LinkError(sentence.format(name=name))
 
 
@@ -188,25 +172,9 @@ def writing_failed(name: str, error: BaseException, timeout: float) -> LinkError
 
     pyserial's error for a write time-out is its only one without an error number.
     """
-    if _number(list(_causes(error))) is not None:
+    if _cause(error)[0] is not None:
         return link_lost(name, error)
     return LinkError(f"{name} took no byte for {timeout:g} s; does anything read at the other end?")
-
-
-def echo_differs(name: str, sent: bytes, came: bytes) -> LinkError:
-    """Return a LinkError that says that something else came than the echo of what was sent."""
-    return LinkError(
-        f"{name} carried {first_bytes(came)} where {first_bytes(sent)} was sent: another sender "
-        "talked at the same time, or this line has no echo"
-    )
-
-
-def echo_missing(name: str, sent: bytes, came: bytes, timeout: float) -> LinkError:
-    """Return a LinkError that says how much of the echo came in `timeout` s."""
-    return LinkError(
-        f"{len(came)} of the {len(sent)} bytes {first_bytes(sent)} came back from {name} in "
-        f"{timeout:g} s: is the adapter connected, and does the line have an echo?"
-    )
 
 
 def first_bytes(data: bytes) -> str:
@@ -222,24 +190,21 @@ def path_in(name: str) -> str | None:
     return rest.partition("?")[0] if scheme.lower() in ("spy", "alt") else None
 
 
-def _is_wrapped_path(name: str) -> bool:
-    return name.lower().startswith(("spy://", "alt://", "hwgrep://"))
+def _is_remote(name: str) -> bool:
+    """Whether a name is a URL of something else than a path of this machine."""
+    return "://" in name and not name.lower().startswith(("spy://", "alt://", "hwgrep://"))
 
 
-def _causes(error: BaseException) -> Iterator[BaseException]:
-    cause: BaseException | None = error
-    while cause is not None:
-        yield cause
-        cause = cause.__cause__ or cause.__context__
-
-
-def _number(chain: Sequence[BaseException]) -> int | None:
-    """Return the first error number in the chain; termios.error has it in `args` only."""
-    for error in chain:
-        found = error.args[0] if error.args else None
-        if isinstance(found, int) and found > 0:  # getaddrinfo's numbers are negative
-            return _SAME_AS.get(found, found)
-    return None
+def _cause(error: BaseException) -> tuple[int | None, BaseException]:
+    """The first error number in a chain of causes, and the error with which the chain began."""
+    number, cause = None, error
+    chain: BaseException | None = error
+    while chain is not None:
+        cause, found = chain, chain.args[0] if chain.args else None  # of termios.error only there
+        if number is None and isinstance(found, int) and found > 0:  # getaddrinfo's are negative
+            number = _SAME_AS.get(found, found)
+        chain = cause.__cause__ or cause.__context__
+    return number, cause
 
 
 def _reason(error: BaseException) -> str:

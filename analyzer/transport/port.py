@@ -24,8 +24,7 @@ from typing import Any
 
 from bilprov.analyzer.transport.errors import (
     LinkError,
-    echo_differs,
-    echo_missing,
+    first_bytes,
     link_lost,
     writing_failed,
 )
@@ -218,10 +217,17 @@ class Port(Closing):
                 raise link_lost(self.name, error) from error
             came += part
             if not self._unechoed.startswith(part):
-                raise echo_differs(self.name, sent, came)
+                raise LinkError(
+                    f"{self.name} carried {first_bytes(came)} where {first_bytes(sent)} was sent: "
+                    "another sender talked at the same time, or this line has no echo"
+                )
             del self._unechoed[: len(part)]
             if not part and time.monotonic() >= give_up:
-                raise echo_missing(self.name, sent, came, ECHO_TIMEOUT)
+                raise LinkError(
+                    f"{len(came)} of the {len(sent)} bytes {first_bytes(sent)} came back from "
+                    f"{self.name} in {ECHO_TIMEOUT:g} s: is the adapter connected, and does the "
+                    "line have an echo?"
+                )
             if not part:
                 select.select([self._fd], [], [], 0.02)
 

@@ -13,14 +13,14 @@ import os
 import select
 import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import msgspec
 
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.port import Openings, open_pty
+from bilprov.analyzer.transport.port import Openings, PtyPair, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.closing import Closing
 
@@ -33,28 +33,23 @@ _LISTENING = {
 }
 
 
-class Stream(Closing):
-    """A non-blocking byte stream to one peer.
+class Peer:
+    """A non-blocking byte stream to a host or a client of the probe, over a pty or a socket.
 
     `ended` is true once the peer sends no more, `lost` once the connection is broken; `backlog`
     are the bytes that the peer has not taken yet.
     """
 
-    def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
+    def __init__(self, file: PtyPair | socket.socket) -> None:
+        self.fileno, self.close = file.fileno, file.close
         self.backlog = bytearray()
-        self.ended = False
-        self.lost = False
-        self._descriptor = descriptor
-        self._close = close
-
-    def fileno(self) -> int:
-        """Return the descriptor that select waits for."""
-        return self._descriptor
+        self.ended = self.lost = False
+        self._request = b""  # the beginning of one
 
     def take(self) -> bytes:
         """Return the received bytes, at most 16 KiB, without waiting; the rest stays unread."""
         try:
-            data = b"" if self.ended else os.read(self._descriptor, _READ_LIMIT)
+            data = b"" if self.ended else os.read(self.fileno(), _READ_LIMIT)
         except BlockingIOError:
             return b""
         except OSError:
@@ -62,21 +57,23 @@ class Stream(Closing):
         self.ended = not data
         return data
 
+    def requests(self) -> Sequence[bytes]:
+        """Return the lines that a client of the probe has completed."""
+        *lines, self._request = (self._request + self.take()).split(b"\n")
+        self.lost = self.lost or len(self._request) > _LONGEST
+        return lines
+
     def give(self, data: bytes = b"") -> None:
         """Send `data` as far as the peer takes it; keep at most 64 KiB of the rest, drop more."""
         self.backlog += data
         try:
             while self.backlog:
-                del self.backlog[: os.write(self._descriptor, self.backlog)]
+                del self.backlog[: os.write(self.fileno(), self.backlog)]
         except BlockingIOError:
             del self.backlog[_BACKLOG_LIMIT:]
         except OSError:
             self.ended = self.lost = True
             self.backlog.clear()
-
-    def close(self) -> None:
-        """Close the stream; further calls do nothing."""
-        self._close()
 
 
 def parse_address(text: str) -> tuple[str, int]:
@@ -91,52 +88,34 @@ def parse_address(text: str) -> tuple[str, int]:
     return (host[1:-1] if bracketed else host), int(port)
 
 
-class Listener(Closing):
-    """A listening socket that accepts without waiting.
+def listening(address: str) -> socket.socket:
+    """Return a socket that listens at an address, and accepts without waiting.
 
     Raises ValueError for an invalid address, LinkError for one that cannot be listened on.
     """
+    host, port = parse_address(address)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listener = socket.create_server((host, port), family=family)
+    except OSError as error:
+        why = str(error.strerror).partition(" (while ")[0]  # what Python adds names it again
+        said = _LISTENING.get(error.errno or 0, f"cannot be listened on: {why}")
+        raise LinkError(f"{address} {said}") from error
+    listener.setblocking(False)
+    return listener
 
-    def __init__(self, address: str) -> None:
-        host, port = parse_address(address)
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        try:
-            self._socket = socket.create_server((host, port), family=family)
-        except OSError as error:
-            why = str(error.strerror).partition(" (while ")[0]  # what Python adds names it again
-            said = _LISTENING.get(error.errno or 0, f"cannot be listened on: {why}")
-            raise LinkError(f"{address} {said}") from error
-        self._socket.setblocking(False)
 
-    @property
-    def address(self) -> str:
-        """The address as HOST:PORT, with an IPv6 host in brackets."""
-        host, port = self._socket.getsockname()[:2]
-        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+def address_of(listener: socket.socket) -> str:
+    """The address of a listening socket as HOST:PORT, with an IPv6 host in brackets."""
+    host, port = listener.getsockname()[:2]
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
-    def warning(self, reach: str) -> str:
-        """Return a sentence that other machines can connect, and so `reach`; "" on loopback."""
-        host = self._socket.getsockname()[0]
-        if ipaddress.ip_address(host).is_loopback:
-            return ""
-        return f"{self.address} is open to the network: anybody there can {reach}"
 
-    def fileno(self) -> int:
-        """Return the descriptor that a selector waits for."""
-        return self._socket.fileno()
-
-    def accept(self) -> Stream | None:
-        """Return a Stream for a connection that waits, None if there is none."""
-        with contextlib.suppress(BlockingIOError, ConnectionError):  # it has gone in the meantime
-            connection, _ = self._socket.accept()
-            connection.setblocking(False)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            return Stream(connection.fileno(), connection.close)
-        return None
-
-    def close(self) -> None:
-        """Close it; further calls do nothing."""
-        self._socket.close()
+def open_words(listener: socket.socket, reach: str) -> str:
+    """Return a sentence that other machines can connect, and so `reach`; "" on loopback."""
+    if ipaddress.ip_address(listener.getsockname()[0]).is_loopback:
+        return ""
+    return f"{address_of(listener)} is open to the network: anybody there can {reach}"
 
 
 _LONGEST = 1024  # bytes of a request of a probe client: one that sends a longer one is closed
@@ -187,24 +166,23 @@ def serve(
         raise ValueError("nothing to serve: ask for a pty or an address to listen on")
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(Server(device, stop, clock, reset))
-        lines, warnings = [], []
+        lines = []
         if pty:
             pair = stack.enter_context(open_pty())
-            server.pty = Stream(pair.master, pair.close)
+            server.pty = Peer(pair)
             if reset:
                 server.openings = stack.enter_context(Openings(pair.name))
             lines.append(pair.name)
         for address, prefix, reach, take in (
             (listen, "socket://", "drive the robot", server.take_host),
-            (probe_listen, "probe tcp:", "read what the robot does", server.take_probe),
+            (probe_listen, "probe tcp:", "read what the robot does", server.probes.append),
         ):
             if address is not None:
-                listener = stack.enter_context(Listener(address))
+                listener = stack.enter_context(listening(address))
                 server.listeners[listener] = take
-                lines.append(prefix + listener.address)
-                warnings.append(listener.warning(reach))
-        for warning in filter(None, warnings):
-            note(warning)
+                lines.append(prefix + address_of(listener))
+                if warning := open_words(listener, reach):
+                    note(warning)
         for line in lines:
             announce(line)
         while server.turn():
@@ -215,8 +193,8 @@ def serve(
 class Server(Closing):
     """State of the server: the device, the connections of hosts, and those of probe clients.
 
-    `last` is the time (ns) of the last byte in either direction. `probes` are the clients with the
-    bytes that are not yet a whole request, `listeners` those with who takes what comes.
+    `last` is the time (ns) of the last byte in either direction. `listeners` has for each who takes
+    what connects.
     """
 
     device: ByteDevice
@@ -224,12 +202,12 @@ class Server(Closing):
     clock: Callable[[], int]
     reset: Callable[[int], None] | None = None
     openings: Openings | None = None  # of the pty
-    pty: Stream | None = None
-    client: Stream | None = None
-    active_host: Stream | None = None
+    pty: Peer | None = None
+    client: Peer | None = None
+    active_host: Peer | None = None
     last: int = 0
-    probes: dict[Stream, bytes] = field(default_factory=dict)
-    listeners: dict[Listener, Callable[[Stream], None]] = field(default_factory=dict)
+    probes: list[Peer] = field(default_factory=list)
+    listeners: dict[socket.socket, Callable[[Peer], None]] = field(default_factory=dict)
 
     def turn(self) -> bool:
         """Run one turn of the loop: wait for events and handle them; False once `stop` is set."""
@@ -239,88 +217,81 @@ class Server(Closing):
         # The order matters: probe requests are read first, then the host's bytes that had arrived
         # by then (16 KiB at most), then the requests are answered. So a look that follows an answer
         # sees the newest state.
-        heard = [probe for probe in self.probes if probe in ready]
-        asked = [(probe, line) for probe in heard for line in self._requests(probe)]
+        probes = [probe for probe in self.probes if probe in ready]
+        asked = [(probe, line) for probe in probes for line in probe.requests()]
         now = self._pump([host for host in self._hosts() if asked or host in ready])
         for probe, request in asked:
             probe.give(self._answer(request, now))
-        for stream in self._streams():
-            stream.give()  # what waits
+        for peer in (*self._hosts(), *self.probes):
+            peer.give()  # what waits
         self._let_go(now)
         for listener, take in self.listeners.items():
-            if listener in ready and (peer := listener.accept()):
-                take(peer)
+            if listener in ready:
+                with contextlib.suppress(BlockingIOError, ConnectionError):  # it has gone again
+                    connection, _ = listener.accept()
+                    connection.setblocking(False)
+                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    take(Peer(connection))
         return True
 
-    def take_host(self, stream: Stream) -> None:
+    def take_host(self, peer: Peer) -> None:
         """Take a host if there is none, or if the present one has ended; refuse others."""
         if self.client is not None and not self.client.ended:
-            stream.close()
-        else:
-            self._drop_client()
-            self.client = stream
-            if self.reset:
-                self.reset(self.clock())
-
-    def take_probe(self, stream: Stream) -> None:
-        """Take a client of the probe."""
-        self.probes[stream] = b""
+            peer.close()
+            return
+        if self.client is not None:
+            self.client.close()
+        self.client = peer
+        if self.reset:
+            self.reset(self.clock())
 
     def close(self) -> None:
         """Close every connection; the pty and the listeners belong to `serve`."""
-        for stream in filter(None, (self.client, *self.probes)):
-            stream.close()
+        for peer in filter(None, (self.client, *self.probes)):
+            peer.close()
 
-    def _hosts(self) -> list[Stream]:
+    def _hosts(self) -> list[Peer]:
         return [host for host in (self.pty, self.client) if host is not None]
-
-    def _streams(self) -> list[Stream]:
-        return [*self._hosts(), *self.probes]
 
     def _wait(self) -> Sequence[object]:
         """Wait until a peer is ready or the device is due; return who can be read or accepted."""
-        streams = self._streams()
+        peers = [*self._hosts(), *self.probes]
         reading: list[Any] = [self.stop, *self.listeners]
-        reading += [one for one in streams if not one.ended]
+        reading += [peer for peer in peers if not peer.ended]
         reading += self.openings.descriptors if self.openings else []
         deadline = self.device.deadline()
         # select rounds up: it never returns before the deadline.
         patience = None if deadline is None else max(0, deadline - self.clock()) / 1e9
-        return select.select(reading, [one for one in streams if one.backlog], [], patience)[0]
+        return select.select(reading, [peer for peer in peers if peer.backlog], [], patience)[0]
 
-    def _pump(self, hosts: Sequence[Stream]) -> int:
+    def _pump(self, ready: Sequence[Peer]) -> int:
         """Pass the bytes of hosts to the device and its answers back; return the time (ns)."""
-        heard = [(host, host.take()) for host in hosts]
+        heard = [(host, data) for host in ready if (data := host.take())]
         now = self.clock()
         if self.reset and self.openings and self.openings.taken():
             self.reset(now)
         for host, data in heard:
-            if data:
-                self.device.receive(data, now)
-                self.active_host = host
+            self.device.receive(data, now)
+            self.active_host = host
         said = self.device.advance(now)
-        if said:
-            for host in self._hosts() if self.active_host is None else [self.active_host]:
-                host.give(said)
-        if said or any(data for _, data in heard):
+        hosts = self._hosts()
+        for host in hosts if self.active_host not in hosts else [self.active_host]:
+            host.give(said)
+        if said or heard:
             self.last = now
         return now
 
-    def _requests(self, probe: Stream) -> Iterator[bytes]:
-        """Yield the request lines that a probe client has completed."""
-        *lines, rest = (self.probes[probe] + probe.take()).split(b"\n")
-        self.probes[probe] = rest
-        probe.lost = probe.lost or len(rest) > _LONGEST
-        yield from lines
-
     def _answer(self, request: bytes, now: int) -> bytes:
+        """The line of JSON for a request of a probe client."""
         word, _, number = request.strip().partition(b" ")
         number = number or b"0"
         if word == b"state" and number.isdigit() and len(number) <= _DIGITS:
             look = msgspec.json.decode(self.device.probe(now)) | {"number": int(number)}
-            return msgspec.json.encode(look) + b"\n"
-        came = request.strip().decode("ascii", "backslashreplace")[:80]
-        return _error(f"the request is {came!r}, allowed is 'state', or 'state 7' with any number")
+        else:
+            came = request.strip().decode("ascii", "backslashreplace")[:80]
+            allowed = "allowed is 'state', or 'state 7' with any number"
+            look = {"error": f"the request is {came!r}, {allowed}"}
+        return msgspec.json.encode(look) + b"\n"
 
     def _let_go(self, now: int) -> None:
         """Close ended connections; a client that only ended its sending gets its last answers."""
@@ -328,19 +299,9 @@ class Server(Closing):
         if client is not None:
             quiet = self.device.deadline() is None or now - self.last > _LINGER
             if client.lost or (client.ended and not client.backlog and quiet):
-                self._drop_client()
+                client.close()
+                self.client = None
         for probe in list(self.probes):
             if probe.lost or (probe.ended and not probe.backlog):
                 probe.close()
-                del self.probes[probe]
-
-    def _drop_client(self) -> None:
-        if self.client is not None:
-            self.client.close()
-            if self.active_host is self.client:
-                self.active_host = None
-            self.client = None
-
-
-def _error(sentence: str) -> bytes:
-    return msgspec.json.encode({"error": sentence}) + b"\n"
+                self.probes.remove(probe)

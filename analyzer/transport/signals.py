@@ -1,7 +1,7 @@
-"""Handling of the signals that end or suspend a process, for who drives a robot.
+"""The signals that end or suspend a process, and their handling for who drives a robot.
 
-Which signals end a process is listed in one place, `transport.ending`. A command is asked to end by
-a `Stopper`; who needs an exception instead, such as `Robot`, handles them by `handled`.
+A command is asked to end by a `Stopper`; who needs an exception instead, such as `Robot`, handles
+them by `handled`.
 """
 
 from __future__ import annotations
@@ -14,11 +14,34 @@ from contextlib import ExitStack, contextmanager
 from types import FrameType
 from typing import Any, Self
 
-from bilprov.analyzer.transport.ending import ENDINGS, SUSPENDING, ending_requested, note_ending
 from bilprov.captures.closing import Closing
 
 Handler = Callable[[int, FrameType | None], object]
 
+REQUESTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""The usual requests to end: a command that they end has an exit code of its own for that."""
+
+
+def _endings() -> tuple[int, ...]:
+    names = "SIGQUIT SIGUSR1 SIGUSR2 SIGALRM SIGVTALRM SIGPROF SIGXCPU SIGIO SIGPWR SIGSTKFLT"
+    others = [getattr(signal, name) for name in names.split() if hasattr(signal, name)]
+    first = getattr(signal, "SIGRTMIN", 0)
+    realtime = range(first, signal.SIGRTMAX + 1) if first else ()
+    return (*REQUESTS, *others, *realtime)
+
+
+ENDINGS = _endings()
+"""Every signal that ends a process unless it is handled.
+
+SIGKILL cannot be handled. SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGSYS and SIGTRAP are how a
+process crashes: no Python can run after them. Python ignores SIGPIPE and SIGXFSZ.
+"""
+
+SUSPENDING = (signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
+"""Signals that suspend a process unless it is handled: Ctrl-Z, and the use of the terminal by a job
+in the background. SIGSTOP cannot be handled."""
+
+_heard: list[int] = []
 _lasting: list[Any] = [signal.SIG_DFL, signal.default_int_handler]
 _halts: list[Callable[[], object]] = []
 
@@ -117,7 +140,7 @@ class Stopper(Closing):
         return self
 
     def _end(self, number: int, frame: FrameType | None) -> None:
-        note_ending(number)
+        _heard.append(number)  # also where it is put off
         self.stop(number)
 
 
@@ -153,9 +176,24 @@ def unhandled(numbers: Iterable[int]) -> list[int]:
     return [number for number in numbers if signal.getsignal(number) in _lasting]
 
 
+def ending_requested() -> bool:
+    """Whether a signal has asked the command to end, also one that was put off and is over."""
+    return bool(_heard)
+
+
+def exit_status(status: int) -> int:
+    """The exit code of the command that has ended with `status`.
+
+    It is 128 + N where a signal N other than SIGINT, SIGTERM and SIGHUP ended it.
+    """
+    others = [number for number in _heard if number not in REQUESTS]
+    _heard.clear()
+    return 128 + others[0] if others else status
+
+
 def halt_if_ending() -> None:
     """Stop each robot if a signal has asked the command to end, which cannot go on by itself."""
-    for halt in _halts if ending_requested() else ():
+    for halt in _halts if _heard else ():
         halt()
 
 

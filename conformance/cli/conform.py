@@ -19,9 +19,8 @@ from bilprov.analyzer.cli.command import command, family_protocol, flag, group, 
 from bilprov.analyzer.cli.options import Finite, milliseconds, note, note_each
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.client.probes import asks_person
-from bilprov.analyzer.transport.ending import ending_requested
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.transport.signals import Stopper, ending_requested
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import (

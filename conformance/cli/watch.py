@@ -14,7 +14,6 @@ from rich.console import Console
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.client.probes import ProbeError
-from bilprov.analyzer.transport.ending import ending_requested
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.replug import (
@@ -24,7 +23,7 @@ from bilprov.analyzer.transport.replug import (
     Place,
     opened_when_there,
 )
-from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.transport.signals import Stopper, ending_requested
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.last_run import LastRun, Run, failed_cases
 from bilprov.conformance.dut.boards import EmulatorError

@@ -17,10 +17,9 @@ import pytest
 from bilprov.analyzer.cli.options import NotConfirmed, confirm_effect
 from bilprov.analyzer.client.probes import ProbeError
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.ending import ENDINGS
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.signals import handled, unhandled
+from bilprov.analyzer.transport.signals import ENDINGS, handled, unhandled
 from bilprov.conformance.api import Options, estimated
 from bilprov.conformance.cases.levels import LEVELS, STANDARD
 from bilprov.conformance.dut.boards import EmulatorError

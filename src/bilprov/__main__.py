@@ -15,7 +15,7 @@ from click.core import ParameterSource
 from bilprov.analyzer.former_names import former_name
 from bilprov.analyzer.grammar_name import GrammarName
 from bilprov.analyzer.output.help import HELP_NAMES, Group
-from bilprov.analyzer.transport.ending import exit_status
+from bilprov.analyzer.transport.signals import exit_status
 from bilprov.analyzer.version import kit_version
 
 

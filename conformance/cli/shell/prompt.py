@@ -22,8 +22,7 @@ from prompt_toolkit.patch_stdout import patch_stdout
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.settings import state_folder
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR
-from bilprov.analyzer.transport.ending import SUSPENDING
-from bilprov.analyzer.transport.signals import Stopper
+from bilprov.analyzer.transport.signals import SUSPENDING, Stopper
 from bilprov.conformance.cli.shell.driving import Driving
 from bilprov.spec.codec import free_parts
 from bilprov.spec.protocol import Protocol

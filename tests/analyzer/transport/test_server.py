@@ -16,7 +16,9 @@ import pytest
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.server import (
-    Listener,
+    address_of,
+    listening,
+    open_words,
     parse_address,
     serve,
 )
@@ -277,11 +279,11 @@ def test_what_is_no_address_is_said(text: str) -> None:
 
 
 def test_what_cannot_be_served_is_said() -> None:
-    with Listener(ANY) as taken:
-        in_use = f"{taken.address} is in use by another program; close it"
+    with listening(ANY) as taken:
+        in_use = f"{address_of(taken)} is in use by another program; close it"
         for options, kind, sentence in (
             ({"pty": False, "probe_listen": ANY}, ValueError, "nothing to serve"),
-            ({"listen": taken.address}, LinkError, in_use),
+            ({"listen": address_of(taken)}, LinkError, in_use),
         ):
             raised, said = refused(**options)
             assert raised is kind
@@ -298,12 +300,12 @@ def test_what_cannot_be_served_is_said() -> None:
 def test_who_can_connect_to_an_open_address_is_said(host: str, warning: str) -> None:
     if host.startswith("["):
         try:
-            Listener(f"{host}:0").close()
+            listening(f"{host}:0").close()
         except LinkError:
             pytest.skip("no IPv6 here: sysctl net.ipv6.conf.all.disable_ipv6=0 brings it")
-    with Listener(f"{host}:0") as listener:
-        assert listener.warning("read it") == warning.format(listener.address)
-        assert parse_address(listener.address)[1] > 0
+    with listening(f"{host}:0") as listener:
+        assert open_words(listener, "read it") == warning.format(address_of(listener))
+        assert parse_address(address_of(listener))[1] > 0
 
 
 # The command

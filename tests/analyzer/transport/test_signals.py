@@ -11,8 +11,14 @@ from contextlib import ExitStack
 
 import pytest
 
-from bilprov.analyzer.transport.ending import ENDINGS, SUSPENDING, exit_status
-from bilprov.analyzer.transport.signals import Stopper, handled_from_now_on, unhandled
+from bilprov.analyzer.transport.signals import (
+    ENDINGS,
+    SUSPENDING,
+    Stopper,
+    exit_status,
+    handled_from_now_on,
+    unhandled,
+)
 from tests.support.signals import handled
 
 
@@ -54,7 +60,7 @@ def test_each_signal_that_ends_a_process_asks_for_a_stop(number: int) -> None:
 
 ASK_EACH = """\
 import os, signal
-from bilprov.analyzer.transport.ending import ENDINGS
+from bilprov.analyzer.transport.signals import ENDINGS
 for number in range(1, signal.NSIG):
     if signal.getsignal(number) is not signal.SIG_DFL or number in ENDINGS:
         continue
