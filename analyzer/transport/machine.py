@@ -11,10 +11,11 @@ import os
 import pwd
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from bilprov.captures.schemas import MS
 from bilprov.spec.errors import one_line
@@ -179,12 +180,13 @@ class Machine:
         except OSError:
             return None
         rights = stat.S_IRGRP | stat.S_IWGRP
-        return Owner(_user(found.st_uid), _group(found.st_gid), found.st_mode & rights == rights)
+        user, group = _named(pwd.getpwuid, found.st_uid), _named(grp.getgrgid, found.st_gid)
+        return Owner(user, group, found.st_mode & rights == rights)
 
     def is_member(self, group: str) -> bool:
         """Whether this user is listed in a group; a session that began before is not in it yet."""
         try:
-            return _user(os.geteuid()) in grp.getgrnam(group).gr_mem
+            return _named(pwd.getpwuid, os.geteuid()) in grp.getgrnam(group).gr_mem
         except KeyError:  # a group without a name
             return False
 
@@ -297,15 +299,9 @@ def _target(link: Path) -> str:
         return ""
 
 
-def _user(number: int) -> str:
+def _named(entry: Callable[[int], Any], number: int) -> str:
+    """The name of a user or a group, its number where it has none."""
     try:
-        return pwd.getpwuid(number).pw_name
-    except KeyError:
-        return str(number)
-
-
-def _group(number: int) -> str:
-    try:
-        return grp.getgrgid(number).gr_name
+        return str(entry(number)[0])
     except KeyError:
         return str(number)

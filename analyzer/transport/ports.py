@@ -26,7 +26,10 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
     (advisory lock). pyserial raises DTR and RTS, which resets an Arduino. `settings` are the
     built-in grammar's unless given; they have no effect on `socket://`. Raises LinkError.
     """
-    settings = settings or _usual_settings()
+    if settings is None:
+        from bilprov.analyzer.grammar_file import load_protocol
+
+        settings = line_settings(load_protocol())
     _require_address(name)
     try:
         with warnings.catch_warnings():
@@ -60,12 +63,6 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
     return port
 
 
-def _usual_settings() -> LineSettings:
-    from bilprov.analyzer.grammar_file import load_protocol
-
-    return line_settings(load_protocol())
-
-
 @dataclass(frozen=True, slots=True, order=True)
 class PortInfo:
     """A serial port of this machine, and what the system tells of it.
@@ -92,37 +89,36 @@ class PortInfo:
 def list_ports() -> list[PortInfo]:
     """Return the serial ports of this machine, sorted by path; ptys and URLs are not among them."""
     machine = Machine()
-    found = {port.device: port for port in serial_list_ports.comports()}
-    paths = [path for path in found if not machine.no_hardware(path)]
-    held = machine.held(*paths) if paths else {}
+    found = _devices(machine)
+    held = machine.held(*found) if found else {}
     return sorted(
         PortInfo(
             path=path,
-            description="" if found[path].description == "n/a" else found[path].description or "",
-            hardware_id="" if found[path].hwid == "n/a" else found[path].hwid or "",
-            likely=found[path].vid is not None,
-            usb=_usb_id(found[path]),
-            serial_number=found[path].serial_number or "",
+            description="" if port.description == "n/a" else port.description or "",
+            hardware_id="" if port.hwid == "n/a" else port.hwid or "",
+            likely=port.vid is not None,
+            usb="" if port.vid is None else f"{port.vid:04x}:{port.pid or 0:04x}",
+            serial_number=port.serial_number or "",
             by_id=machine.by_id(path),
             driver=machine.driver(path),
             latency_ms=machine.latency_timer(path),
             holders=held[path].holders,
             unseen=held[path].unseen,
         )
-        for path in paths
+        for path, port in found.items()
     )
 
 
-def _usb_id(port: Any) -> str:
-    return "" if port.vid is None else f"{port.vid:04x}:{port.pid or 0:04x}"
+def _devices(machine: Machine) -> dict[str, Any]:
+    """What pyserial tells of each serial port, by its path."""
+    found = serial_list_ports.comports()
+    return {port.device: port for port in found if not machine.no_hardware(port.device)}
 
 
 def paths_here() -> list[str]:
     """Return the paths of the serial ports of this machine; looks into no process."""
     try:
-        machine = Machine()
-        found = (port.device for port in serial_list_ports.comports())
-        return sorted(path for path in found if not machine.no_hardware(path))
+        return sorted(_devices(Machine()))
     except (OSError, TypeError, ValueError):  # an adapter was unplugged while its files were read
         return []
 

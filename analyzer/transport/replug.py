@@ -31,20 +31,19 @@ class Place:
     """
 
     def __init__(self, name: str, machine: Machine | None = None) -> None:
-        self._name = name
         self._machine = machine or Machine()
         self._usb = self._identity(name)
         self._paths = [name]
         if self._usb and self._usb[1]:
             self._paths.insert(0, self._machine.by_id(name))
-        self._link = self._made() if self._machine.is_pty(name) else None
-        is_link = self._machine.file(name).is_symlink()
-        self.lasts = "://" not in name and (is_link or not self._machine.is_pty(name))
+        self._file, is_pty = self._machine.file(name), self._machine.is_pty(name)
+        self._link = _node(self._file) if is_pty else None
+        self.lasts = "://" not in name and (self._file.is_symlink() or not is_pty)
         """Whether the port can be found again at all."""
 
     def found(self) -> str:
         """The path of the port where it is there again, "" while it is not."""
-        if not self.lasts or (self._link is not None and self._made() == self._link):
+        if not self.lasts or (self._link is not None and _node(self._file) == self._link):
             return ""
         there = (path for path in self._paths if path and self._machine.file(path).exists())
         return next((path for path in there if self._identity(path) == self._usb), "")
@@ -53,13 +52,15 @@ class Place:
         usb = self._machine.usb(path)
         return (usb.identity, usb.serial) if usb else None
 
-    def _made(self) -> tuple[int, int] | None:
-        """What tells a link from another one of the same name; None if there is none."""
-        try:
-            status = self._machine.file(self._name).lstat()
-        except OSError:
-            return None
-        return status.st_ino, status.st_ctime_ns
+
+def _node(path: Path) -> tuple[int, ...] | None:
+    """What tells a file, or the link to it, from that of another plugging in; None for no file."""
+    try:
+        there, named = path.stat(), path.lstat()
+    except OSError:
+        return None
+    # The number of a pty's file comes again, so that a link to one is told by itself.
+    return (there.st_ino, *([named.st_ino, named.st_ctime_ns] if path.is_symlink() else []))
 
 
 class PathWatch:
@@ -71,19 +72,15 @@ class PathWatch:
     def __init__(self, name: str) -> None:
         self.name = name
         self._place = Place(name)
-        self._was = self._node()
+        self._was = _node(Path(name))
 
     def returned(self) -> bool:
         """Whether it has gone and come back since this was last true, or since the beginning."""
         path = self._place.found()
-        was, self._was = self._was, None
-        if not path:
+        was, self._was = self._was, _node(Path(path)) if path else None
+        if self._was in (None, was):
             return False
-        self.name = path
-        self._was = self._node()
-        if self._was == was:
-            return False
-        self._place = Place(path)
+        self.name, self._place = path, Place(path)
         return True
 
     def begin(self, *, lost: bool) -> None:
@@ -91,17 +88,6 @@ class PathWatch:
 
     def end(self) -> None:
         """The port is about to be opened."""
-
-    def _node(self) -> tuple[int, ...] | None:
-        """What tells its file, or the link to it, from that of another plugging in."""
-        path = Path(self.name)
-        try:
-            there, named = path.stat(), path.lstat()
-        except OSError:
-            return None
-        # The number of a pty's file comes again, so that a link to one is told by itself.
-        made = (named.st_ino, named.st_ctime_ns) if path.is_symlink() else ()
-        return (there.st_ino, *made)
 
 
 class ConnectionWatch:
