@@ -1,22 +1,33 @@
-"""Drives a robot on a link: one method per instruction of the protocol, each returns its answer."""
+"""Drives a device on a link: one method per instruction of its grammar, which gives the answer."""
 
 from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
+from collections import namedtuple
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from threading import RLock, get_ident
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bilprov.analyzer.client.operations import Heard, Link, Procedure, done, listen, send
-from bilprov.analyzer.client.rest import nobody_words, rest_of
+from bilprov.analyzer.client.rest import exchange, nobody_words, rest_of
+from bilprov.analyzer.transport.errors import first_bytes
 from bilprov.captures.schemas import MS
-from bilprov.spec.codec import build, judge, spaced
+from bilprov.spec.by_effect import change_by
+from bilprov.spec.codec import Judgement, build, judge, spaced
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.python_names import method_names, parameter_names
+from bilprov.spec.python_names import (
+    answer_names,
+    method_names,
+    parameter_names,
+    read_by_name,
+    taken_type,
+)
+from bilprov.spec.replies import Reply, read_reply, reply_size
 
 
 class Turns:
@@ -36,26 +47,24 @@ class Turns:
         """Take the lock until the block ends; gives whether it was got in `patience` s."""
         again = self._owner == get_ident()
         got = again or self._next.acquire(timeout=patience)
-        if got:
+        if got and not again:
             try:
                 got = self._lock.acquire(timeout=patience)
             finally:
-                if not again:
-                    self._next.release()
-        if not got:
-            yield False
-            return
-        self._owner = get_ident()
+                self._next.release()
+        if got:
+            self._owner = get_ident()
         try:
-            yield True
+            yield got
         finally:
-            if not again:
+            if got and not again:
                 self._owner = None
-            self._lock.release()
+                self._lock.release()
 
 
 T = TypeVar("T")
 _SHOWN = 8  # answers that a sentence lists
+_TRIES = 20  # time-outs that a line is waited for to fall silent
 
 
 class RobotError(Exception):
@@ -106,12 +115,15 @@ class Answer:
 class InstructionMethods(ABC):
     """What drives a device on a link: each instruction of `protocol` is a method.
 
-    A subclass tells what a method does, and what it returns. `timeout` (ms) is how long an answer
-    may take, None for the longest time that the protocol allows. Several threads may use one: each
-    instruction and its answer are by themselves.
+    Its fields are the parameters, in order or by keyword. A subclass sends the frame, and gives
+    what the method returns. `timeout` (ms) is how long an answer may take, None for the longest
+    time that the protocol allows. Several threads may use one: each instruction and its answer are
+    by themselves.
     """
 
     _port_name = ""
+    _address: int | None = None  # of the device that is meant unless another is named
+    _returned: Any = inspect.Signature.empty
 
     def __init__(self, protocol: Protocol, link: Link, timeout: float | None = None) -> None:
         self.protocol = protocol
@@ -153,6 +165,7 @@ class InstructionMethods(ABC):
             return self._method(name)
 
     def _method(self, name: str) -> Any:
+        """The method of that name. Raises AttributeError."""
         if name.startswith("_"):  # copy and pickle ask for such names before `_methods` is set
             raise AttributeError(f"{type(self).__name__} has no {name!r}")
         spec = self._methods.get(name)
@@ -163,31 +176,59 @@ class InstructionMethods(ABC):
                 name=name,
                 obj=self,
             )
-        return self._made(name, spec)
-
-    def _made(self, name: str, spec: InstructionSpec) -> Any:
-        """The method of that name."""
-        signature = self._signature(spec)
+        signature, fields = self._signature(spec), parameter_names(spec)
 
         def method(*given: Any, **named: Any) -> Any:
             try:
                 values = signature.bind(*given, **named).arguments
             except TypeError as error:
                 raise TypeError(f"{name}{signature}: {error}") from None
-            return self._call(spec, values)
+            known = {getattr(fields.get(word), "name", word): values[word] for word in values}
+            frame = build(self.protocol, spec.name, self._addressed(known))
+            return self._result(spec, frame, known, self._exchange(frame))
 
         method.__name__ = method.__qualname__ = name
         method.__doc__ = spec.prose or f"{spec.name} ({spec.document})."
         method.__signature__ = signature  # type: ignore[attr-defined]  # functions take any
         return method
 
-    @abstractmethod
     def _signature(self, spec: InstructionSpec) -> inspect.Signature:
         """The signature of an instruction's method."""
+        kind, only = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+        register, count = read_by_name(self.protocol, spec)
+        parameters = []
+        for word, part in parameter_names(spec).items():
+            taken: Any = "int | str" if part.name == register else taken_type(part)
+            parameter = inspect.Parameter(word, kind, annotation=int if taken == "int" else taken)
+            if part.name == count:
+                parameter = parameter.replace(default=None, annotation="int | None")
+            parameters.append(parameter)
+        address = self.protocol.layout.part("address")
+        if address is not None:
+            parameters.append(
+                inspect.Parameter(address.name, only, default=None, annotation="int | None")
+            )
+        return inspect.Signature(parameters, return_annotation=self._returned)
+
+    def _addressed(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """The values that are given, with the address that is meant."""
+        part = self.protocol.layout.part("address")
+        given = {name: value for name, value in values.items() if value is not None}
+        if part is not None and part.name in given:
+            require_address(self.protocol, given[part.name])
+        elif part is not None and self._address is not None:
+            given[part.name] = self._address
+        return given
 
     @abstractmethod
-    def _call(self, spec: InstructionSpec, values: Mapping[str, Any]) -> Any:
-        """Do what a method does that is called with these values of its parameters."""
+    def _exchange(self, frame: bytes) -> Any:
+        """Send a frame of an instruction, and return its answer."""
+
+    @abstractmethod
+    def _result(
+        self, spec: InstructionSpec, frame: bytes, fields: Mapping[str, Any], answer: Any
+    ) -> Any:
+        """What the method returns for an answer. Raises Refused."""
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -248,6 +289,8 @@ class Driver(InstructionMethods):
     Several threads may use one driver: each instruction and its answer are by themselves.
     """
 
+    _returned = Answer
+
     def send(self, name: str, /, **values: int) -> Answer:
         """Send an instruction by its name, with its fields' values, and wait for its answer.
 
@@ -273,18 +316,9 @@ class Driver(InstructionMethods):
             self._in_step = True
         return tuple(Answer(code, self._name(code), round((t - sent) / MS, 3)) for t, code in heard)
 
-    def _signature(self, spec: InstructionSpec) -> inspect.Signature:
-        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-        return inspect.Signature(
-            [inspect.Parameter(word, kind, annotation=int) for word in parameter_names(spec)],
-            return_annotation=Answer,
-        )
-
-    def _call(self, spec: InstructionSpec, values: Mapping[str, Any]) -> Answer:
-        parameters = parameter_names(spec)
-        fields = {parameters[word].name: value for word, value in values.items()}
-        frame = build(self.protocol, spec.name, fields)
-        answer = self._exchange(frame)
+    def _result(
+        self, spec: InstructionSpec, frame: bytes, fields: Mapping[str, Any], answer: Answer
+    ) -> Answer:
         if answer.code != self.protocol.answers[Outcome.VALID].code:
             said = f"{answer.name} ({answer.code})"
             raise self._refused(spec, frame, answer.code, answer.name, said)
@@ -312,3 +346,131 @@ class Driver(InstructionMethods):
     def _name(self, code: int) -> str:
         known = self.protocol.codes.get(code)
         return known.name if known else f"0x{code:02x}"
+
+
+class DeviceDriver(InstructionMethods):
+    """The devices on a link, of which `address` is the one that is meant unless another is named.
+
+    Each instruction of `protocol` is a method: `ReadCoils` is `read_coils()`, and its fields are
+    the parameters, in order or by keyword; where frames have an address, `address=` names another
+    device. A method sends the instruction and returns what the answer holds: its one value, a named
+    tuple of several, or None; None also where no answer is due, as after what is sent to all. A
+    value that has a name is returned as its name. A register that is read by its name is returned
+    as its value, not as bytes.
+
+    A method raises ValueError, before anything is sent, for a value out of its range; Refused for
+    an answer that is an error; NoAnswer if none comes in `timeout` ms (None: the longest time that
+    the protocol allows); RobotError for a damaged answer, and for bytes that answer nothing; and
+    LinkError when the line is lost. After any of the last three the line has to fall silent before
+    the next instruction is sent.
+    """
+
+    _only_reading = False
+    _least_pause = 0  # ns that may pass between two bytes of an answer, whatever the grammar allows
+
+    def __getattr__(self, name: str) -> Any:  # of any grammar, so a type checker knows no names
+        return self._method(name)
+
+    def send(self, name: str, /, **values: Any) -> Reply | None:
+        """Send an instruction by its name, with its fields' values, and return its answer.
+
+        Any answer is returned, also an error; None where none is due. Raises as the methods do,
+        except Refused.
+        """
+        return self._exchange(build(self.protocol, name, self._addressed(values)))
+
+    def _result(
+        self, spec: InstructionSpec, frame: bytes, fields: Mapping[str, Any], answer: Reply | None
+    ) -> Any:
+        if answer is None:
+            return None
+        if Outcome.VALID not in answer.outcomes:
+            name = " ".join(answer.names) or spaced(answer.frame)
+            code = answer.response.code if answer.response else answer.frame[-1]
+            raise self._refused(spec, frame, code, name, name)
+        register = fields.get(read_by_name(self.protocol, spec)[0])
+        for one, value in answer.registers:
+            if one.name == register:
+                return one.named(value)
+        if not answer.fields or spec.answer is None:
+            return None
+        told = dict(answer.fields)
+        names = answer_names(spec.answer)
+        values = [part.named(told[part.name]) for part in names.values()]
+        return values[0] if len(values) == 1 else _answer_class(tuple(names))(*values)
+
+    def _exchange(self, frame: bytes) -> Reply | None:
+        asked = judge(self.protocol, frame)
+        change = change_by(self.protocol, frame) if self._only_reading else ""
+        if change:
+            raise ValueError(f"{change}: only_reading sends what changes nothing")
+        with self._alone():
+            if not self._in_step:
+                self.home()
+            self._in_step = False
+            self._require_silence(self._pause)
+            self._rest.note(asked.address)
+            pause = max(self._least_pause, round(self.protocol.timing.truncation_timeout * MS))
+            patience = round(self._patience * MS)
+            heard = self._do(exchange(self.protocol, asked, patience, pause))
+            if not asked.answer_due:
+                self._in_step = True
+                return None
+            reply = self._read(asked, heard)
+            self._in_step = True
+            return reply
+
+    @property
+    def _pause(self) -> int:
+        """The silence (ns) before a frame, where nothing else tells that it begins."""
+        layout = self.protocol.layout
+        if self.protocol.plain or layout.part("length") or layout.constants:
+            return 0
+        return round(self.protocol.timing.truncation_shortest * MS)
+
+    def _read(self, asked: Judgement, heard: bytes) -> Reply:
+        """The answer in what was heard. Raises NoAnswer and RobotError if it is none."""
+        what = self._described(asked.frame)
+        if not heard:
+            raise NoAnswer(f"{what} was not answered in {self._patience:g} ms", asked.frame)
+        size = reply_size(self.protocol, heard, asked)
+        if size is None or size > len(heard):
+            due = f" of {size}" if size else ""
+            raise RobotError(f"{what}: the answer broke off after {len(heard)}{due} bytes")
+        reply = read_reply(self.protocol, heard[:size] if size > 0 else heard, asked)
+        surplus = heard[size:] if size > 0 else b""
+        # The echo of a request may be laid out as an answer, whose code then is one by chance.
+        came_back = heard == asked.frame and len(heard) > 1
+        alike = came_back and Outcome.VALID not in reply.outcomes
+        if not (reply.reason or surplus or alike):
+            return reply
+        if asked.frame.startswith(heard[: len(asked.frame)]):
+            raise RobotError(f"{what} came back: where the line has an echo, use echo=True")
+        if reply.reason:
+            raise RobotError(f"{what} was answered {first_bytes(heard)}: {reply.reason}")
+        raise RobotError(f"{what}: {first_bytes(surplus)} came after its answer")
+
+    def _calm(self) -> None:
+        """Wait until nothing is heard for as long as a frame may pause. Raises RobotError."""
+        self._rest.note(self._address)
+        if self._in_step and not self._do(listen(None, 0)).answers:
+            return
+        pause = round(self.protocol.timing.truncation_timeout * MS)
+        for _ in range(_TRIES):
+            if not self._do(listen(None, pause)).answers:
+                return
+        raise RobotError("the line does not fall silent: something else sends on it")
+
+
+@lru_cache(maxsize=1024)
+def _answer_class(names: tuple[str, ...]) -> Any:
+    return namedtuple("Answer", names)
+
+
+def require_address(protocol: Protocol, address: object) -> None:
+    """Raise ValueError unless a frame can be sent to that address."""
+    part = protocol.layout.part("address")
+    if part is None:
+        raise ValueError(f"{protocol.name} has no addresses; address is {address!r}")
+    if not part.reaches(address):
+        raise ValueError(f"{part.name} is {address!r}, allowed are {part.allowed}")

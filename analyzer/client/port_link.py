@@ -127,7 +127,8 @@ class PortLink:
         self._port.renew(again)
         now = self.now()
         try:
-            self._finish_look()
+            if self._asked and self._probe is not None:  # or the next look got this one's reply
+                self._probe.look(self.now, asked=True)
         except ProbeError as broken:
             return Ended(str(broken), error=True, line_works=True)
         after = f"it was there again after {(now - lost) / 1e9:.1f} s"
@@ -136,18 +137,6 @@ class PortLink:
     def _to_stop(self) -> bool:
         """Whether a stop is asked for that has not ended anything yet."""
         return not self._stopping and self._stopper is not None and self._stopper.stopped
-
-    def _finish_look(self) -> None:
-        """Take the reply to a look that the lost port cut short: the next is no reply to that.
-
-        Raises ProbeError where none comes in time.
-        """
-        probe = self._probe
-        while self._asked and probe is not None and (waits := probe.fileno()) is not None:
-            if not select.select([waits], [], [], probe.patience)[0]:
-                raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
-            self._asked = probe.take(self.now()) is None
-        self._asked = False
 
     def _power_cycle(self) -> int:
         assert self._power is not None
@@ -182,21 +171,12 @@ class PortLink:
     def _see(self) -> Observation:
         assert self._probe is not None
         asked = self.now()
-        until = asked + int(self._probe.patience * 1e9)
-        self._probe.ask()
         self._asked = True
-        while True:
-            waits = self._probe.fileno()
-            if waits is not None and not self._wait(until - self.now(), waits):
-                if self.now() >= until:
-                    raise ProbeError(f"the probe did not answer in {self._probe.patience:g} s")
-                continue
-            look = self._probe.take(self.now())
-            if look is not None:
-                self._asked = False
-                if self._tap:
-                    self._tap.looked(look)
-                return Observation(asked, self.now(), look)
+        look = self._probe.look(self.now, self._wait)
+        self._asked = False
+        if self._tap:
+            self._tap.looked(look)
+        return Observation(asked, self.now(), look)
 
     def attend(self, seconds: float, also: Sequence[int]) -> list[int]:
         """Read what comes, waiting at most `seconds` for that or for a descriptor.

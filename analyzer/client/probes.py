@@ -14,7 +14,6 @@ import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any
 
@@ -29,15 +28,22 @@ from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
 _LONGEST = 1 << 16  # bytes of a line of the tcp probe
-_PART = 1 << 12  # bytes read from it at once
 _LONGEST_NAME = 200  # characters of a motion
 _LOOKS = 5  # to measure how long one takes
 
+ASK, NONE = "ask", "none"
+"""The probe that needs a person at a terminal, and no probe, as a port has it by default."""
 MODEM_LINES = ("cts", "dsr", "dcd", "ri")
+PROBES = ("tcp:HOST:PORT", "exec:COMMAND", "modem:LINE", ASK, NONE)
+"""The forms of the names of probes."""
 
 
 class ProbeError(UserError):
     """The probe cannot be asked or does not answer as agreed, in one sentence."""
+
+
+def _wait(patience: int, waits: int) -> bool:
+    return bool(select.select([waits], [], [], max(0, patience) / 1e9)[0])
 
 
 class Probe(ABC):
@@ -51,10 +57,32 @@ class Probe(ABC):
     patience = 1.0
     looks: type[Look] = CarLook  # the class of its looks
 
-    @property
-    def remark(self) -> str:
-        """What the user should know of it after a run, in one sentence; "" for nothing."""
-        return ""
+    remark = ""
+    """What the user should know of it after a run, in one sentence; "" for nothing."""
+
+    def look(
+        self,
+        now: Callable[[], int] = time.monotonic_ns,
+        wait: Callable[[int, int], bool] = _wait,
+        *,
+        asked: bool = False,
+    ) -> Look:
+        """Ask, unless that is done, and return the look, as of `now` (ns).
+
+        `wait` waits at most some ns for a descriptor, and returns whether it is readable. Raises
+        ProbeError.
+        """
+        until = now() + int(self.patience * 1e9)
+        if not asked:
+            self.ask()
+        while True:
+            waits = self.fileno()
+            if waits is None or wait(until - now(), waits):
+                look = self.take(now())
+                if look is not None:
+                    return look
+            elif now() >= until:
+                raise ProbeError(f"the probe did not answer in {self.patience:g} s")
 
     def ask(self) -> None:  # noqa: B027  # some can be read at any time
         """Begin a look. Raises ProbeError."""
@@ -78,23 +106,9 @@ _Number = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 @cache
 def _facets_class(looks: type[Look]) -> Any:
     """The class of what stands in a line of the tcp probe; anything else in it is ignored."""
-    told = looks.__struct_fields__[1:]
     kinds: dict[str, Any] = {"moving": bool | None, **dict.fromkeys(looks.words, str | None)}
-    fields = [(name, kinds.get(name, _Number | None), None) for name in told]
+    fields = [(name, kinds.get(name, _Number | None), None) for name in looks.__struct_fields__[1:]]
     return msgspec.defstruct("Facets", [*fields, ("number", int | None, None)])
-
-
-def _whole(value: float | None) -> int | None:
-    """A number as an integer that keeps its sign: a wheel that turns slowly still turns."""
-    if value is None:
-        return None
-    away = -1 if value < 0 else 1
-    return round(value) or (away if value else 0)
-
-
-def _word(text: str | None) -> str | None:
-    """A text in which each character prints, of a length that a capture can hold."""
-    return text and escape_controls(text[:_LONGEST_NAME])[:_LONGEST_NAME]
 
 
 def parse_look(line: bytes, now: int, looks: type[Look] = CarLook) -> tuple[Look, int | None]:
@@ -109,9 +123,14 @@ def parse_look(line: bytes, now: int, looks: type[Look] = CarLook) -> tuple[Look
             f"the probe answered {printable(line.decode(errors='replace'))!r}, which is not a line "
             f'of JSON such as {{"moving": true}} ({error})'
         ) from error
-    told = {name: getattr(facets, name) for name in looks.__struct_fields__[2:]}
-    for name, value in told.items():
-        told[name] = _word(value) if name in looks.words else _whole(value)
+    told = {}
+    for name in looks.__struct_fields__[2:]:
+        value = getattr(facets, name)
+        if isinstance(value, str):
+            value = escape_controls(value[:_LONGEST_NAME])[:_LONGEST_NAME]
+        elif value is not None:  # a wheel that turns slowly still turns
+            value = round(value) or (value > 0) - (value < 0)
+        told[name] = value
     return looks(t=now, moving=facets.moving, **told), facets.number
 
 
@@ -139,12 +158,13 @@ class TcpProbe(Probe):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
         self._held = b""
+        self._lines: list[bytes] = []  # complete, and not yet looked at
         self._number = 0
         self._numbered = False
         self._surplus = 0
 
     @property
-    def remark(self) -> str:
+    def remark(self) -> str:  # type: ignore[override]  # of which there is news at any time
         """How many lines came that were not asked for, and what that means for the looks."""
         if not self._surplus:
             return ""
@@ -159,8 +179,8 @@ class TcpProbe(Probe):
     def ask(self) -> None:
         """Ask for the state; what has come unasked is dropped and counted."""
         self._receive()
-        while self._line() is not None:
-            self._surplus += 1
+        self._surplus += len(self._lines)
+        self._lines.clear()
         if self._numbered:
             self._number += 1
         request = f"state {self._number}\n" if self._numbered else "state\n"
@@ -176,7 +196,8 @@ class TcpProbe(Probe):
     def take(self, now: int) -> Look | None:
         """The look, once the line of the reply is complete. Raises ProbeError."""
         self._receive()
-        while (line := self._line()) is not None:
+        while self._lines:
+            line = self._lines.pop(0)
             if self._surplus and not self._numbered:
                 return self.looks(t=now, moving=None)
             look, number = parse_look(line, now, self.looks)
@@ -184,38 +205,27 @@ class TcpProbe(Probe):
             if not self._numbered or number == self._number:
                 return look
             self._surplus += 1
-        if len(self._held) > _LONGEST:
-            raise ProbeError(f"the probe at {self._name} sends no end of line")
         return None
 
     def _receive(self) -> None:
         """Read what is there, without waiting."""
         try:
-            while len(self._held) <= _LONGEST:
-                data = self._socket.recv(_PART)
-                if not data:
-                    raise self._hung_up()
-                self._held += data
-                if len(data) < _PART:
-                    return
+            data = self._socket.recv(_LONGEST)
         except BlockingIOError:
             return
         except OSError as error:
             raise self._hung_up(f" ({error.strerror})") from error
-
-    def _line(self) -> bytes | None:
-        """The next complete line of what was read, None if there is none."""
-        line, newline, rest = self._held.partition(b"\n")
-        if not newline:
-            return None
-        self._held = rest
-        return line
+        if not data:
+            raise self._hung_up()
+        *lines, self._held = (self._held + data).split(b"\n")
+        self._lines += lines
+        if len(self._held) > _LONGEST:
+            raise ProbeError(f"the probe at {self._name} sends no end of line")
 
     def _hung_up(self, why: str = "") -> ProbeError:
         return ProbeError(
             f"the probe at {self._name} hung up{why}: check that its program keeps running and "
-            "keeps the "
-            "connection for the whole run, then try again"
+            "keeps the connection for the whole run, then try again"
         )
 
     def close(self) -> None:
@@ -327,60 +337,29 @@ class AskProbe(Probe):
         return self.looks(t=now, moving=moving)
 
 
-@dataclass(frozen=True, slots=True)
-class ProbeKind:
-    """A kind of probe: the name that `--probe` takes, and how the probe is opened.
-
-    After `name` and a colon comes `rest` (one of `values`, if there are any); "" for a kind that
-    has nothing more. `asks` is true for one that needs a person at a terminal.
-    """
-
-    name: str
-    rest: str
-    open: Callable[[str, Port], Probe | None]
-    values: tuple[str, ...] = ()
-    asks: bool = False
-
-    def takes(self, text: str) -> bool:
-        """Whether the text names a probe of this kind."""
-        name, colon, rest = text.partition(":")
-        fits = rest in self.values if self.values else bool(rest)
-        return name == self.name and (fits if self.rest else not colon)
-
-    @property
-    def form(self) -> str:
-        """How its name is written, in a help text."""
-        return f"{self.name}:{self.rest}" if self.rest else self.name
-
-
-PROBES = (
-    ProbeKind("tcp", "HOST:PORT", lambda rest, port: TcpProbe(rest)),
-    ProbeKind("exec", "COMMAND", lambda rest, port: ExecProbe(rest)),
-    ProbeKind("modem", "LINE", lambda rest, port: ModemProbe(port, rest), values=MODEM_LINES),
-    ProbeKind("ask", "", lambda rest, port: AskProbe(), asks=True),
-    ProbeKind("none", "", lambda rest, port: None),
-)
-"""The kinds of probe, from which the help and error texts come; the last is a port's by default."""
-
-
 def open_probe(name: str, port: Port, protocol: Protocol) -> Probe | None:
     """The probe of that name, for the robot of this protocol at this port; None for `none`.
 
-    Raises ProbeError, in one sentence, for a name that none of PROBES takes, and for a probe that
+    Raises ProbeError, in one sentence, for a name of none of the PROBES, and for a probe that
     cannot be reached.
     """
-    for kind in PROBES:
-        if kind.takes(name):
-            probe = kind.open(name.partition(":")[2], port)
-            if probe is not None:
-                probe.looks = look_class(protocol.state_type)
-            return probe
-    *forms, last = (
-        f"{kind.name}:{'|'.join(kind.values)}" if kind.values else kind.form for kind in PROBES
-    )
-    raise ProbeError(
-        f"--probe is {name!r}; it can be {', '.join(forms)} or {last} (and sim, for the target sim)"
-    )
+    kind, _, rest = name.partition(":")
+    probe: Probe | None = None
+    if kind == "tcp" and rest:
+        probe = TcpProbe(rest)
+    elif kind == "exec" and rest:
+        probe = ExecProbe(rest)
+    elif kind == "modem" and rest in MODEM_LINES:
+        probe = ModemProbe(port, rest)
+    elif name == ASK:
+        probe = AskProbe()
+    elif name != NONE:
+        *forms, last = (form.replace("LINE", "|".join(MODEM_LINES)) for form in PROBES)
+        allowed = f"{', '.join(forms)} or {last} (and sim, for the target sim)"
+        raise ProbeError(f"--probe is {name!r}; it can be {allowed}")
+    if probe is not None:
+        probe.looks = look_class(protocol.state_type)
+    return probe
 
 
 def look_time(probe: Probe) -> int:
@@ -394,21 +373,10 @@ def look_time(probe: Probe) -> int:
     while len(times) < (1 if probe.costly else _LOOKS):
         begun = time.monotonic_ns()
         try:
-            probe.ask()
-            while (fd := probe.fileno()) is not None:
-                left = probe.patience - (time.monotonic_ns() - begun) / 1e9
-                if not select.select([fd], [], [], max(0.0, left))[0]:
-                    break
-                if probe.take(begun) is not None:
-                    break
+            probe.look()
         except ProbeError:
+            if time.monotonic_ns() - begun >= probe.patience * 1e9:
+                raise
             return 0
         times.append(time.monotonic_ns() - begun)
-        if times[-1] > probe.patience * 1e9:
-            raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
     return min(times[1:] or times)
-
-
-def asks_person(name: str | None) -> bool:
-    """Whether the probe of that name needs a person at a terminal."""
-    return name is not None and any(kind.asks and kind.takes(name) for kind in PROBES)

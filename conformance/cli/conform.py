@@ -18,7 +18,7 @@ import msgspec
 from bilprov.analyzer.cli.command import command, family_protocol, flag, group, option
 from bilprov.analyzer.cli.options import Finite, milliseconds, note, note_each
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.client.probes import asks_person
+from bilprov.analyzer.client.probes import ASK
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.signals import Stopper, ending_requested
 from bilprov.captures.schemas import MS
@@ -349,7 +349,7 @@ def _tested(
     from bilprov.conformance.cli.progress import Progress
 
     robot, record, suite = options.robot, options.reports.record, plan.suite
-    asks = asks_person(robot.probe)
+    asks = robot.probe == ASK
     count = planned(protocol, suite, plan.cases)
 
     def agreed(target: Target) -> Target:

@@ -36,7 +36,7 @@ class RobotOptions(msgspec.Struct, frozen=True):
 
     target: str = argument(metavar="PORT|sim|emulator:KIND:FIRMWARE", type=PortName())
     probe: str | None = option(
-        help=f"What sees a stop: {', '.join(kind.form for kind in PROBES)} (the default for a "
+        help=f"What sees a stop: {', '.join(PROBES)} (the default for a "
         "port) or sim (the target sim's own)."
     )
     power: str | None = option(

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bilprov.analyzer.client.operations import Link, LinkListener
 from bilprov.analyzer.client.port_link import PortLink, Power
-from bilprov.analyzer.client.probes import PROBES, Probe, look_time, open_probe
+from bilprov.analyzer.client.probes import NONE, Probe, look_time, open_probe
 from bilprov.analyzer.client.rest import halt
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
@@ -140,7 +140,7 @@ def open_target(
         else:
             settings = settings or line_settings(protocol, None, None, None)
             port = stack.enter_context(open_port(name.text, settings))
-            probe = PROBES[-1].name if probe is None else probe
+            probe = NONE if probe is None else probe
             eye = open_probe(probe, port, protocol)
             if eye:
                 stack.callback(eye.close)

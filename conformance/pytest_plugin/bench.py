@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from bilprov.analyzer.client.driver import Answer, RobotError
 from bilprov.analyzer.client.operations import Ended, Link, Procedure, drive, listen, observe
-from bilprov.analyzer.client.probes import asks_person
+from bilprov.analyzer.client.probes import ASK
 from bilprov.analyzer.client.robot import Instructions
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.signals import Stopper
@@ -108,7 +108,7 @@ class Bench(RunListener):
         self._name = name = target_named(target)
         if name.own_probe and probe not in (None, SIM):
             raise ValueError(f"--robot-port {target} brings its own probe: leave --robot-probe out")
-        if asks_person(probe):
+        if probe == ASK:
             raise ValueError(
                 f"--robot-probe {probe} cannot be used under pytest; run bilprov conform"
             )

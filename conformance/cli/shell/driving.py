@@ -14,7 +14,7 @@ import msgspec
 
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, fields_in_words
-from bilprov.analyzer.client.probes import Probe, ProbeError
+from bilprov.analyzer.client.probes import Probe
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
 from bilprov.analyzer.output.outputs import stream_output, write_out
@@ -45,21 +45,18 @@ def asked(
     returns those that are readable. A probe that takes long is given up when `stopper` is asked to
     stop: None. Raises ProbeError, and LinkError as `attend` does.
     """
-    until = time.monotonic() + probe.patience
-    probe.ask()
-    while True:
-        waits = probe.fileno()
-        left = until - time.monotonic()
-        if waits is not None and waits not in attend(min(left, STEP), [waits]):
-            if stopper.stopped and probe.costly:  # a command, or a person: do not wait
-                probe.close()
-                return None
-            if left <= 0:
-                raise ProbeError(f"the probe did not answer in {probe.patience:g} s")
-            continue
-        look = probe.take(now())
-        if look is not None:
-            return look
+
+    def wait(patience: int, waits: int) -> bool:
+        ready = waits in attend(min(patience / 1e9, STEP), [waits])
+        if not ready and stopper.stopped and probe.costly:  # a command, or a person: do not wait
+            probe.close()
+            raise InterruptedError
+        return ready
+
+    try:
+        return probe.look(now, wait)
+    except InterruptedError:
+        return None
 
 
 def seen_words(look: Look | None) -> str:

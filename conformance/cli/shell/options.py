@@ -40,7 +40,7 @@ class SendOptions(msgspec.Struct, frozen=True):
         "--format", type=click.Choice(["lines", "jsonl"]), default="lines"
     )
     probe: str | None = option(
-        help=f"What sees the robot: {', '.join(kind.form for kind in PROBES)} (the default for a "
+        help=f"What sees the robot: {', '.join(PROBES)} (the default for a "
         "port) or sim (the target sim's own). What it sees is shown after each ITEM; with "
         "--together, once."
     )

@@ -14,7 +14,7 @@ from bilprov.analyzer.cli.options import (
     note_hindrances,
     note_suspension,
 )
-from bilprov.analyzer.client.probes import PROBES, Probe, open_probe
+from bilprov.analyzer.client.probes import NONE, Probe, open_probe
 from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.port import Port
@@ -66,7 +66,7 @@ def agreed(
     """
     with ExitStack() as stack:
         stack.enter_context(port)
-        eye = open_probe(options.probe or PROBES[-1].name, port, protocol)
+        eye = open_probe(options.probe or NONE, port, protocol)
         if eye is not None:
             stack.callback(eye.close)
         note_hindrances(options.target)

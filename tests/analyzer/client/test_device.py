@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from bilprov import Device, LinkError
-from bilprov.analyzer.client.device import DeviceDriver
-from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
+from bilprov.analyzer.client.driver import DeviceDriver, NoAnswer, Refused, RobotError
 from bilprov.analyzer.client.operations import LinkListener
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
@@ -247,7 +246,7 @@ def test_what_is_sent_to_all_returns_nothing_at_once() -> None:
 
 def test_the_signature_names_the_fields_and_the_address() -> None:
     meter, _, _ = driver("modbus-rtu")
-    wanted = "(coil: 'int', value: 'int | str', *, address: 'int | None' = None)"
+    wanted = "(coil: int, value: 'int | str', *, address: 'int | None' = None)"
     assert str(inspect.signature(meter.write_single_coil)) == wanted
     assert meter.write_single_coil.__doc__ == "WriteSingleCoil (6.5)."
     bootloader, _, _ = driver("stk500v1")
