@@ -13,7 +13,7 @@ from threading import RLock, get_ident
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bilprov.analyzer.client.operations import Heard, Link, Procedure, done, listen, send
-from bilprov.analyzer.client.rest import exchange, nobody_words, rest_of
+from bilprov.analyzer.client.rest import Rest, exchange, nobody_words
 from bilprov.analyzer.transport.errors import first_bytes
 from bilprov.captures.schemas import MS
 from bilprov.spec.by_effect import change_by
@@ -134,7 +134,7 @@ class InstructionMethods(ABC):
         self._methods = method_names(protocol)
         self._in_step = True
         self._turns = Turns()
-        self._rest = rest_of(protocol)
+        self._rest = Rest(protocol)
 
     def home(self) -> None:
         """Bring the device to rest from any state, and the line to the boundary of a frame.

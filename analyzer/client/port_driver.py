@@ -17,13 +17,21 @@ from os import PathLike
 from types import FrameType
 from typing import Self
 
-from bilprov.analyzer.client.driver import Driver, InstructionMethods, RobotError, Turns
+from bilprov.analyzer.client.driver import (
+    DeviceDriver,
+    Driver,
+    InstructionMethods,
+    RobotError,
+    Turns,
+    require_address,
+)
 from bilprov.analyzer.client.operations import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.grammar_file import given_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
+from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.ports import open_port
 from bilprov.analyzer.transport.signals import (
@@ -64,13 +72,12 @@ class _OpenRobot:
 
         Whoever uses it next is told why, unless an exception does now.
         """
-        frames = b"".join(self._rest.frames())
-        if not frames or self._process != os.getpid():  # it is the parent's
+        if not self._rest.frames() or self._process != os.getpid():  # it is the parent's
             return
         with self._turns.taken(_PATIENCE) as alone, suppress(LinkError):
             self.halted, self.why = True, "" if self.in_block else self.stopped_words(why)
             if self.in_block or not alone:  # the end of the block homes it
-                self._port.write(frames)
+                self._rest.halt(self._port)
             else:
                 done(self._rest.once(), PortLink(self._port))
 
@@ -237,19 +244,14 @@ class OnPort(InstructionMethods):
         try:
             with Stopper() as postponed:
                 self._open = False  # first: other threads send nothing more
-                with self._turns.taken():
-                    self._home_and_close()
+                with self._turns.taken(), ExitStack() as last:
+                    last.callback(self._port.close)
+                    last.callback(self._dropped.detach)
+                    if self._rest.frames() and not self._do(self._rest.once()):
+                        raise self._nobody()
             postponed.pass_on()
         finally:
             _open.discard(self._held)
-
-    def _home_and_close(self) -> None:
-        try:
-            if self._rest.frames() and not self._do(self._rest.once()):
-                raise self._nobody()
-        finally:
-            self._dropped.detach()
-            self._port.close()
 
     def wait(self, milliseconds: float) -> None:
         """Wait for the given time; other threads may use the robot meanwhile.
@@ -297,3 +299,46 @@ class OnPort(InstructionMethods):
 
 class PortDriver(OnPort, Driver):
     """One robot on a port; `OnPort` describes how it is opened, and how it is left."""
+
+
+class Device(OnPort, DeviceDriver):
+    """A device on a port, driven from Python; each instruction of the grammar is a method.
+
+        with Device("/dev/ttyUSB0", grammar="modbus-rtu", address=17) as meter:
+            first, second = meter.read_holding_registers(start=0, quantity=2)
+
+    `grammar` is the name of a shipped grammar, a file or a Protocol. `address` is the device that
+    is meant unless a method is called with another one. With `only_reading` a method that may
+    change something raises ValueError instead of sending it. `OnPort` describes the other
+    arguments and how it is left, `DeviceDriver` the methods and the exceptions. Nothing is sent at
+    first and at the end, unless the grammar tells when the device is at rest.
+    """
+
+    def __init__(
+        self,
+        url: str | PathLike[str],
+        *,
+        grammar: str | PathLike[str] | Protocol | None = None,
+        address: int | None = None,
+        only_reading: bool = False,
+        timeout: float | None = None,
+        baud: int | None = None,
+        parity: str | None = None,
+        stopbits: float | None = None,
+        echo: bool = False,
+    ) -> None:
+        grammar = given_protocol(grammar)
+        if address is not None:
+            require_address(grammar, address)
+        self._address = address
+        self._only_reading = only_reading
+        self._least_pause = Machine().least_pause(os.fspath(url))
+        super().__init__(
+            url,
+            grammar=grammar,
+            timeout=timeout,
+            baud=baud,
+            parity=parity,
+            stopbits=stopbits,
+            echo=echo,
+        )

@@ -36,12 +36,6 @@ def nobody_words(protocol: Protocol, port: str = "") -> str:
     return f"nobody answers{where}; is the {protocol.device} on, and is it the right port?"
 
 
-def halt(protocol: Protocol, port: Port) -> None:
-    """Send the stops, as far as the line allows, and wait for nothing."""
-    with suppress(LinkError):
-        port.write(stops(protocol))
-
-
 def home_once(protocol: Protocol) -> Procedure[bool]:
     """Send stops to complete any frame the robot may be in; return whether it answered.
 
@@ -85,17 +79,17 @@ def exchange(protocol: Protocol, asked: Judgement, patience: int, pause: int) ->
 
 
 class Rest:
-    """Brings each device that was spoken to to rest, by the requests that its grammar has for it.
+    """Brings a device to rest: a robot of the car's family by stops, also in the middle of a frame.
 
-    It does nothing where no request does that.
+    Each other device that was spoken to, by the requests that its grammar has for it; where no
+    request does that, nothing is done.
     """
-
-    tries = 1
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
         self._part = protocol.layout.part("address")
-        self._requests = protocol.rest_requests
+        self._stops = stops(protocol) if protocol.plain and protocol.stop_or_none else b""
+        self._tries = 5 if self._stops else 1  # an opened Arduino resets, and boots for seconds
         self._addresses: set[int] = set()
         self._heard: set[int | None] = set()
 
@@ -106,18 +100,25 @@ class Rest:
 
     def frames(self) -> tuple[bytes, ...]:
         """What is sent for that, one frame after the other."""
+        if self._stops:
+            return (self._stops,)
         addresses: list[dict[str, int]] = [{}]
         if self._part is not None:
             addresses = [{self._part.name: address} for address in sorted(self._addresses)]
         return tuple(
             build(self._protocol, name, {**fields, **address})
             for address in addresses
-            for name, fields in self._requests
+            for name, fields in self._protocol.rest_requests
         )
+
+    def halt(self, port: Port) -> None:
+        """Send that as far as the line allows, and wait for nothing."""
+        with suppress(LinkError):
+            port.write(b"".join(self.frames()))
 
     def after(self, state: State) -> State:
         """The state of a device after that."""
-        for name, fields in self._requests:
+        for name, fields in self._protocol.rest_requests:
             state = self._protocol.by_name[name].effect.apply(state, fields)
         return state
 
@@ -126,7 +127,7 @@ class Rest:
 
         `given_up` is called after each try without an answer; if it returns true, no more are made.
         """
-        for _ in range(self.tries):
+        for _ in range(self._tries):
             if (yield from self.once()):
                 return True
             if given_up():
@@ -138,9 +139,10 @@ class Rest:
 
         At an address at which nobody has answered yet, nobody needs to, as long as others do.
         """
-        timing = self._protocol.timing
+        if self._stops:
+            return (yield from home_once(self._protocol))
+        timing, frames = self._protocol.timing, self.frames()
         pause = round(timing.truncation_timeout * MS)
-        frames = self.frames()
         yield from listen(None, pause if frames else 0)  # an answer under way is none to these
         due: set[int | None] = set()
         silent: set[int | None] = set()
@@ -159,26 +161,3 @@ class Rest:
         if failed:
             raise failed
         return silent.isdisjoint(self._heard) and (not due or silent != due)
-
-
-class Stops(Rest):
-    """Brings a robot of the car's family to rest by stops, also in the middle of a frame."""
-
-    tries = 5  # an opened Arduino resets, and boots for some seconds
-
-    def frames(self) -> tuple[bytes, ...]:
-        """The stops."""
-        return (stops(self._protocol),)
-
-    def after(self, state: State) -> State:
-        """The state after a stop."""
-        return self._protocol.stop.effect.apply(state)
-
-    def once(self) -> Procedure[bool]:
-        """Send the stops once; returns whether they were answered."""
-        return home_once(self._protocol)
-
-
-def rest_of(protocol: Protocol) -> Rest:
-    """How a device of this protocol is brought to rest."""
-    return Stops(protocol) if protocol.plain and protocol.stop_or_none else Rest(protocol)

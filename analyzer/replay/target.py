@@ -10,7 +10,7 @@ import msgspec
 
 from bilprov.analyzer.client.operations import LinkListener, done, send
 from bilprov.analyzer.client.port_link import PortLink
-from bilprov.analyzer.client.rest import nobody_words, rest_of
+from bilprov.analyzer.client.rest import Rest, nobody_words
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.transport.errors import LinkError
@@ -50,7 +50,7 @@ class Target(Closing, LinkListener):
         self._instructed = 0.0  # when the last instruction was sent (s)
         self._heard = heard
         self._protocol = protocol
-        self._rest = rest_of(protocol)
+        self._rest = Rest(protocol)
         self._port = port
         self._link = PortLink(port, tap=self)
         self._stopper = stopper
@@ -199,8 +199,7 @@ class Target(Closing, LinkListener):
 
     def _halt(self) -> None:
         self._halted = True
-        with contextlib.suppress(LinkError):
-            self._port.write(b"".join(self._rest.frames()))
+        self._rest.halt(self._port)
 
     def _show(self, records: Iterable[Record]) -> None:
         for record in records:

@@ -14,7 +14,7 @@ from pathlib import Path
 from bilprov.analyzer.client.operations import Link, LinkListener
 from bilprov.analyzer.client.port_link import PortLink, Power
 from bilprov.analyzer.client.probes import NONE, Probe, look_time, open_probe
-from bilprov.analyzer.client.rest import halt
+from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
 from bilprov.analyzer.transport.machine import Machine
@@ -217,6 +217,6 @@ def _port_target(
         protocol,
         Environment(False, observability, power is not None, port.name, about),
         connect=lambda listener: PortLink(port, probe, stopper, listener, power, reconnect),
-        halt=partial(halt, protocol, port),
+        halt=partial(Rest(protocol).halt, port),
         remark=lambda: probe.remark if probe is not None else "",
     )

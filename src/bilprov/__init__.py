@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from bilprov.analyzer.api import judge as judge
     from bilprov.analyzer.api import read_capture as read_capture
     from bilprov.analyzer.api import sniff as sniff
-    from bilprov.analyzer.client.device import Device as Device
     from bilprov.analyzer.client.driver import NoAnswer as NoAnswer
     from bilprov.analyzer.client.driver import Refused as Refused
     from bilprov.analyzer.client.driver import RobotError as RobotError
+    from bilprov.analyzer.client.port_driver import Device as Device
     from bilprov.analyzer.client.robot import Robot as Robot
     from bilprov.analyzer.grammar_file import load_protocol as load_protocol
     from bilprov.analyzer.transport.errors import LinkError as LinkError
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "bilprov.__main__": "main",
     "bilprov.analyzer.api": "Look decode encode explain judge read_capture sniff",
-    "bilprov.analyzer.client.device": "Device",
+    "bilprov.analyzer.client.port_driver": "Device",
     "bilprov.analyzer.client.driver": "NoAnswer Refused RobotError",
     "bilprov.analyzer.client.robot": "Robot",
     "bilprov.analyzer.grammar_file": "load_protocol",

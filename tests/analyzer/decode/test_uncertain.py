@@ -18,7 +18,7 @@ import pytest
 
 from bilprov.analyzer import api
 from bilprov.analyzer.cli.options import above_latency
-from bilprov.analyzer.client import device as of_device
+from bilprov.analyzer.client import port_driver as of_device
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
