@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from bilprov.analyzer.transport.port import open_pty
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port, open_pty
 
 _SLOW = 0.01  # s that a byte takes whose reader is slow
 _DRAINED = 0.06  # s without a byte, after which none is on its way

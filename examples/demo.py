@@ -20,8 +20,7 @@ import click
 
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.spec.framing import Framer
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import ERRATA, EXAMPLES

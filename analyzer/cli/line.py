@@ -12,8 +12,8 @@ from bilprov.analyzer.cli.command import argument, command, group, option, proto
 from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, note, only_for_ports
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.taps.relay import PTY, ImpairedDirection, Noise, join, open_end
+from bilprov.analyzer.transport.machine import same_line
 from bilprov.analyzer.transport.port import PtyPair
-from bilprov.analyzer.transport.ports import same_line
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from bilprov.analyzer.doctor.finding import Finding
-    from bilprov.analyzer.transport.ports import PortInfo
+    from bilprov.analyzer.transport.machine import PortInfo
 
 
 class PortsOptions(msgspec.Struct, frozen=True):
@@ -85,7 +85,7 @@ def ports(options: PortsOptions) -> int:
 
 def _list(*, as_json: bool) -> None:
     """List the ports of this machine."""
-    from bilprov.analyzer.transport.ports import list_ports
+    from bilprov.analyzer.transport.machine import list_ports
 
     found = list_ports()
     if as_json:

@@ -261,7 +261,7 @@ class _Replay:
         """Send the host bytes of the window, compare the answers, and return the exit code."""
         from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS, Exchanges
         from bilprov.analyzer.replay.target import Target, scaled_timeout
-        from bilprov.analyzer.transport.ports import open_port
+        from bilprov.analyzer.transport.port import open_port
 
         protocol, options = self.protocol, self.options
         recorded, now = Exchanges(), Exchanges()

@@ -175,7 +175,7 @@ class PortName(click.ParamType):  # type: ignore[type-arg]  # takes arguments si
         """The devices of the settings and the ports of this machine, or files: what begins so."""
         from click.shell_completion import CompletionItem
 
-        from bilprov.analyzer.transport.ports import list_ports
+        from bilprov.analyzer.transport.machine import list_ports
 
         known = {port.path: port.description for port in list_ports()}
         for table, device in ctx.meta.get(META, {}).items():

@@ -32,8 +32,7 @@ from bilprov.analyzer.grammar_file import given_protocol
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Machine
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.analyzer.transport.signals import (
     SUSPENDING,
     Stopper,

@@ -25,8 +25,8 @@ from bilprov.analyzer.transport.errors import (
     path_in,
 )
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.machine import MODEM_MANAGER, Held, Machine
-from bilprov.analyzer.transport.ports import open_port, paths_here
+from bilprov.analyzer.transport.machine import MODEM_MANAGER, Held, Machine, paths_here
+from bilprov.analyzer.transport.port import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Direction, Line
 from bilprov.captures.text import quantity
@@ -70,7 +70,7 @@ def _terminal(port: Subject) -> Finding | None:
         return None
     folder = port.machine.file(port.machine.device(port.name)).is_dir()
     error = OSError(errno.EISDIR if folder else errno.ENOTTY, "")
-    return refused("serial port", opening_failed(port.name, error, "", ()))
+    return refused("serial port", opening_failed(port.name, error, ""))
 
 
 def _permission(port: Subject) -> Finding:

@@ -19,10 +19,8 @@ from random import Random
 from typing import TypeAlias
 
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Forward, Port, PtyPair, open_port, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 
 

@@ -14,11 +14,9 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.machine import Machine
-from bilprov.analyzer.transport.port import Openings, Port, open_pty
-from bilprov.analyzer.transport.ports import open_port, same_line
+from bilprov.analyzer.transport.machine import Machine, same_line
+from bilprov.analyzer.transport.port import Forward, Openings, Port, open_port, open_pty
 from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
 from bilprov.captures.schemas import Chunk, Direction, Line

@@ -9,7 +9,7 @@ from pathlib import Path
 from shlex import quote
 from urllib.parse import urlsplit
 
-from bilprov.analyzer.transport.machine import Held, Machine
+from bilprov.analyzer.transport.machine import Held, Machine, paths_here
 from bilprov.captures.text import near
 from bilprov.spec.errors import UserError, one_line
 
@@ -126,25 +126,23 @@ def busy(name: str, held: Held, machine: Machine) -> LinkError:
 
 
 # What is said with the help of the machine: who holds the port, whose it is, what else there is.
-_EXPLAINED: dict[int, Callable[[str, Sequence[str], Machine], LinkError]] = {
-    errno.ENOENT: missing,
-    errno.EACCES: lambda name, _, machine: denied(name, machine),
-    errno.EBUSY: lambda name, _, machine: busy(name, machine.held(name)[name], machine),
+_EXPLAINED: dict[int, Callable[[str, Machine], LinkError]] = {
+    errno.ENOENT: lambda name, machine: missing(name, paths_here(), machine),
+    errno.EACCES: denied,
+    errno.EBUSY: lambda name, machine: busy(name, machine.held(name)[name], machine),
 }
 
 
-def opening_failed(
-    name: str, error: BaseException, settings: str, ports_here: Sequence[str]
-) -> LinkError:
+def opening_failed(name: str, error: BaseException, settings: str) -> LinkError:
     """Return a LinkError that says why `name` could not be opened.
 
-    `settings` is the line as text, like `115200 8N1`; `ports_here` are the paths that could be
-    opened instead. pyserial often drops the error number, so the whole chain of causes is searched.
+    `settings` is the line as text, like `115200 8N1`. pyserial often drops the error number, so the
+    whole chain of causes is searched.
     """
     number, cause = _cause(error)
     path = path_in(name)
     if number in _EXPLAINED and path is not None:
-        return _EXPLAINED[number](path, ports_here, Machine())
+        return _EXPLAINED[number](path, Machine())
     if _is_remote(name) and number in (errno.EIO, errno.EBUSY):
         number = errno.EHOSTUNREACH
     if number is None and isinstance(cause, TimeoutError):

@@ -271,6 +271,75 @@ class Machine:
         return _text(self.file(path))
 
 
+@dataclass(frozen=True, slots=True, order=True)
+class PortInfo:
+    """A serial port of this machine, and what the system tells of it.
+
+    `likely` is true for a USB adapter or board, where a robot is probably connected; `usb` is its
+    vendor and product id in hex. `by_id` is the path that stays when adapters are plugged in anew,
+    `latency_ms` for how long the adapter holds bytes back, None where it has no such timer.
+    `holders` have the port open; `unseen` processes cannot be looked into, so one may too.
+    """
+
+    path: str
+    description: str
+    hardware_id: str
+    likely: bool
+    usb: str = ""
+    serial_number: str = ""
+    by_id: str = ""
+    driver: str = ""
+    latency_ms: int | None = None
+    holders: tuple[Process, ...] = ()
+    unseen: int = 0
+
+
+def list_ports() -> list[PortInfo]:
+    """Return the serial ports of this machine, sorted by path; ptys and URLs are not among them."""
+    machine = Machine()
+    found = _devices(machine)
+    held = machine.held(*found) if found else {}
+    return sorted(
+        PortInfo(
+            path=path,
+            description="" if port.description == "n/a" else port.description or "",
+            hardware_id="" if port.hwid == "n/a" else port.hwid or "",
+            likely=port.vid is not None,
+            usb="" if port.vid is None else f"{port.vid:04x}:{port.pid or 0:04x}",
+            serial_number=port.serial_number or "",
+            by_id=machine.by_id(path),
+            driver=machine.driver(path),
+            latency_ms=machine.latency_timer(path),
+            holders=held[path].holders,
+            unseen=held[path].unseen,
+        )
+        for path, port in found.items()
+    )
+
+
+def _devices(machine: Machine) -> dict[str, Any]:
+    """What pyserial tells of each serial port, by its path."""
+    from serial.tools import list_ports as serial_ports  # which takes 10 ms to load
+
+    found = serial_ports.comports()
+    return {port.device: port for port in found if not machine.no_hardware(port.device)}
+
+
+def paths_here() -> list[str]:
+    """Return the paths of the serial ports of this machine; looks into no process."""
+    try:
+        return sorted(_devices(Machine()))
+    except (OSError, TypeError, ValueError):  # an adapter was unplugged while its files were read
+        return []
+
+
+def same_line(one: str, other: str) -> bool:
+    """Whether two names of ports mean the same line, also through a symbolic link."""
+    if one == other:
+        return True
+    return "://" not in one + other and os.path.realpath(one) == os.path.realpath(other)
+
+
 def _usb(folder: Path) -> UsbDevice | None:
     vendor = _text(folder / "idVendor")
     if not vendor:

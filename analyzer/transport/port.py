@@ -1,7 +1,7 @@
-"""An open port: non-blocking reads, complete writes, error counts. Every fault is a LinkError.
+"""Opens ports: non-blocking reads, complete writes, error counts. Every fault is a LinkError.
 
 And a pseudo terminal (pty) in raw mode, which a host program opens as its port, and its openings.
-At a port that raises DTR an opening resets an Arduino.
+At a port that raises DTR an opening resets an Arduino. The only module that uses pyserial to open.
 """
 
 from __future__ import annotations
@@ -19,16 +19,21 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
 from typing import Any
+from urllib.parse import urlsplit
+
+import serial
 
 from bilprov.analyzer.transport.errors import (
     LinkError,
     first_bytes,
     link_lost,
+    opening_failed,
     writing_failed,
 )
-from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.captures.closing import Closing
 
 WRITE_TIMEOUT = 1.0  # s without a single byte taken
@@ -249,6 +254,73 @@ class Port(Closing):
             raise LinkError(f"{self.name} is closed")
 
 
+def open_port(name: str, settings: LineSettings | None = None) -> Port:
+    """Open a path or a pyserial URL (`socket://HOST:PORT`, `rfc2217://`, `loop://`, `spy://PATH`).
+
+    The port is in raw mode with 8 bits, no flow control, and non-blocking. A path is locked
+    (advisory lock). pyserial raises DTR and RTS, which resets an Arduino. `settings` are the
+    built-in grammar's unless given; they have no effect on `socket://`. Raises LinkError.
+    """
+    if settings is None:
+        from bilprov.analyzer.grammar_file import load_protocol
+
+        settings = line_settings(load_protocol())
+    _require_address(name)
+    try:
+        with warnings.catch_warnings():
+            # pyserial's rfc2217 names its thread in a deprecated way.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            handle: Any = serial.serial_for_url(
+                name,
+                baudrate=settings.baud,
+                # A pty has no parity: asked for it again, the kernel refuses it.
+                parity="N" if is_pty(name) else settings.parity,
+                stopbits=settings.stopbits,
+                timeout=0,
+                # rfc2217 knows no write time-out; its socket has one (below).
+                write_timeout=None if name.lower().startswith("rfc2217:") else WRITE_TIMEOUT,
+                exclusive=True,
+            )
+    except Exception as error:  # URL handlers raise any type of error (KeyError, TypeError)
+        raise opening_failed(name, error, str(settings)) from error
+    port = Port(name, settings, handle)
+    try:
+        sock = getattr(handle, "_socket", None)
+        if sock is not None:
+            # Without this option bytes that follow an answer arrive up to 43 ms late, in pieces.
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            sock.settimeout(WRITE_TIMEOUT)
+        elif os.isatty(port.fileno()):
+            _ignore_break_signal(port.fileno())
+    except FAULTS as error:
+        port.close()
+        raise opening_failed(name, error, str(settings)) from error
+    return port
+
+
+def _require_address(name: str) -> None:
+    """Raise LinkError for a network URL without host and port; pyserial's message is unclear."""
+    if not name.lower().startswith(("socket://", "rfc2217://")):
+        return
+    try:
+        parts = urlsplit(name)
+        complete = bool(parts.hostname) and parts.port is not None
+    except ValueError:  # a port that is no number, or too large
+        complete = False
+    if not complete:
+        raise LinkError(
+            f"{name} is not a usable address; write it like {name.split('://')[0]}://127.0.0.1:5000"
+        )
+
+
+def _ignore_break_signal(fd: int) -> None:
+    """Clear BRKINT, which pyserial leaves unchanged: with it a break discards pending input."""
+    attributes = termios.tcgetattr(fd)
+    if attributes[0] & termios.BRKINT:
+        attributes[0] &= ~termios.BRKINT
+        termios.tcsetattr(fd, termios.TCSANOW, attributes)
+
+
 def is_pty(name: str) -> bool:
     """Whether a path is a pty, also through a link; false for one that was just removed."""
     try:
@@ -368,3 +440,62 @@ class Openings(Closing):
         """Watch no longer; further calls do nothing."""
         while self.descriptors:
             os.close(self.descriptors.pop())
+
+
+_BACKLOG_LIMIT = 1 << 16  # bytes
+_STUCK_AFTER = 1_000_000_000  # ns without a byte taken
+
+
+class Forward:
+    """A bounded queue of bytes for a peer: at most 64 KiB, and 1 s for a peer that takes nothing.
+
+    What exceeds these limits is dropped, since old bytes would only confuse a program that starts
+    to read later. `write_some` writes without waiting and returns the number of bytes taken;
+    `complaint` says in words what it means when it takes none.
+    """
+
+    def __init__(self, write_some: Callable[[bytes], int], complaint: str) -> None:
+        self._write_some = write_some
+        self._complaint = complaint
+        self._backlog = bytearray()
+        self._taken_at = 0  # ns: when the peer last took bytes, or none were waiting
+        self._stuck = False  # the peer took nothing for too long, and nothing since then
+        self._told = False
+
+    @property
+    def owed(self) -> bool:
+        """Whether bytes wait that the peer has not taken yet."""
+        return bool(self._backlog)
+
+    def push(self, data: bytes, now: int) -> str:
+        """Forward the waiting bytes and `data` at `now` (ns); return a sentence if some are lost.
+
+        Otherwise return "". There is one sentence each time a peer falls behind, not one per drop.
+        """
+        if not self._backlog:
+            self._taken_at = now
+        self._backlog += data
+        complaint = self._complaint
+        count = 0
+        if self._backlog:
+            try:
+                count = self._write_some(bytes(self._backlog))
+            except LinkError as error:  # the peer will take nothing any more
+                complaint, self._stuck = str(error), True
+        if count:
+            del self._backlog[:count]
+            self._taken_at, self._stuck = now, False
+        if not self._backlog:
+            self._told = self._told and not count
+            return ""
+        return self._drop(now, complaint)
+
+    def _drop(self, now: int, complaint: str) -> str:
+        """Drop the bytes that are over the limits; return the sentence about it, or ""."""
+        self._stuck = self._stuck or now - self._taken_at >= _STUCK_AFTER
+        dropped = len(self._backlog) - (0 if self._stuck else _BACKLOG_LIMIT)
+        if dropped <= 0:
+            return ""
+        del self._backlog[-dropped:]
+        told, self._told = self._told, True
+        return "" if told else f"{complaint}; {dropped} bytes or more were not handed on"

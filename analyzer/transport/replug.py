@@ -11,8 +11,7 @@ from typing import TypeVar
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.analyzer.transport.machine import Machine
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.spec.errors import UserError
 
 T = TypeVar("T")

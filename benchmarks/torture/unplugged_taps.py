@@ -22,7 +22,7 @@ from random import Random
 from benchmarks.adapter import Plug
 from benchmarks.commands import bilprov_words, started
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.reader import open_capture

@@ -18,8 +18,7 @@ from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, line_named, line_settings
 from bilprov.analyzer.transport.machine import Machine
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.analyzer.transport.replug import Place
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS

@@ -11,7 +11,7 @@ import pytest
 from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.monitor.passive_judge import KEPT, MOVING, Findings, PassiveJudge
 from bilprov.analyzer.output.findings import sentences
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Direction, Line, Look
 from bilprov.captures.topics import CarLook

@@ -25,8 +25,7 @@ from bilprov.analyzer.client.probes import (
     open_probe,
     parse_look,
 )
-from bilprov.analyzer.transport.port import open_pty
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook

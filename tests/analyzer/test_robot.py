@@ -22,7 +22,7 @@ from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
 from bilprov.analyzer.client.operations import Ended, Operation
 from bilprov.analyzer.client.robot import Robot
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port
 from bilprov.analyzer.transport.signals import ENDINGS, SUSPENDING
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.simavr import SimavrBoard

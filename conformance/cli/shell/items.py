@@ -27,8 +27,7 @@ from bilprov.analyzer.replay.comparison import (
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.analyzer.transport.replug import Place, opened_again, opened_when_there
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk

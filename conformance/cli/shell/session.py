@@ -17,8 +17,7 @@ from bilprov.analyzer.cli.options import (
 from bilprov.analyzer.client.probes import NONE, Probe, open_probe
 from bilprov.analyzer.replay.comparison import UNANSWERED_STOPS
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.port import Port
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.cli.shell.driving import Driving
 from bilprov.conformance.cli.shell.options import SendOptions

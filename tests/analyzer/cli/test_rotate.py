@@ -16,8 +16,7 @@ from bilprov.analyzer.output.outputs import Output, Shown
 from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, Rotation
-from bilprov.analyzer.transport.port import open_pty
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port, open_pty
 from bilprov.captures.parts import part_path, part_paths
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk

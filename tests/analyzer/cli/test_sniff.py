@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from bilprov.analyzer.transport.port import PtyPair, open_pty
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import PtyPair, open_port, open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Line
 from bilprov.spec.codec import judge

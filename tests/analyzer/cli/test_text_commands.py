@@ -18,8 +18,7 @@ from rich.console import Console
 
 from bilprov.analyzer.cli.failures import interrupts_kept
 from bilprov.analyzer.cli.ports import drawn
-from bilprov.analyzer.transport.machine import Process
-from bilprov.analyzer.transport.ports import PortInfo
+from bilprov.analyzer.transport.machine import PortInfo, Process
 from tests.support import ROOT
 from tests.support.commands import command, process
 from tests.support.grammars import mutated

@@ -16,7 +16,7 @@ from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.replay.comparison import AnswerCheck
 from bilprov.analyzer.simulated.device import SimulatedDevice
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank

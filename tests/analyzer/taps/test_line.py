@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.taps.relay import ImpairedDirection, Noise
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port
 from tests.support.commands import command
 from tests.support.robots import simulate, unwell
 from tests.support.wires import PATIENCE, Running, running

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port
 from tests.support.commands import command
 from tests.support.robots import PATIENCE, simulate, unwell
 from tests.support.wires import running

@@ -25,10 +25,8 @@ from bilprov.analyzer.taps.sources import (
     require_two_lines,
 )
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.forward import Forward
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import Forward, Port, PtyPair, open_port, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.protocol import Protocol

@@ -20,8 +20,8 @@ import serial.rfc2217
 
 from bilprov.analyzer.transport.errors import LinkError, link_lost, opening_failed
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.port import Port, PtyPair, open_pty
-from bilprov.analyzer.transport.ports import list_ports, open_port
+from bilprov.analyzer.transport.machine import list_ports
+from bilprov.analyzer.transport.port import Port, PtyPair, open_port, open_pty
 from bilprov.spec.protocol import Protocol
 from tests.support import ROOT
 from tests.support.wires import master_gives, read_from
@@ -35,7 +35,7 @@ AS_NOBODY = """
 import os, sys
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port
 if os.geteuid() == 0:
     os.setgroups([]); os.setegid(65534); os.seteuid(65534)
 try:
@@ -298,7 +298,7 @@ def test_a_port_in_use(pty: PtyPair, port: Port) -> None:
 
 def test_a_port_in_use_by_another_program_says_which_and_how_to_end_it(pty: PtyPair) -> None:
     code = (
-        "import sys; from bilprov.analyzer.transport.ports import open_port\n"
+        "import sys; from bilprov.analyzer.transport.port import open_port\n"
         "port = open_port(sys.argv[1]); print(flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(
@@ -390,7 +390,7 @@ def test_a_name_that_is_no_port_is_said_with_its_reason(name: str, reason: str) 
 @pytest.mark.parametrize("number", [errno.ENXIO, errno.ENODEV, errno.EIO])
 def test_numbers_of_a_device_that_is_not_there_mean_one_thing(number: int) -> None:
     error = OSError(number, "x")
-    assert "no device behind it" in str(opening_failed("/dev/ttyUSB0", error, "", []))
+    assert "no device behind it" in str(opening_failed("/dev/ttyUSB0", error, ""))
     assert "/dev/ttyUSB0 disappeared" in str(link_lost("/dev/ttyUSB0", error))
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import pytest
 
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import open_port
 from bilprov.analyzer.transport.server import (
     address_of,
     listening,

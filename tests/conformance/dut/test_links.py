@@ -28,8 +28,7 @@ from bilprov.analyzer.client.operations import (
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.probes import Probe, open_probe
 from bilprov.analyzer.transport.line_settings import line_settings
-from bilprov.analyzer.transport.port import PtyPair, open_pty
-from bilprov.analyzer.transport.ports import open_port
+from bilprov.analyzer.transport.port import PtyPair, open_port, open_pty
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS, Look
 from bilprov.captures.topics import CarLook
