@@ -38,7 +38,7 @@ from bilprov.analyzer.cli.settings import (
 from bilprov.analyzer.cli.typed_input import bytes_or_pause
 from bilprov.analyzer.client.probes import ProbeError, parse_look
 from bilprov.analyzer.files import LARGEST_NUMBER, LONGEST_TEXT, from_json, from_toml
-from bilprov.analyzer.filters.values import instant
+from bilprov.analyzer.filters.fields import instant
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.row_columns import ColumnError, chosen_columns, columns_of
 from bilprov.analyzer.transport.line_settings import line_named

@@ -141,9 +141,9 @@ class HostRows:
     `t`, `end` and `known` (ns) are the times of the first and the last byte, and when it was known
     that no more follow. A row has `size` bytes of `data` from `offset` on. `kind` is a place in
     `KINDS`, `verdict` one in `OUTCOMES` or NO_VERDICT, `sequence` the instruction's number or -1.
-    `reasons` gives the reasons why some rows are faulty. `header` is the key of each row, as
-    `Judgement.key`, whose ID is in `Protocol.keys`. `due` tells to which an answer is due; None: to
-    every frame. Those that may not be one frame are `uncertain`.
+    `samples` gives records of some rows (with a state that may be another). `header` is the key of
+    each row, as `Judgement.key`, whose ID is in `Protocol.keys`. `due` tells to which an answer is
+    due; None: to every frame. Those that may not be one frame are `uncertain`.
     """
 
     t: NDArray[np.int64]
@@ -156,7 +156,7 @@ class HostRows:
     verdict: NDArray[np.uint8]
     sequence: NDArray[np.int64]
     states: StateColumns
-    reasons: Callable[[NDArray[np.int64]], Sequence[str]]
+    samples: Callable[[NDArray[np.int64]], Sequence[HostRecord]]
     header: NDArray[np.uint8]
     due: Mask | None
     uncertain: Mask
@@ -393,7 +393,7 @@ class Records(Batch):
             verdict=_verdicts(judged),
             sequence=_numbers([record.sequence for record in listed]),
             states=_states_of(listed),
-            reasons=lambda rows: [listed[row].reason for row in rows.tolist()],
+            samples=lambda rows: [listed[row] for row in rows.tolist()],
             header=np.array([one.key if one else 255 for one in judged], np.uint8),
             due=np.array([bool(one and one.answer_due) for one in judged], np.bool_),
             uncertain=np.array([record.uncertain for record in listed], np.bool_),

@@ -110,7 +110,7 @@ class ColumnBatch(Batch):
             verdict=self.requests.verdict,
             sequence=self.first + np.arange(count),
             states=StateColumns(timelines.kind, count, lambda name: timelines[name][1:]),
-            reasons=lambda rows: [one.reason for one in alone._judgements(rows)],
+            samples=alone._host_samples,
             header=tables.keys.take(self.requests.kind),
             due=tables.due(self.data, self.requests),
             uncertain=np.broadcast_to(np.False_, count),
@@ -184,8 +184,9 @@ class ColumnBatch(Batch):
             np.arange(len(places)) if chosen is None else np.flatnonzero(mask)
             for places, mask in zip(self.places, chosen or self.places, strict=True)
         )
-        made: list[Record] = [*self._host_records(hosts)]
-        made += self._answers(devices, self._timelines.states.take(self.after[devices]).tolist())
+        states = self._timelines.states
+        made: list[Record] = [*self._host_records(hosts, states.take(hosts + 1).tolist())]
+        made += self._answers(devices, states.take(self.after[devices]).tolist())
         made += [self.others.listed[row] for row in others.tolist()]
         rows = (hosts, devices, others)
         places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
@@ -203,21 +204,24 @@ class ColumnBatch(Batch):
         """
         return copy(self)
 
-    def _host_records(self, rows: NDArray[np.int64]) -> Iterator[HostRecord]:
-        hosts = self.hosts
-        end = objects(hosts.end[rows])
+    def _host_records(self, rows: NDArray[np.int64], states: list[State]) -> Iterator[HostRecord]:
+        """The records of some of the host's rows, in these states."""
+        end = objects(self.end[rows])
         judged = self._judgements(rows).tolist()
         return map(
             HostRecord,
-            objects(hosts.t[rows]),
+            objects(self.start[rows]),
             end,
             end,
             repeat("instruction"),
             map(attrgetter("frame"), judged),
             judged,
-            hosts.sequence[rows].tolist(),
-            self._timelines.states.take(rows + 1).tolist(),
+            (self.first + rows).tolist(),
+            states,
         )
+
+    def _host_samples(self, rows: NDArray[np.int64]) -> list[HostRecord]:
+        return [*self._host_records(rows, [self.before.state] * len(rows))]
 
     def _samples(self, rows: NDArray[np.int64]) -> list[DeviceRecord]:
         return self._answers(rows, [self.before.state] * len(rows))

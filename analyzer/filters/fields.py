@@ -1,13 +1,19 @@
-"""The names that a filter knows: what kind of value each has, its limits, and the values' names."""
+"""The names that a filter knows: what kind of value each has, its limits, and the values' names.
+
+And what moments and units of time mean.
+"""
 
 from __future__ import annotations
 
+import time
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
+from datetime import time as clock
 from enum import StrEnum
 from functools import lru_cache
-from typing import TypeAlias, get_args
+from typing import NamedTuple, TypeAlias, get_args
 
 from bilprov.analyzer.decode.anomalies import KINDS, LINE_SEVERITY
 from bilprov.analyzer.decode.json_lines import OUTCOME_WORDS
@@ -48,6 +54,14 @@ SIGNS: Mapping[Kind, tuple[str, ...]] = {
 }
 """The signs behind a name of each kind. A number with names of values has `contains` too."""
 
+_EXAMPLES = {
+    Kind.SECONDS: "> 20ms",
+    Kind.CLOCK: "> 14:03:20",
+    Kind.TEXT: "contains 'late'",
+    Kind.BYTES: "contains 11 ff",
+}
+_MOST_LISTED = 12  # values that a sentence lists
+
 
 @dataclass(frozen=True, slots=True)
 class Field:
@@ -83,6 +97,30 @@ class Field:
             return self.words[word]
         same = folded(word)
         return next((value for name, value in self.words.items() if folded(name) == same), None)
+
+    @property
+    def kind_of(self) -> str:
+        """What kind of value it has, in words."""
+        if self.kind is Kind.WORD:
+            return f"a word like {next(iter(self.words))}"
+        named = self.kind is Kind.NUMBER and self.words
+        return f"{self.kind} or a name like {next(iter(self.words))}" if named else str(self.kind)
+
+    @property
+    def example(self) -> str:
+        """A condition with it."""
+        if self.kind is Kind.WORDS:
+            return f"{self.name} contains {next(iter(self.words))!r}"
+        if self.words:
+            return f"{self.name} == {next(iter(self.words))}"
+        return f"{self.name} {_EXAMPLES.get(self.kind, f'> {self.low or 0}')}"
+
+    @property
+    def listed(self) -> str:
+        """The names of its values, as many as fit into a sentence."""
+        words = list(self.words)
+        more = f" and {len(words) - _MOST_LISTED} more" if len(words) > _MOST_LISTED else ""
+        return ", ".join(words[:_MOST_LISTED]) + more
 
 
 def folded(word: str) -> str:
@@ -231,3 +269,43 @@ _TRUTH: Mapping[str, Value] = {"true": True, "false": False}
 
 # The anomalies without bytes of their own: of their rows, `name` is the kind.
 _ROWS_OF_THEIR_OWN = ("unanswered", *LINE_SEVERITY)
+
+
+SECOND = 1_000_000_000  # ns
+DAY = 86_400 * SECOND  # ns
+STEP = 900 * SECOND
+"""Ns between the moments at which a time zone may change its offset: all do at a quarter."""
+
+
+class Instant(NamedTuple):
+    """A moment in ns: since midnight if it is `daily`, or else since 1970."""
+
+    daily: bool
+    ns: int
+
+
+def instant(text: str) -> Instant | None:
+    """The moment that is written as `14:03:20`, `2026-11-22 14:03:20` or `2026-11-22`.
+
+    Minutes are enough, and microseconds count. A date is local, unless `Z` or an offset like
+    `+02:00` stands behind it. None for what is no moment.
+    """
+    try:
+        if "-" in text[:5]:
+            since = datetime.fromisoformat(text).timestamp()
+            return Instant(False, round(since * 1e6) * 1000)
+        at = clock.fromisoformat(f"0{text}" if text[1:2] == ":" else text)
+    except (ValueError, OverflowError, OSError):
+        return None
+    seconds = (at.hour * 60 + at.minute) * 60 + at.second
+    return None if at.tzinfo else Instant(True, seconds * SECOND + at.microsecond * 1000)
+
+
+@lru_cache(maxsize=4096)
+def offset(step: int) -> int:
+    """How far (ns) local time is ahead of UTC from a moment on: a number of STEPs since 1970."""
+    return time.localtime(step * STEP // SECOND).tm_gmtoff * SECOND
+
+
+UNITS: Mapping[str, int] = {"us": -6, "ms": -3, "s": 0, "µs": -6, "μs": -6}  # both letters mu
+"""The units of time, each as the power of ten that it is of a second."""

@@ -1,20 +1,35 @@
 """Compiles filter expressions (`--filter EXPR`) and asks which rows of a batch pass.
 
-A parsed filter is checked against a protocol, and turned into a tree of plain values, whose meaning
-for rows stands in `masks`. A value that a name can never have is a mistake: the error says what was
-meant. A row that lacks a value passes no comparison with it.
+A parsed filter is checked against a protocol, and becomes a test of columns (`masks`). A value that
+a name can never have is a mistake: the error says what was meant. A whole number is an int, seconds
+are in s. A row that lacks a value passes no comparison with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NoReturn
+from decimal import Decimal
+from typing import TYPE_CHECKING, NoReturn
 
-from bilprov.analyzer.filters import tree, values
-from bilprov.analyzer.filters.fields import Field, Kind, by_folded, bytes_names, find, folded
-from bilprov.analyzer.filters.syntax import Part, parse
-from bilprov.analyzer.filters.values import Instant, kind_of, owners, refuse, refuse_part, shown
+from bilprov.analyzer.filters import masks
+from bilprov.analyzer.filters.fields import (
+    UNITS,
+    Field,
+    Instant,
+    Kind,
+    Value,
+    by_folded,
+    bytes_names,
+    fields_of,
+    find,
+    folded,
+    instant,
+)
+from bilprov.analyzer.filters.masks import DATE, TIME_OF_DAY, Operand, Test
+from bilprov.analyzer.filters.syntax import TEXTS, Part, octets_of, parse, refuse, refuse_part
+from bilprov.captures.text import near
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -23,43 +38,50 @@ if TYPE_CHECKING:
 
 _TURNED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
 _TURNED |= {"in": "contains", "not in": "not contains"}
+_WHAT = {
+    "number": "a number",
+    "quoted": "text",
+    "moment": "a time of day",
+    "bytes": "bytes",
+    "item": "a byte of the row",
+    "bits": "bits of the row",
+}
+_LARGEST = 1e30
 
 
 class _Checker:
-    """Checks the parts of one filter."""
+    """Checks the parts of one filter. Its methods raise FilterError."""
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
 
     # Conditions
 
-    def condition(self, part: Part) -> tree.Node:
-        """What is true or false by itself. Raises FilterError."""
+    def condition(self, part: Part) -> Test:
+        """What is true or false by itself."""
         match part.kind:
             case "and" | "or":
-                return tree.Joined(part.kind == "and", tuple(map(self.condition, part.parts)))
+                return masks.joined([*map(self.condition, part.parts)], part.kind == "and")
             case "not":
-                return tree.Not(self.condition(part.parts[0]))
+                return masks.negated(self.condition(part.parts[0]))
             case "compared":
                 operands, signs = part.parts[::2], part.parts[1::2]
-                return _joined(True, map(self._comparison, operands, signs, operands[1:]))
-        if self._field(part) is None:
-            self._refuse_value(part)
+                return masks.joined([*map(self._comparison, operands, signs, operands[1:])], True)
         operand, field = self._operand(part)
-        if isinstance(operand, tree.Bits):
-            return tree.Comparison(operand, "!=", tree.Constant(0))
+        if part.kind == "bits":
+            return masks.compared(operand, "!=", 0)
         if field.kind is not Kind.TRUTH:
-            example = values.example(field)
-            refuse_part(part, f"is {kind_of(field)}, not a condition: compare it, like {example}")
-        return tree.Comparison(operand, "==", tree.Constant(True))
+            kind = field.kind_of
+            refuse_part(part, f"is {kind}, not a condition: compare it, like {field.example}")
+        return masks.compared(operand, "==", True)
 
-    def _comparison(self, left: Part, sign: Part, right: Part) -> tree.Node:
+    def _comparison(self, left: Part, sign: Part, right: Part) -> Test:
         left, right = self._beside(left, right), self._beside(right, left)
         one, other = self._field(left), self._field(right)
         # A word that names a value of the other side is one: `name == speed`.
-        if one and values.named(right, one) is not None:
+        if one and _named(right, one) is not None:
             other = None
-        elif other and values.named(left, other) is not None:
+        elif other and _named(left, other) is not None:
             one = None
         if one and other and one.kind is not Kind.TEXT and not sign.text.endswith("contains"):
             return self._two_fields(left, sign, right)
@@ -77,84 +99,81 @@ class _Checker:
             return part._replace(text=field.name) if field else part
         return part
 
-    def _two_fields(self, left: Part, sign: Part, right: Part) -> tree.Node:
+    def _two_fields(self, left: Part, sign: Part, right: Part) -> Test:
         (operand, one), (with_operand, other) = self._operand(left), self._operand(right)
-        self._require_sign(one, sign)
+        _require_sign(one, sign)
         if sign.text.endswith("in") or one.kind is other.kind is Kind.BYTES:
             refuse_part(right, f"is a name of the row, and {sign.text} takes values")
         if one.kind is not other.kind:
-            kinds = f"{one.name} is {kind_of(one)}, {other.name} is {kind_of(other)}"
+            kinds = f"{one.name} is {one.kind_of}, {other.name} is {other.kind_of}"
             refuse(right, f"{kinds}: these never meet")
-        if operand == with_operand:
+        if one == other:
             refuse(right, "both sides are the same")
-        return tree.Comparison(operand, sign.text, with_operand)
+        return masks.alike(operand, sign.text, with_operand)
 
-    def _with_value(self, left: Part, sign: Part, right: Part) -> tree.Node:
+    def _with_value(self, left: Part, sign: Part, right: Part) -> Test:
         """A comparison of a field with what is the same in all rows."""
         operand, field = self._operand(left)
-        self._require_sign(field, sign)
+        _require_sign(field, sign)
         if sign.text.endswith("contains"):
             return self._containing(operand, field, sign, right)
         if not sign.text.endswith("in"):
             return self._compared(operand, field, sign.text, right)
         if right.kind not in ("set", "range"):
-            refuse(right, f"in takes a set like {{{shown(right)}}} or a range like 1..2")
+            refuse(right, f"in takes a set like {{{right.shown}}} or a range like 1..2")
         several = right.parts if right.kind == "set" else (right,)
         return _among(sign, operand, [self._element(operand, field, part) for part in several])
 
-    def _compared(self, operand: tree.Operand, field: Field, sign: str, part: Part) -> tree.Node:
-        """A comparison with a value. Raises FilterError if it can never hold."""
-        found = values.value(self._protocol, part, field)
+    def _compared(self, operand: Operand, field: Field, sign: str, part: Part) -> Test:
+        """A comparison with a value that can hold."""
+        found = self._value(part, field)
         if isinstance(found, Instant):
-            key = tree.TIME_OF_DAY if found.daily else tree.DATE
-            return tree.Comparison(tree.Name(key), sign, tree.Constant(found.ns))
+            clock = masks.of_row(TIME_OF_DAY if found.daily else DATE)
+            return masks.compared(clock, sign, found.ns)
         if isinstance(found, int | float):
-            values.require_possible(field, sign, found, part)
-        return tree.Comparison(operand, sign, tree.Constant(found))
+            _require_possible(field, sign, found, part)
+        return masks.compared(operand, sign, found)
 
-    def _element(self, operand: tree.Operand, field: Field, part: Part) -> tree.Node:
+    def _element(self, operand: Operand, field: Field, part: Part) -> Test:
         """Whether it is one of a set: a value, or in a range of them."""
         if part.kind != "range":
             if field.kind is Kind.CLOCK:
                 refuse(part, "no row matches a moment exactly: write 14:03:20..14:03:21")
             return self._compared(operand, field, "==", part)
-        low, high = (values.value(self._protocol, end, field) for end in part.parts)
+        low, high = (self._value(end, field) for end in part.parts)
+        over_midnight = False
         if isinstance(low, Instant) and isinstance(high, Instant):
-            over_midnight = low.daily and high < low
+            over_midnight = low.daily and high.daily and high < low
             ordered = low.daily is high.daily and (low <= high or over_midnight)
         elif isinstance(low, int | float) and isinstance(high, int | float):
-            over_midnight, ordered = False, low <= high
+            ordered = low <= high
         else:
-            refuse(part, f"{field.name} is {kind_of(field)}, which has no ranges: name each value")
+            refuse(part, f"{field.name} is {field.kind_of}, which has no ranges: name each value")
         if not ordered:
-            refuse(part, f"the range ends at {shown(part.parts[1])}, before it begins")
-        ends = zip((">=", "<="), part.parts, strict=True)
-        return _joined(not over_midnight, (self._compared(operand, field, *end) for end in ends))
+            refuse(part, f"the range ends at {part.parts[1].shown}, before it begins")
+        first, last = part.parts
+        since = self._compared(operand, field, ">=", first)
+        return masks.joined([since, self._compared(operand, field, "<=", last)], not over_midnight)
 
-    def _containing(
-        self, operand: tree.Operand, field: Field, sign: Part, right: Part
-    ) -> tree.Node:
+    def _containing(self, operand: Operand, field: Field, sign: Part, right: Part) -> Test:
         if field.kind in (Kind.WORDS, Kind.BYTES):
-            read = values.word if field.kind is Kind.WORDS else values.value
-            found: Any = read(self._protocol, right, field)
+            words = field.kind is Kind.WORDS
+            found = self._word(right, field) if words else self._value(right, field)
             if not found:
                 refuse(right, "contains takes at least one byte, like 11 or 11 ff")
-            return tree.Comparison(operand, sign.text, tree.Constant(found))
-        if right.kind not in values.TEXTS or not right.text:
+            assert not isinstance(found, Instant)
+            return masks.compared(operand, sign.text, found)
+        if right.kind not in TEXTS or not right.text:
             refuse_part(right, f"is not a text; write {field.name} contains 'text'")
         if field.kind is Kind.TEXT:
-            return tree.Comparison(operand, sign.text, tree.Constant(right.text))
+            return masks.compared(operand, sign.text, right.text)
         same = folded(right.text)
         named = [value for word, value in field.words.items() if same in folded(word)]
         if not named:
-            refuse_part(right, f"is in no {field.name}; there are {values.listed(field)}")
+            refuse_part(right, f"is in no {field.name}; there are {field.listed}")
         # A row's word may be several, as of the flags of an answer.
         same_or_has = "contains" if field.kind is Kind.WORD else "=="
-        return _among(
-            sign,
-            operand,
-            [tree.Comparison(operand, same_or_has, tree.Constant(one)) for one in named],
-        )
+        return _among(sign, operand, [masks.compared(operand, same_or_has, v) for v in named])
 
     # Operands
 
@@ -166,65 +185,165 @@ class _Checker:
             return find(self._protocol, part.text)
         return self._operand(part)[1] if part.kind in ("item", "bits") else None
 
-    def _operand(self, part: Part) -> tuple[tree.Name | tree.Bits, Field]:
+    def _operand(self, part: Part) -> tuple[Operand, Field]:
         """What a part asks the row for, and as a field: its kind and its limits."""
         if part.kind == "item":
             of, index = part.parts
             _, field = self._operand(of)
-            place = values.whole_number(index)
-            if place is None or place < 0:
+            place = _number(index)
+            if not isinstance(place, int) or index.parts or place < 0:
                 refuse_part(index, f"is not a position: {field.name}[0] is the first byte")
-            byte = Field(shown(part), Kind.NUMBER, "a byte", low=0, high=255)
-            return tree.Name(field.key, place), byte
+            byte = Field(part.shown, Kind.NUMBER, "a byte", low=0, high=255)
+            return masks.of_row(field.key, place), byte
         if part.kind == "bits":
-            return self._bits(part)
+            left, right = part.parts
+            operand, field = self._operand(left)
+            if field.kind is not Kind.NUMBER or "&" not in field.signs:
+                refuse_part(left, f"is {field.kind_of}, and & takes whole numbers")
+            mask = self._value(right, field)
+            if not isinstance(mask, int) or not 0 < mask < 1 << 63:
+                refuse_part(right, "is not a mask; & takes a whole number like 4 or 0x80")
+            bits = Field(part.shown, Kind.NUMBER, "bits", low=0, high=mask)
+            return masks.masked(operand, mask), bits
         found = self._field(part)
         if found is None:
             self._refuse_value(part)
-        return tree.Name(found.key), found
+        return masks.of_row(found.key), found
 
-    def _bits(self, part: Part) -> tuple[tree.Bits, Field]:
-        left, right = part.parts
-        operand, field = self._operand(left)
-        if field.kind is not Kind.NUMBER or "&" not in field.signs:
-            refuse_part(left, f"is {kind_of(field)}, and & takes whole numbers")
-        mask = values.value(self._protocol, right, field)
-        if not isinstance(mask, int) or not 0 < mask < 1 << 63:
-            refuse_part(right, "is not a mask; & takes a whole number like 4 or 0x80")
-        assert isinstance(operand, tree.Name)
-        return tree.Bits(operand, mask), Field(shown(part), Kind.NUMBER, "bits", low=0, high=mask)
+    # Values
+
+    def _value(self, part: Part, field: Field) -> float | str | bytes | frozenset[str] | Instant:
+        """What a part stands for beside a field."""
+        match field.kind, part.kind:
+            case Kind.NUMBER | Kind.SECONDS, "number":
+                return _measured(part, field)
+            case Kind.BYTES, "bytes" | "quoted":
+                data = octets_of(part.text)
+                if data is None:
+                    refuse_part(part, f"is not hex; {field.name} is bytes, written like 11 ff")
+                return data
+            case Kind.TEXT, "word" | "quoted":
+                return part.text
+            case Kind.CLOCK, _:
+                moment = instant(part.text) if part.kind in ("moment", "quoted") else None
+                if moment is None:
+                    why = "is not a time of day like 14:03:20; seconds since the start are t"
+                    refuse_part(part, why)
+                return moment
+            case Kind.WORDS, _:
+                kinds = part.parts if part.kind == "set" else (part,)
+                return frozenset(str(self._word(kind, field)) for kind in kinds)
+        return self._word(part, field)
+
+    def _word(self, part: Part, field: Field) -> Value:
+        """The value of a field that a word names."""
+        known = _named(part, field)
+        if known is not None:
+            return known
+        if part.kind in TEXTS and field.words:
+            meant = near(part.text, field.words)
+            hint = f"did you mean {meant}?" if meant else f"there are {field.listed}"
+            refuse_part(part, f"is not a value of {field.name} in this grammar: {hint}")
+        if part.kind == "word":
+            self._refuse_unknown(part)
+        if part.kind in ("range", "set"):
+            refuse(part, "a set or a range follows in, like id in {1, 2} or t in 1s..2s")
+        what, kind = _WHAT.get(part.kind, "a condition"), field.kind_of
+        return refuse_part(part, f"is {what}, and {field.name} is {kind}: write {field.example}")
 
     # What is a mistake
 
-    def _require_sign(self, field: Field, sign: Part) -> None:
-        text = sign.text.removeprefix("not ")
-        if text not in field.signs:
-            known = values.example(field)
-            refuse(sign, f"{field.name} is {kind_of(field)}, without {text}: write {known}")
-
     def _refuse_value(self, part: Part) -> NoReturn:
-        """Refuse a value that stands where a name should. Raises FilterError."""
+        """Refuse a value that stands where a name should."""
         if part.kind == "word":
-            names = owners(self._protocol, part.text)
+            names = self._owners(part.text)
             if not names:
-                values.refuse_unknown(self._protocol, part)
-            refuse_part(part, f"is a value, not a condition: write {names[0]} == {shown(part)}")
+                self._refuse_unknown(part)
+            refuse_part(part, f"is a value, not a condition: write {names[0]} == {part.shown}")
         refuse_part(part, "asks nothing of the row: compare a name with it, like latency > 20ms")
 
+    def _refuse_unknown(self, part: Part) -> NoReturn:
+        """Refuse a word that is no name, and no value that fits."""
+        fields, known = fields_of(self._protocol), find(self._protocol, part.text)
+        if known is not None:
+            refuse_part(part, f"is {known.kind_of}, which does not fit here")
+        if owners := self._owners(part.text):
+            refuse_part(part, f"is a value of {owners[0]}, which does not fit here")
+        meant = near(part.text, [*fields, *(w for field in fields.values() for w in field.words)])
+        names = dict.fromkeys(f"{n.split('.')[0]}.*" if "." in n else n for n in fields)
+        hint = f"did you mean {meant}?" if meant else f"there are {', '.join(names)}"
+        refuse_part(part, f"is not a name here: {hint}")
 
-def _joined(every: bool, nodes: Iterable[tree.Node]) -> tree.Node:
-    """Conditions of which all must hold, or at least one."""
-    listed = tuple(nodes)
-    return listed[0] if len(listed) == 1 else tree.Joined(every, listed)
+    def _owners(self, text: str) -> list[str]:
+        """The names of which a word is a value, `name` first."""
+        fields = fields_of(self._protocol).values()
+        return sorted((f.name for f in fields if f.value_of(text) is not None), key="name".__ne__)
 
 
-def _among(sign: Part, operand: tree.Operand, elements: Sequence[tree.Node]) -> tree.Node:
+def _named(part: Part, field: Field) -> Value | None:
+    """The value of the field that a word names, in quotes or not; None if it names none."""
+    return field.value_of(part.text) if part.kind in TEXTS else None
+
+
+def _measured(part: Part, field: Field) -> float:
+    """The value of a number beside a field, in its unit."""
+    plain = _number(part)
+    if not part.parts:
+        return plain
+    (unit,) = part.parts
+    if field.kind is Kind.NUMBER:
+        refuse_part(unit, f"does not fit: {field.name} has no unit, so write {part.text}")
+    power = UNITS.get(unit.text)
+    if power is None:
+        refuse_part(unit, "is not a unit of time; there are us, ms and s")
+    # Read as one number: the nearest to it, as a row's time is the nearest to its nanoseconds.
+    written = plain if isinstance(plain, int) else part.text.replace("_", "")
+    return float(Decimal(written).scaleb(power))
+
+
+def _number(part: Part) -> float:
+    """A number without its unit; a whole one is an int."""
+    text = part.text.lower().replace("_", "")
+    try:
+        number: float = int(text, 10 if text.lstrip("+-").isdecimal() else 0)
+    except ValueError:
+        number = float(text)
+    if abs(number) > _LARGEST:
+        refuse_part(part, "is too large")
+    return int(number) if number == int(number) else number
+
+
+def _require_sign(field: Field, sign: Part) -> None:
+    text = sign.text.removeprefix("not ")
+    if text not in field.signs:
+        refuse(sign, f"{field.name} is {field.kind_of}, without {text}: write {field.example}")
+
+
+def _require_possible(field: Field, sign: str, number: float, part: Part) -> None:
+    """Refuse a number with which a comparison can never hold."""
+    low = -math.inf if field.low is None else field.low
+    high = math.inf if field.high is None else field.high
+    possible = {
+        "!=": True,
+        "<": number > low,
+        "<=": number >= low,
+        ">": number < high,
+        ">=": number <= high,
+    }
+    reached = low <= number <= high and (field.kind is not Kind.NUMBER or isinstance(number, int))
+    if not possible.get(sign, reached):
+        reach = f"{field.low} or more" if field.high is None else f"{field.low} to {field.high}"
+        of = "a whole number" if field.low is None else reach
+        refuse(part, f"{field.name} is {of}, so {field.name} {sign} {part.shown} never holds")
+
+
+def _among(sign: Part, operand: Operand, elements: Sequence[Test]) -> Test:
     """Whether a value is one of these, or (behind `not`) there is one and it is none of them."""
-    among = _joined(False, elements)
+    among = masks.joined(elements, False)
     if not sign.text.startswith("not"):
         return among
     # Only a value is the same as itself: a row that lacks it passes no comparison.
-    return tree.Joined(True, (tree.Comparison(operand, "==", operand), tree.Not(among)))
+    return masks.joined([masks.alike(operand, "==", operand), masks.negated(among)], True)
 
 
 _LATEST = 1 << 62  # ns since 1970; with a recording's length it still fits into 64 bits
@@ -238,7 +357,7 @@ class Filter:
     has a time of day, and no comparison with `time` holds.
     """
 
-    tree: tree.Node
+    test: Test
     protocol: Protocol
     start: int | None = None
 
@@ -251,9 +370,7 @@ class Filter:
 
     def selection(self, batch: Batch) -> Selection:
         """Which rows of a batch pass."""
-        from bilprov.analyzer.filters.masks import selection
-
-        return selection(self.tree, self.protocol, batch, self.start)
+        return masks.selection(self.test, self.protocol, batch, self.start)
 
 
 def compile_filter(text: str, protocol: Protocol) -> Filter:
@@ -262,5 +379,5 @@ def compile_filter(text: str, protocol: Protocol) -> Filter:
     The names are those of `fields_of(protocol)`. Raises FilterError, in one sentence that begins
     with the column.
     """
-    tree_of = _Checker(protocol).condition(parse(text, bytes_names(protocol)))
-    return Filter(tree_of, protocol)
+    test = _Checker(protocol).condition(parse(text, bytes_names(protocol)))
+    return Filter(test, protocol)

@@ -1,11 +1,14 @@
-"""What a filter means for the rows of a batch: which of them pass. Needs numpy."""
+"""What a filter means for the rows of a batch: which of them pass. Needs numpy.
+
+A row that lacks a value passes no comparison with it.
+"""
 
 from __future__ import annotations
 
 import operator
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from operator import attrgetter
 from typing import Any, NamedTuple, TypeAlias
 
@@ -22,13 +25,9 @@ from bilprov.analyzer.decode.batch import (
     HostRows,
     Mask,
     Selection,
-    StateColumns,
 )
 from bilprov.analyzer.decode.json_lines import OUTCOME_WORDS, JsonLine, json_line
-from bilprov.analyzer.filters import tree
-from bilprov.analyzer.filters.fields import NONE, UNCODED, Kind, fields_of
-from bilprov.analyzer.filters.tree import DATE, TIME_OF_DAY
-from bilprov.analyzer.filters.values import DAY, STEP, offset
+from bilprov.analyzer.filters.fields import DAY, NONE, STEP, UNCODED, Kind, fields_of, offset
 from bilprov.spec.arrays.layouts import (
     BAD_DATA,
     OUTCOMES,
@@ -37,11 +36,14 @@ from bilprov.spec.arrays.layouts import (
     field_values,
     part_values,
 )
-from bilprov.spec.codec import Judgement, judge
-from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.codec import Judgement
+from bilprov.spec.data import DataSpec
 from bilprov.spec.layout import Role
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import NOT_KNOWN
+
+TIME_OF_DAY, DATE = "time of day", "time"
+"""The keys of a row's wall clock in ns: since local midnight, and since 1970."""
 
 
 class Numbers(NamedTuple):
@@ -70,46 +72,35 @@ class Octets(NamedTuple):
 
 
 Column: TypeAlias = Numbers | Words | Octets
-
-
 Makers: TypeAlias = Mapping[str, Callable[[], Column]]
+Columns: TypeAlias = Callable[[str], Column]
+"""Gives the column of a key, the same one each time."""
 
 NOTHING = Numbers(np.zeros((), np.int64), np.zeros((), np.bool_))
 """The column of a name that none of the rows has."""
 
 
-class Columns:
-    """The columns of so many rows, each made by its maker when it is asked for."""
+def _columns(*makers: Makers) -> Columns:
+    """The columns of some rows, each made when it is asked for."""
+    known = {key: make for each in makers for key, make in each.items()}
 
-    def __init__(self, count: int, *makers: Makers) -> None:
-        self._count = count
-        self._makers = {key: make for each in makers for key, make in each.items()}
-        self._columns: dict[str, Column] = {}
+    @cache
+    def column(key: str) -> Column:
+        return known[key]() if key in known else NOTHING
 
-    def __len__(self) -> int:
-        return self._count
-
-    def __getitem__(self, key: str) -> Column:
-        if key not in self._columns:
-            make = self._makers.get(key)
-            self._columns[key] = make() if make else NOTHING
-        return self._columns[key]
+    return column
 
 
-def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Columns:
-    """The columns of the host's rows.
-
-    `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
-    """
-    garbage, faulty = rows.kind == GARBAGE, rows.verdict != VALID
+def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Columns:
+    """The columns of the host's rows."""
+    garbage, head, tail = rows.kind == GARBAGE, protocol.layout.head, protocol.layout.tail
 
     def length() -> Column:
-        if protocol.plain:
-            return _part_of(protocol, rows, "length")
-        return Numbers(data().size, ~garbage)
+        return (
+            _part_of(protocol, rows, "length") if protocol.plain else Numbers(data().size, ~garbage)
+        )
 
     def data() -> Octets:
-        head, tail = protocol.layout.head, protocol.layout.tail
         size = np.maximum(rows.size - head - np.where(rows.kind == INSTRUCTION, tail, 0), 0)
         return Octets(rows.data, rows.offset + head, np.where(garbage, -1, size))
 
@@ -118,131 +109,156 @@ def host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colum
         code = np.where(garbage, np.int64(len(specs)), rows.header)
         return Words(code, [spec.name if spec else None for spec in (*specs, None)])
 
-    def reason() -> Column:
-        odd = np.flatnonzero(faulty)
-        return _words(rows.reasons(odd), odd, len(rows))
+    def carried() -> Iterator[_Carried]:
+        judged = (rows.kind == INSTRUCTION) & np.isin(rows.verdict, (VALID, BAD_DATA))
+        for spec in protocol.instructions:
+            if spec.fields:
+                found = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
+                yield _Carried(
+                    spec, found, rows.offset[found] + head, rows.size[found] - head - tail
+                )
 
-    makers: Makers = {
-        "id": lambda: _part_of(protocol, rows, "id"),
+    def register(name: str) -> Column:
+        writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
+        found = np.flatnonzero((rows.kind == INSTRUCTION) & np.isin(rows.header, writing))
+        told = [one.judgement.values for one in rows.samples(found) if one.judgement]
+        return _told(name, told, found, len(rows))
+
+    own: Makers = {
+        "id": partial(_part_of, protocol, rows, "id"),
         "len": length,
-        "address": lambda: _part_of(protocol, rows, "address"),
+        "address": partial(_part_of, protocol, rows, "address"),
         "hex": lambda: Octets(rows.data, rows.offset, rows.size),
         "data": data,
         "direction": lambda: _one("host"),
         "kind": lambda: Words(rows.kind, KINDS),
         "name": name,
-        "faulty": lambda: _truth(faulty),
-        "reason": reason,
+        "faulty": lambda: _truth(rows.verdict != VALID),
         "sequence": lambda: Numbers(rows.sequence, rows.sequence >= 0),
-        "uncertain": lambda: _truth(rows.uncertain),
     }
-
-    def one_by_one(found: NDArray[np.int64]) -> Iterator[Judgement]:
-        return (judge(protocol, frame) for frame in rows.frames(found))
-
-    def register(name: str) -> Column:
-        writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
-        found = np.flatnonzero((rows.kind == INSTRUCTION) & np.isin(rows.header, writing))
-        return _told(name, (one.values for one in one_by_one(found)), found, len(rows))
-
-    fields = _of_fields(protocol, partial(_requests, protocol, rows), rows.data, len(rows))
-    fields = {**fields, **_of_registers(protocol, register)}
-    judged = _of_judgements(protocol, rows, rows.due, one_by_one)
-    both = (judged, _of_time(rows.t, start), _of_state(rows.states))
-    return Columns(len(rows), makers, fields, *both)
+    odd = (rows.verdict != VALID) | rows.uncertain
+    judged = _of_judgements(protocol, rows, rows.due, attrgetter("judgement"))
+    fields = _of_fields(protocol, carried, rows.data, len(rows), register)
+    return _columns(own, _of_both(rows, odd, start), judged, fields)
 
 
-def device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> Columns:
+def _device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> Columns:
     """The columns of the device's rows."""
     answers = rows.answers
-
-    def name() -> Column:
-        return Words(answers.name, answers.names)
-
-    def address() -> Column:
-        return Numbers(answers.address, answers.address >= 0)
-
-    def octets() -> Column:
-        return Octets(answers.data, answers.offset, answers.size)
-
-    def faulty() -> Column:
-        return _truth(rows.answering & (rows.verdict != VALID) | rows.faults.serious)
-
-    def reason() -> Column:
-        odd = np.flatnonzero(rows.odd)
-        return _words((record.reason for record in rows.samples(odd)), odd, len(rows))
+    there = answers.fields_size >= 0
 
     def response() -> Column:
         named = np.array([word is not None for word in answers.names]).take(answers.name)
         return Numbers(rows.byte, (rows.byte >= 0) | named)
 
-    def uncertain() -> Column:
-        mask, odd = np.zeros(len(rows), np.bool_), np.flatnonzero(rows.odd)
-        mask[odd] = [record.uncertain for record in rows.samples(odd)]
-        return _truth(mask)
+    def carried() -> Iterator[_Carried]:
+        for spec in protocol.instructions:
+            if spec.answer and spec.answer.fields:
+                key = protocol.key_of(spec.id)
+                yield of(spec.answer, np.flatnonzero(there & rows.answering & (rows.header == key)))
+        unasked = np.flatnonzero(there & ~rows.answering)
+        ways = [
+            one.reply.way.data if one.reply and one.reply.way else None
+            for one in rows.samples(unasked)
+        ]
+        for data in {id(data): data for data in ways if data}.values():
+            yield of(data, unasked[[one is data for one in ways]])
 
-    makers: Makers = {
-        "address": address,
-        "hex": octets,
-        "direction": lambda: _one("device"),
-        "kind": lambda: _one("response"),
-        "name": name,
-        "response": response,
-        "faulty": faulty,
-        "reason": reason,
-        "answers": lambda: Numbers(rows.sequence, rows.answering),
-        "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
-        "latency_ns": lambda: Numbers(rows.latency, rows.answering),
-        "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
-        "uncertain": uncertain,
-    }
-
-    def one_by_one(found: NDArray[np.int64]) -> Iterator[Judgement]:
-        answered = (record.answered for record in rows.samples(found))
-        return (one for one in answered if one is not None)
+    def of(data: DataSpec, found: NDArray[np.int64]) -> _Carried:
+        return _Carried(data, found, answers.fields_at[found], answers.fields_size[found])
 
     def register(name: str) -> Column:
         reading = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.reads]
         found = np.flatnonzero(rows.answering & np.isin(rows.header, reading))
-        replies = (record.reply for record in rows.samples(found))
-        return _told(name, (one.values if one else () for one in replies), found, len(rows))
+        told = [one.reply.values if one.reply else () for one in rows.samples(found)]
+        return _told(name, told, found, len(rows))
 
-    fields = _of_fields(protocol, partial(_answers, protocol, rows), answers.data, len(rows))
-    fields = {**fields, **_of_registers(protocol, register)}
-    judged = _of_judgements(protocol, rows, None, one_by_one)
-    both = (judged, _of_time(rows.t, start), _of_state(rows.states))
-    return Columns(len(rows), makers, fields, *both)
+    own: Makers = {
+        "address": lambda: Numbers(answers.address, answers.address >= 0),
+        "hex": lambda: Octets(answers.data, answers.offset, answers.size),
+        "direction": lambda: _one("device"),
+        "kind": lambda: _one("response"),
+        "name": lambda: Words(answers.name, answers.names),
+        "response": response,
+        "faulty": lambda: _truth(rows.answering & (rows.verdict != VALID) | rows.faults.serious),
+        "answers": lambda: Numbers(rows.sequence, rows.answering),
+        "latency": lambda: Numbers(rows.latency / 1e9, rows.answering),
+        "latency_ns": lambda: Numbers(rows.latency, rows.answering),
+        "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
+    }
+    judged = _of_judgements(protocol, rows, None, attrgetter("answered"))
+    fields = _of_fields(protocol, carried, answers.data, len(rows), register)
+    return _columns(own, _of_both(rows, rows.odd, start), judged, fields)
 
 
-def line_columns(lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | None) -> Columns:
+def _line_columns(lines: Sequence[JsonLine], t: NDArray[np.int64], start: int | None) -> Columns:
     """The columns of the other rows, which are few: each is a JSON line, and came at `t` (ns)."""
     none = np.zeros(len(lines), np.int64)
 
-    def listed(value: Callable[[JsonLine], Any]) -> Callable[[], Column]:
-        return lambda: _listed([value(line) for line in lines])
+    def listed(key: str) -> Column:
+        values = [attrgetter(key)(line) for line in lines]
+        numbers = [type(value) is int for value in values]
+        if any(numbers):
+            return Numbers(np.array([value or 0 for value in values]), np.array(numbers))
+        return _words(values, np.arange(len(values)), len(values), None)
 
-    kinds = [type(line.state) for line in lines[:1]]
-    states = [f"state.{name}" for kind in kinds for name in kind.__struct_fields__]
-    as_they_are = ("direction", "kind", "name", "reason", "sequence", *states)
-    makers: Makers = {
-        **{name: listed(attrgetter(name)) for name in as_they_are},
+    states = [f"state.{name}" for name in lines[0].state.__struct_fields__]
+    own: Makers = {
+        **{
+            key: partial(listed, key)
+            for key in ("direction", "kind", "name", "reason", "sequence", *states)
+        },
         "hex": lambda: Octets(np.zeros(1, np.uint8), none, none),
-        "faulty": listed(lambda line: bool(line.faults)),
-        "faults": listed(lambda line: frozenset(line.faults)),
+        "faulty": lambda: _truth(np.array([bool(line.faults) for line in lines])),
+        "faults": lambda: _words(
+            [frozenset(line.faults) for line in lines], np.arange(len(lines)), len(lines)
+        ),
     }
-    return Columns(len(lines), makers, _of_time(t, start))
+    return _columns(own, _of_time(t, start))
+
+
+def _of_both(rows: HostRows | DeviceRows, odd: Mask, start: int | None) -> Makers:
+    """What the rows of both sides have: times, the state, and what is said of `odd` rows alone."""
+    found, states = np.flatnonzero(odd), rows.states
+    words = states.kind.words
+
+    def reason() -> Column:
+        return _words((record.reason for record in rows.samples(found)), found, len(rows))
+
+    def uncertain() -> Column:
+        mask = np.zeros(len(rows), np.bool_)
+        mask[found] = [record.uncertain for record in rows.samples(found)]
+        return _truth(mask)
+
+    def variable(name: str) -> Column:
+        column = states[name]
+        known = column != NOT_KNOWN
+        if name not in words:
+            return Numbers(column, known)
+        return Words(np.where(known, column, len(words[name])), (*words[name], None))
+
+    makers: Makers = {
+        "reason": reason,
+        "uncertain": uncertain,
+        "faults": lambda: Words(rows.faults.code, list(map(frozenset, rows.faults.kinds))),
+        **{f"state.{name}": partial(variable, name) for name in states.kind.variables},
+        **_of_time(rows.t, start),
+    }
+    if states.kind.at_rest is None:
+        return makers
+    return {**makers, "state.moving": lambda: _truth(states.moving)}
 
 
 def _of_judgements(
     protocol: Protocol,
     rows: HostRows | DeviceRows,
     due: Mask | None,
-    one_by_one: Callable[[NDArray[np.int64]], Iterable[Judgement]],
+    judgement_of: Callable[[Any], Judgement],
 ) -> Makers:
     """What tells how an instruction is judged: the row's own, or the one that it answers.
 
-    `due` tells to which an answer is due (None: to each), and `one_by_one` judges some rows, which
-    is done to those that are faulty where the verdict alone does not tell their answer.
+    `due` tells to which an answer is due (None: to each). The records of those that are faulty are
+    asked where the verdict alone does not tell their answer.
     """
     there = rows.verdict != NO_VERDICT
     parts = [part for spec in protocol.instructions for part in spec.fields]
@@ -256,24 +272,23 @@ def _of_judgements(
         code[np.isin(rows.header, list(protocol.uncoded)) & valid] = UNCODED
         if due is not None:
             code[~due] = NONE
-        judged = [one.response if one.answer_due else None for one in one_by_one(odd)]
-        code[odd] = [NONE if response is None else response.code for response in judged]
+        judged = map(judgement_of, rows.samples(odd))
+        code[odd] = [one.response.code if one.answer_due else NONE for one in judged]
         return Numbers(code, there if not protocol.plain else code >= 0)
 
     def outcome() -> Column:
         code = rows.verdict.copy()
-        cut_short = [one.truncated for one in one_by_one(odd)]
-        code[odd[cut_short]] = len(OUTCOMES)
+        code[odd[[one.truncated for one in map(judgement_of, rows.samples(odd))]]] = len(OUTCOMES)
         return Words(np.where(there, code, len(OUTCOME_WORDS)), (*OUTCOME_WORDS, None))
 
-    def faults() -> Column:
-        return Words(rows.faults.code, list(map(frozenset, rows.faults.kinds)))
-
-    return {"judgement": judgement, "outcome": outcome, "faults": faults}
+    return {"judgement": judgement, "outcome": outcome}
 
 
 def _of_time(t: NDArray[np.int64], start: int | None) -> Makers:
-    """The times of the rows (ns)."""
+    """The times of the rows (ns).
+
+    `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
+    """
     since: Makers = {"t": lambda: Numbers(t / 1e9), "t_ns": lambda: Numbers(t)}
     if start is None:
         return since
@@ -284,23 +299,6 @@ def _of_time(t: NDArray[np.int64], start: int | None) -> Makers:
         return Numbers((t + start + offsets[place]) % DAY)
 
     return {**since, DATE: lambda: Numbers(t + start), TIME_OF_DAY: time_of_day}
-
-
-def _of_state(states: StateColumns) -> Makers:
-    """The variables of the predicted state, and whether the device moves."""
-
-    def variable(name: str) -> Column:
-        column, words = states[name], states.kind.words.get(name)
-        known = column != NOT_KNOWN
-        if words is None:
-            return Numbers(column, known)
-        return Words(np.where(known, column, len(words)), (*words, None))
-
-    kind = states.kind
-    makers: Makers = {f"state.{name}": partial(variable, name) for name in kind.variables}
-    if kind.at_rest is None:
-        return makers
-    return {**makers, "state.moving": lambda: _truth(states.moving)}
 
 
 def _part_of(protocol: Protocol, rows: HostRows, role: Role) -> Column:
@@ -318,76 +316,59 @@ def _part_of(protocol: Protocol, rows: HostRows, role: Role) -> Column:
 
 
 class _Carried(NamedTuple):
-    """Which rows carry fields: the rows, and where their data begin and how many bytes they are."""
+    """Rows that carry the fields of `spec`, where these begin, and in how many bytes they are."""
 
+    spec: DataSpec
     rows: NDArray[np.int64]
     at: NDArray[np.int64]
     size: NDArray[np.int64]
 
 
-def _requests(protocol: Protocol, rows: HostRows) -> Iterator[tuple[DataSpec, _Carried]]:
-    """The data of each instruction that has some, and the rows with it."""
-    head, tail = protocol.layout.head, protocol.layout.tail
-    judged = (rows.kind == INSTRUCTION) & np.isin(rows.verdict, (VALID, BAD_DATA))
-    for spec in protocol.instructions:
-        if spec.fields:
-            found = np.flatnonzero(judged & (rows.header == protocol.key_of(spec.id)))
-            size = rows.size[found] - head - tail
-            yield spec, _Carried(found, rows.offset[found] + head, size)
-
-
-def _answers(protocol: Protocol, rows: DeviceRows) -> Iterator[tuple[DataSpec, _Carried]]:
-    """The data of the answers to each instruction, and the rows with them."""
-    answers = rows.answers
-    there = answers.fields_size >= 0
-    found = [
-        (spec.answer, np.flatnonzero(there & rows.answering & (rows.header == key)))
-        for spec in protocol.instructions
-        if spec.answer and spec.answer.fields
-        for key in (protocol.key_of(spec.id),)
-    ]
-    unasked = np.flatnonzero(there & ~rows.answering)
-    ways = [record.reply.way if record.reply else None for record in rows.samples(unasked)]
-    kinds = {id(way.data): way.data for way in ways if way and way.data}
-    found += [
-        (data, unasked[[bool(way and way.data is data) for way in ways]]) for data in kinds.values()
-    ]
-    for data, those in found:
-        yield data, _Carried(those, answers.fields_at[those], answers.fields_size[those])
-
-
 def _of_fields(
     protocol: Protocol,
-    carried: Callable[[], Iterable[tuple[DataSpec, _Carried]]],
+    carried: Callable[[], Iterable[_Carried]],
     data: NDArray[np.uint8],
     count: int,
+    register: Callable[[str], Column],
 ) -> Makers:
-    """The fields of the rows of one side, by their keys."""
+    """The fields of the rows of one side by their keys, and the named registers."""
 
-    def made(name: str, *, as_bytes: bool) -> Column:
-        parts = [
-            (part, part is spec.fields[-1] and spec.counted is not None, these)
-            for spec, these in carried()
-            for part in spec.fields
-            if part.name == name and part.constant is None
-        ]
-        return (_octets if as_bytes else _numbers)(parts, data, count)
+    def made(name: str, kind: Kind) -> Column:
+        value, present = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+        start, size = np.zeros(count, np.int64), np.full(count, -1, np.int64)
+        for spec, rows, at, whole in carried():
+            for part in spec.fields:
+                if part.name != name or part.constant is not None:
+                    continue
+                if kind is Kind.BYTES:
+                    before = part.many.prefix.size if part.many and part.many.prefix else 0
+                    to_end = part is spec.fields[-1] and spec.counted is not None
+                    start[rows] = at + part.offset + before
+                    size[rows] = np.maximum(
+                        (whole - part.offset if to_end else part.size) - before, 0
+                    )
+                    continue
+                values = field_values(part, data, at)
+                if values.dtype.kind != "i":  # wider than 64 bits with a sign
+                    value = value.astype(object)
+                value[rows], present[rows] = values, True
+        return Octets(data, start, size) if kind is Kind.BYTES else Numbers(value, present)
 
-    known = {name: field for name, field in fields_of(protocol).items() if name == field.key}
     return {
-        key: partial(made, key.removeprefix("fields."), as_bytes=field.kind is Kind.BYTES)
-        for key, field in known.items()
-        if key.startswith("fields.")
+        **{
+            key: partial(made, key.removeprefix("fields."), field.kind)
+            for key, field in fields_of(protocol).items()
+            if key.startswith("fields.")
+        },
+        **{f"fields.{name}": partial(register, name) for name in protocol.named_registers},
     }
 
 
-def _of_registers(protocol: Protocol, made: Callable[[str], Column]) -> Makers:
-    """The named registers by their keys."""
-    return {f"fields.{name}": partial(made, name) for name in protocol.named_registers}
-
-
 def _told(
-    name: str, told: Iterable[Iterable[tuple[str, Any]]], rows: NDArray[np.int64], count: int
+    name: str,
+    told: Iterable[Iterable[tuple[str, Any]]],
+    rows: NDArray[np.int64],
+    count: int,
 ) -> Column:
     """A register that some rows may tell; those are decoded one by one.
 
@@ -404,46 +385,11 @@ def _told(
     return Numbers(value, present)
 
 
-_Parts: TypeAlias = Sequence[tuple[FieldSpec, bool, _Carried]]
-"""A field with its rows, and whether it goes to the end of the data."""
-
-
-def _numbers(parts: _Parts, data: NDArray[np.uint8], count: int) -> Column:
-    """A field that is a number wherever it is one."""
-    value, present = np.zeros(count, np.int64), np.zeros(count, np.bool_)
-    for part, _, carried in parts:
-        values = field_values(part, data, carried.at)
-        if values.dtype.kind != "i":  # wider than 64 bits with a sign
-            value = value.astype(object)
-        value[carried.rows] = values
-        present[carried.rows] = True
-    return Numbers(value, present)
-
-
-def _octets(parts: _Parts, data: NDArray[np.uint8], count: int) -> Column:
-    """The bytes of a field that is bytes, or several numbers, somewhere."""
-    start, size = np.zeros(count, np.int64), np.full(count, -1, np.int64)
-    for part, to_end, carried in parts:
-        before = part.many.prefix.size if part.many and part.many.prefix else 0
-        start[carried.rows] = carried.at + part.offset + before
-        whole = carried.size - part.offset if to_end else part.size
-        size[carried.rows] = np.maximum(whole - before, 0)
-    return Octets(data, start, size)
-
-
-def _listed(values: Sequence[Any]) -> Column:
-    """A column of values of one kind."""
-    numbers = [type(value) is int for value in values]
-    if any(numbers):
-        return Numbers(np.array([value or 0 for value in values]), np.array(numbers))
-    return _words(values, np.arange(len(values)), len(values), None)
-
-
 def _truth(mask: Mask) -> Words:
     return Words(mask.view(np.uint8), (False, True))
 
 
-def _one(word: str) -> Words:
+def _one(word: Hashable) -> Words:
     return Words(np.zeros((), np.int64), (word,))
 
 
@@ -455,6 +401,77 @@ def _words(
     code = np.zeros(count, np.int64)
     code[rows] = [places.setdefault(value, len(places)) for value in values]
     return Words(code, list(places))
+
+
+Operand: TypeAlias = Callable[[Columns], Column]
+"""What a filter asks of rows."""
+
+Test: TypeAlias = Callable[[Columns], Mask]
+"""A condition: in which rows it holds."""
+
+
+def selection(test: Test, protocol: Protocol, batch: Batch, start: int | None) -> Selection:
+    """The rows in which a condition holds; a line event without an anomaly is none of them.
+
+    `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
+    """
+    hosts, devices, others = batch.hosts, batch.devices, batch.others
+    masks = [np.zeros(len(rows), np.bool_) for rows in (hosts, devices, others)]
+    lines = [json_line(record) for record in others.listed]
+    shown = np.array([line is not None for line in lines], np.bool_)
+    if shown.any():
+        listed = [line for line in lines if line is not None]
+        masks[2][shown] = test(_line_columns(listed, others.t[shown], start))
+    if len(hosts):
+        masks[0][:] = test(_host_columns(protocol, hosts, start))
+    if len(devices):
+        masks[1][:] = test(_device_columns(protocol, devices, start))
+    return Selection(*masks)
+
+
+def joined(tests: Sequence[Test], every: bool) -> Test:
+    """The condition that all of these hold, or (`every` is false) at least one."""
+
+    def holds(rows: Columns) -> Mask:
+        true = tests[0](rows)
+        for test in tests[1:]:
+            if (every and not true.any()) or (not every and true.all()):
+                break  # the others change nothing
+            true = true & test(rows) if every else true | test(rows)
+        return true
+
+    return holds if len(tests) > 1 else tests[0]
+
+
+def negated(test: Test) -> Test:
+    """The condition that holds where another does not."""
+    return lambda rows: ~test(rows)
+
+
+def of_row(key: str, place: int | None = None) -> Operand:
+    """A value of the row: that of a Field's `key`, TIME_OF_DAY or DATE; with a `place` its byte."""
+
+    def column(rows: Columns) -> Column:
+        found = rows(key)
+        if place is None or not isinstance(found, Octets):  # or none of the rows has the name
+            return found
+        return Numbers(found.data.take(found.start + place, mode="clip"), found.size > place)
+
+    return column
+
+
+def masked(operand: Operand, mask: int) -> Operand:
+    """The bits that a whole number of the row has of a mask."""
+
+    def column(rows: Columns) -> Column:
+        found = operand(rows)
+        if not isinstance(found, Numbers):
+            return NOTHING
+        value = np.asarray(found.value)
+        whole = value if value.dtype == object else value.astype(np.int64)
+        return Numbers(whole & mask, found.present)
+
+    return column
 
 
 # What compares two values; all but the last two also compare two arrays value by value.
@@ -470,92 +487,25 @@ _COMPARING: Mapping[str, Callable[[Any, Any], Any]] = {
 }
 
 
-def selection(
-    test: tree.Node, protocol: Protocol, batch: Batch, start: int | None = None
-) -> Selection:
-    """The rows in which a condition holds; a line event without an anomaly is none of them.
+def alike(left: Operand, sign: str, right: Operand) -> Test:
+    """The condition that two values of the row compare so."""
+    return lambda rows: _compared(left(rows), sign, right(rows))
 
-    `start` is the wall clock (ns since 1970) at the recording's start, None if it is not known.
+
+def compared(operand: Operand, sign: str, value: float | str | bytes | frozenset[str]) -> Test:
+    """The condition that a value of the row compares so with one that is the same in all rows.
+
+    `sign` is one of `== != < <= > >=`, or behind words, text and bytes `contains`, `not contains`.
     """
-    others = batch.others
-    lines = [json_line(record) for record in others.listed]
-    shown = np.array([line is not None for line in lines], np.bool_)
-    listed = [line for line in lines if line is not None]
-    other = np.zeros(len(others), np.bool_)
-    if listed:
-        other[shown] = _mask(line_columns(listed, others.t[shown], start), test)
-    host, device = np.zeros(len(batch.hosts), np.bool_), np.zeros(len(batch.devices), np.bool_)
-    if len(host):
-        host = _mask(host_columns(protocol, batch.hosts, start), test)
-    if len(device):
-        device = _mask(device_columns(protocol, batch.devices, start), test)
-    return Selection(host, device, other)
-
-
-def _mask(rows: Columns, node: tree.Node) -> Mask:
-    """In which rows a condition holds."""
-    return np.broadcast_to(_true(rows, node), len(rows))
-
-
-def _true(rows: Columns, node: tree.Node) -> Mask:
-    match node:
-        case tree.Comparison(left=left, sign=sign, right=right):
-            return _compared(_operand(rows, left), sign, _operand(rows, right))
-        case tree.Not(part=part):
-            return ~_true(rows, part)
-        case tree.Joined(every=every, parts=parts):
-            return _joined(rows, parts, every)
-
-
-def _joined(rows: Columns, parts: Sequence[tree.Node], every: bool) -> Mask:
-    true = _true(rows, parts[0])
-    for part in parts[1:]:
-        if (every and not true.any()) or (not every and true.all()):
-            break  # the other parts change nothing
-        true = true & _true(rows, part) if every else true | _true(rows, part)
-    return true
-
-
-def _operand(rows: Columns, operand: tree.Operand) -> Column:
-    match operand:
-        case tree.Constant(value=value):
-            return _constant(value)
-        case tree.Name(key=key, place=place):
-            return rows[key] if place is None else _item(rows[key], place)
-        case tree.Bits(left=left, mask=mask):
-            return _bits(_operand(rows, left), mask)
-
-
-def _constant(value: float | str | bytes | frozenset[str]) -> Column:
-    """A value that is the same in all rows."""
+    right: Column
     if isinstance(value, bytes):
         data = np.frombuffer(value, np.uint8)
-        return Octets(data, np.zeros((), np.int64), np.array(len(data)))
-    if isinstance(value, bool | str | frozenset):
-        return Words(np.zeros((), np.int64), (value,))
-    return Numbers(value)
-
-
-def _item(column: Column, place: int) -> Column:
-    """One byte of each row."""
-    if not isinstance(column, Octets):
-        return column  # none of the rows has the name
-    value = column.data.take(column.start + place, mode="clip")
-    return Numbers(value, column.size > place)
-
-
-def _bits(column: Column, mask: int) -> Numbers:
-    if not isinstance(column, Numbers):
-        return NOTHING
-    value = np.asarray(column.value)
-    whole = value if value.dtype == object else value.astype(np.int64)
-    return Numbers(whole & mask, column.present)
-
-
-def _both(left: Mask | None, right: Mask | None) -> Mask | None:
-    if left is None or right is None:
-        return right if left is None else left
-    return left & right
+        right = Octets(data, np.zeros((), np.int64), np.array(len(data)))
+    elif isinstance(value, bool | str | frozenset):
+        right = _one(value)
+    else:
+        right = Numbers(value)
+    return lambda rows: _compared(operand(rows), sign, right)
 
 
 def _compared(left: Column, sign: str, right: Column) -> Mask:
@@ -563,8 +513,8 @@ def _compared(left: Column, sign: str, right: Column) -> Mask:
     match left, right:
         case Numbers(), Numbers():
             true = np.asarray(_COMPARING[sign](left.value, right.value), np.bool_)
-            present = _both(left.present, right.present)
-            true = true if present is None else true & present
+            for present in (left.present, right.present):
+                true = true if present is None else true & present
             return np.asarray(true.any(axis=0)) if true.ndim > 1 else true
         case Words(), Words():
             return _words_compared(left, _COMPARING[sign], right)
@@ -572,8 +522,9 @@ def _compared(left: Column, sign: str, right: Column) -> Mask:
             there = np.asarray(left.size >= 0)
             if left is right:
                 return there
-            within = _containing if sign.endswith("contains") else _equal
-            true = within(left, right.data)
+            true = _containing(left, right.data)
+            if not sign.endswith("contains"):
+                true &= left.size == len(right.data)
             return true if sign in ("==", "contains") else there & ~true
     return np.zeros((), np.bool_)  # one side is a name that none of the rows has
 
@@ -591,11 +542,6 @@ def _words_compared(left: Words, compare: Callable[[Any, Any], Any], right: Word
     if right.code.ndim == 0:
         return table[int(right.code) :: many].take(left.code)
     return table.take(left.code.astype(np.int64) * many + right.code)
-
-
-def _equal(column: Octets, part: NDArray[np.uint8]) -> Mask:
-    """In which rows the bytes are these."""
-    return np.asarray(column.size == len(part)) & _containing(column, part)
 
 
 def _containing(column: Octets, part: NDArray[np.uint8]) -> Mask:

@@ -56,6 +56,32 @@ class Part(NamedTuple):
     text: str = ""
     parts: tuple[Part, ...] = ()
 
+    @property
+    def shown(self) -> str:
+        """The part as it was written, or empty for what is longer than a value."""
+        match self.kind, self.parts:
+            case "item", (of, index):
+                return f"{of.text}[{index.text}]"
+            case "bits", (left, right):
+                return f"{left.shown} & {right.shown}"
+            case "number", (unit,):
+                return printable(self.text + unit.text)
+        return printable(self.text)
+
+
+TEXTS = ("word", "quoted")
+"""The kinds of parts that are text, with or without quotes."""
+
+
+def refuse(part: Part, sentence: str) -> NoReturn:
+    """Raise FilterError with a sentence about a part."""
+    raise FilterError(sentence, part.start, part.end)
+
+
+def refuse_part(part: Part, rest: str) -> NoReturn:
+    """Raise FilterError with a sentence that begins with the part itself."""
+    refuse(part, f"{part.shown!r} {rest}" if part.shown else f"this {rest}")
+
 
 _TOKEN = re.compile(
     r"""\s*(?:
@@ -63,9 +89,9 @@ _TOKEN = re.compile(
                   (?: [T ] \d\d?:\d\d (?: :\d\d (?:\.\d+)? )? (?: Z | [+-]\d\d:?\d\d )? )? (?![\w:])
                 | \d\d? : \d\d (?: :\d\d (?:\.\d+)? )? (?![\w:]) )
     | (?P<sign>   \.\. | [=!<>]= | && | \|\| | [<>&!(){}\[\],] )
-    | (?P<number> [-+]? (?: 0[xX][\da-fA-F_]+ | 0[bB][01_]+
+    | (?P<number> [-+]? (?: 0[xX]_*[\da-fA-F][\da-fA-F_]* | 0[bB]_*[01][01_]*
                           | (?: \d[\d_]* (?:\.\d+)? | \.\d+ ) (?: [eE][-+]?\d+ )? ) )
-                  (?: (?P<unit> [^\W\d]\w* ) | \s+ (?P<apart> us|µs|μs|ms|s ) \b )?
+                  (?: (?= \S | \s+ (?: us|µs|μs|ms|s ) \b ) \s* (?P<unit> [^\W\d]\w* ) )?
     | (?P<quoted> '[^']*' | "[^"]*" )
     | (?P<word>   [^\W\d]\w* (?: \.[^\W\d]\w* )* )
     | (?P<end>    $ )
@@ -86,9 +112,8 @@ def token_at(text: str, at: int) -> Part:
     assert match is not None
     for kind in ("moment", "sign", "number", "quoted", "word"):
         if match[kind] is not None:
-            unit = next((name for name in ("unit", "apart") if match[name]), None)
-            parts = (Part("unit", *match.span(unit), match[unit]),) if unit else ()
-            return Part(kind, match.start(kind), match.end(), match[kind], parts)
+            unit = (Part("unit", *match.span("unit"), match["unit"]),) if match["unit"] else ()
+            return Part(kind, match.start(kind), match.end(), match[kind], unit)
     start, end = match.span("wrong")
     if match["wrong"] is None:
         return Part("", len(text), len(text))
@@ -104,23 +129,11 @@ def instead_of(piece: str) -> str:
     return f"is not a sign here, did you mean {meant}?" if meant else ""
 
 
-def octets_at(text: str, token: Part) -> Part:
-    """The bytes that begin with a token, in hex without quotes. Raises FilterError."""
-    match = _OCTETS.match(text, token.start)
-    if match is None:
-        piece = printable(text[token.start : token.end].split()[0])
-        why = "is not hex with two digits for each byte; bytes are written like 05 or 11 ff"
-        raise FilterError(f"{piece!r} {why}", token.start, token.end)
-    return Part("bytes", match.start(), match.end(), _bytes(match[0]).hex(" "))
-
-
 def octets_of(text: str) -> bytes | None:
     """The bytes that a text has in hex (`11 ff`, `0x11ff`, `11:ff`), or None if it is not hex."""
     text = text.strip()
-    return _bytes(text) if not text or _OCTETS.fullmatch(text) else None
-
-
-def _bytes(text: str) -> bytes:
+    if text and not _OCTETS.fullmatch(text):
+        return None
     return bytes.fromhex("".join(_HEX.findall(text.lower().removeprefix("0x"))))
 
 
@@ -244,7 +257,7 @@ class _Parser:
     def _deeper(self, token: Part) -> None:
         self._depth += 1
         if self._depth > DEEPEST:
-            raise FilterError("the filter is nested too deeply", token.start, token.end)
+            refuse(token, "the filter is nested too deeply")
 
     def _comparison(self) -> Part:
         self._reach(True)
@@ -309,8 +322,7 @@ class _Parser:
             self._reach(False, left, sign, listed=True)
         token = self._peek()
         if token.kind and token.text not in CLOSING.values():
-            sentence = f"a comma is missing before {self._written(token)!r}"
-            raise FilterError(sentence, token.start, token.end)
+            refuse(token, f"a comma is missing before {self._written(token)!r}")
         return Part("set", opening.start, self._close().end, parts=tuple(parts))
 
     def _are_bytes(self, left: Part | None, token: Part) -> bool:
@@ -329,11 +341,10 @@ class _Parser:
             self._open.pop()
             return self._take()
         if token.text in CLOSING.values():
-            sentence = f"{token.text!r} does not close the {opening.text!r} before it"
-            raise FilterError(sentence, token.start, token.end)
+            refuse(token, f"{token.text!r} does not close the {opening.text!r} before it")
         if token.kind:
             self._refuse_rest(token, None)
-        raise FilterError(f"this {opening.text!r} is never closed", opening.start, opening.end)
+        refuse(opening, f"this {opening.text!r} is never closed")
 
     def _primary(self, sign: str, left: Part | None) -> Part:
         token = self._take()
@@ -346,8 +357,8 @@ class _Parser:
         if token.text == "(":
             return self._bracketed(token, sign, left)
         if token.kind:
-            sentence = f"{self._written(token)!r} cannot stand here, expected {_wanted(sign)}"
-            raise FilterError(sentence, token.start, token.end)
+            piece = self._written(token)
+            refuse(token, f"{piece!r} cannot stand here, expected {_wanted(sign)}")
         end = len(self._text.rstrip())
         raise FilterError(f"something is missing at the end: {_wanted(sign)}", end, end + 1)
 
@@ -369,14 +380,19 @@ class _Parser:
             return word
         index = self._take()
         if index.kind != "number" or self._peek().text != "]":
-            sentence = f"{word.text}[...] takes one number: {word.text}[0] is its first byte"
-            raise FilterError(sentence, index.start, index.end)
+            name = word.text
+            refuse(index, f"{name}[...] takes one number: {name}[0] is its first byte")
         return Part("item", word.start, self._take().end, parts=(word, index))
 
     def _octets(self, token: Part) -> Part:
-        octets = octets_at(self._text, token)
-        self._at = octets.end
-        return octets
+        """The bytes that begin with a token, in hex without quotes."""
+        match = _OCTETS.match(self._text, token.start)
+        if match is None:
+            piece = printable(self._text[token.start : token.end].split()[0])
+            why = "is not hex with two digits for each byte; bytes are written like 05 or 11 ff"
+            refuse(token, f"{piece!r} {why}")
+        self._at = match.end()
+        return Part("bytes", match.start(), match.end(), match[0])
 
     def _refuse_rest(self, token: Part, part: Part | None) -> NoReturn:
         """Say what is wrong with a token behind a part that is complete. Raises FilterError."""
@@ -393,7 +409,7 @@ class _Parser:
             why = f"'and' or 'or' is missing before {piece!r}"
         else:
             why = f"a sign like == or in, or else and, or, is missing before {piece!r}"
-        raise FilterError(why, token.start, token.end)
+        refuse(token, why)
 
 
 def _around(kind: str, parts: list[Part]) -> Part:

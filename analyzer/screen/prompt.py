@@ -17,8 +17,8 @@ from textual.containers import Horizontal, Vertical
 from textual.widgets import Input, Static
 
 from bilprov.analyzer.filters.completion import Completion
+from bilprov.analyzer.filters.fields import DAY, STEP, UNITS, instant, offset
 from bilprov.analyzer.filters.syntax import FilterError
-from bilprov.analyzer.filters.values import DAY, STEP, UNITS, instant, offset
 from bilprov.captures.text import printable
 
 

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from bilprov.analyzer.decode.batch import Records
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.filters.fields import fields_of
+from bilprov.analyzer.filters.fields import fields_of, offset
 from bilprov.analyzer.filters.filter import Filter, compile_filter
 from bilprov.analyzer.filters.syntax import FilterError
-from bilprov.analyzer.filters.values import offset
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol, load

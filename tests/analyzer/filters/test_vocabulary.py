@@ -14,10 +14,9 @@ from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.json_lines import JsonLine, json_line
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
-from bilprov.analyzer.filters.fields import Kind, fields_of
+from bilprov.analyzer.filters.fields import Kind, fields_of, offset
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.filters.syntax import FilterError
-from bilprov.analyzer.filters.values import offset
 from bilprov.analyzer.output.row_columns import Column, bytes_fields, columns_of
 from bilprov.captures.events import Events
 from bilprov.captures.schemas import Chunk

@@ -12,8 +12,8 @@ from textual.pilot import Pilot
 
 from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.filters.fields import offset
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.filters.values import offset
 from bilprov.analyzer.output.console import NARROW
 from bilprov.analyzer.output.row_columns import RowStyle, chosen_columns, columns_of
 from bilprov.analyzer.screen.browser import Browser
