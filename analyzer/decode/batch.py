@@ -243,14 +243,9 @@ class DeviceRows:
 
 @dataclass(frozen=True, eq=False)
 class OtherRows:
-    """Line events, and anomalies without bytes of their own.
-
-    Before each come so many of the host's rows (`after`) and of the device's (`heard`).
-    """
+    """Line events, and anomalies without bytes of their own."""
 
     listed: Sequence[LineRecord | FaultRecord]
-    after: NDArray[np.int64]
-    heard: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.listed)
@@ -281,8 +276,8 @@ class Batch(ABC):
 
     @property
     @abstractmethod
-    def after(self) -> NDArray[np.int64]:
-        """How many of the host's rows come before each of the device's."""
+    def places(self) -> tuple[NDArray[np.int64], ...]:
+        """The numbers of the host's, the device's and the other rows among all rows in order."""
 
     @abstractmethod
     def __len__(self) -> int:
@@ -291,17 +286,6 @@ class Batch(ABC):
     @abstractmethod
     def records(self, chosen: Selection | None = None) -> Sequence[Record]:
         """The rows in order as records; the chosen ones, None for all."""
-
-    @cached_property
-    def places(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """The numbers of the host's, the device's and the other rows among all rows in order."""
-        after, others, hosts = self.after, self.others, len(self.hosts)
-        before = _up_to(after, hosts) + _up_to(others.after, hosts)
-        return (
-            np.arange(hosts) + before,
-            np.arange(len(after)) + after + _up_to(others.heard, len(after)),
-            np.arange(len(others)) + others.after + others.heard,
-        )
 
     def selection(self, rows: Mask) -> Selection:
         """Some of all rows in order."""
@@ -336,11 +320,6 @@ class Batch(ABC):
         return Selection(
             self.hosts.faults.serious, self.devices.faults.serious, np.array(other, np.bool_)
         )
-
-
-def _up_to(values: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """How many of the values are at most 0, at most 1 and so on, for so many numbers."""
-    return np.bincount(values, minlength=count)[:count].cumsum()
 
 
 class Records(Batch):
@@ -423,23 +402,14 @@ class Records(Batch):
     @cached_property
     def others(self) -> OtherRows:
         """The other rows."""
-        listed = self._listed
-        rows = [at for at, one in enumerate(listed) if isinstance(one, LineRecord | FaultRecord)]
-        after = self._before(HostRecord)[rows]
-        heard = self._before(DeviceRecord)[rows]
-        found = [one for one in listed if isinstance(one, LineRecord | FaultRecord)]
-        return OtherRows(found, after, heard)
+        return OtherRows([r for r in self._listed if isinstance(r, LineRecord | FaultRecord)])
 
     @cached_property
-    def after(self) -> NDArray[np.int64]:
-        """How many of the host's rows come before each of the device's."""
-        rows = [isinstance(record, DeviceRecord) for record in self._listed]
-        return self._before(HostRecord)[np.array(rows, np.bool_)]
-
-    def _before(self, kind: type[Record]) -> NDArray[np.int64]:
-        """How many rows of a kind come before each row."""
-        of_it = np.array([isinstance(record, kind) for record in self._listed], np.int64)
-        return np.cumsum(of_it) - of_it
+    def places(self) -> tuple[NDArray[np.int64], ...]:
+        """The numbers of the host's, the device's and the other rows among all rows in order."""
+        sides = {HostRecord: 0, DeviceRecord: 1}
+        side = np.array([sides.get(type(record), 2) for record in self._listed])
+        return tuple(np.flatnonzero(side == one) for one in range(3))
 
 
 def times(values: Sequence[int]) -> NDArray[np.int64]:

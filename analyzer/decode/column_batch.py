@@ -64,7 +64,7 @@ class ColumnBatch(Batch):
     `data` are the host's bytes and `heard` the device's. The `requests` are the new frames, which
     came from `start` to `end` (ns); the first has the number `first`. Answer j of `answers`, whose
     first byte came at `t` (ns), is to the frame of row j of `asked`, which has the number
-    `sequence` and ended at `asked_end` (ns); `device_after` new frames come before it. `before` is
+    `sequence` and ended at `asked_end` (ns); `after` counts the new frames before it. `before` is
     the state before the new frames. Before each of the `lines` come `line_after` new frames and
     `line_heard` answers.
     """
@@ -81,7 +81,7 @@ class ColumnBatch(Batch):
     sequence: NDArray[np.int64]
     answers: Answers
     t: NDArray[np.int64]
-    device_after: NDArray[np.int64]
+    after: NDArray[np.int64]
     before: Known
     lines: Sequence[Line]
     line_after: NDArray[np.int64]
@@ -119,47 +119,40 @@ class ColumnBatch(Batch):
     @cached_property
     def devices(self) -> DeviceRows:
         """The device's rows."""
-        alone, tables = self._alone, self.decoding
-        plain, verdict = tables.protocol.plain, self.asked.verdict
-        right = tables.answers.agree(self.asked, self.answers)
+        alone, tables, answers = self._alone, self.decoding, self.answers
+        verdict, timelines, after = self.asked.verdict, self._timelines, self.after
+        right = tables.answers.agree(self.asked, answers)
+        fields_at, fields_size = tables.answers.fields(self.asked.kind, answers)
         latency = self.t - self.asked_end
         late = latency > tables.late
 
         def sort(rows: NDArray[np.int64]) -> NDArray[np.int64]:
             """Rows with the same number have the same kinds of anomalies."""
-            wrong: NDArray[np.int64] = (
-                512 * verdict[rows].astype(np.int64) + alone.answers.code[rows]
-            )
+            wrong: NDArray[np.int64] = 512 * verdict[rows].astype(np.int64) + answers.code[rows]
             return late[rows] * (1 << 18) + wrong
 
         return DeviceRows(
             t=self.t,
-            byte=self.answers.code if plain else tables.answers.bytes.take(self.answers.code),
+            byte=self._byte(slice(None)),
             sequence=self.sequence,
             header=tables.requests.keys.take(self.asked.kind),
             verdict=verdict,
             latency=latency,
             agrees=right.view(np.int8),
             odd=~right | late | (latency < 0),
-            states=self._states_at(self.after),
+            states=StateColumns(timelines.kind, len(after), lambda n: timelines[n].take(after)),
             samples=alone._samples,
             sort=sort,
-            answers=self._answer_bytes,
-        )
-
-    @property
-    def _answer_bytes(self) -> AnswerBytes:
-        answers, tables = self.answers, self.decoding.answers
-        fields_at, fields_size = tables.fields(self.asked.kind, answers)
-        return AnswerBytes(
-            data=self.heard,
-            offset=answers.offset,
-            size=answers.size,
-            name=answers.code,
-            names=tables.names,
-            fields_at=fields_at,
-            fields_size=fields_size,
-            address=tables.addresses(self.asked.kind, self.heard, answers),
+            answers=AnswerBytes(
+                data=self.heard,
+                offset=answers.offset,
+                size=answers.size,
+                name=answers.code,
+                names=tables.answers.names,
+                fields_at=fields_at,
+                fields_size=fields_size,
+                address=tables.answers.addresses(self.asked.kind, self.heard, answers),
+            ),
         )
 
     @cached_property
@@ -167,16 +160,28 @@ class ColumnBatch(Batch):
         """The other rows."""
         after = self.line_after
         states = self._timelines.states.take(after).tolist() if len(after) else []
-        listed = [
-            LineRecord(line, False, state, anomalies.of_line(line, lost=False))
-            for line, state in zip(self.lines, states, strict=True)
-        ]
-        return OtherRows(listed, after, self.line_heard)
+        return OtherRows(
+            [
+                LineRecord(line, False, state, anomalies.of_line(line, lost=False))
+                for line, state in zip(self.lines, states, strict=True)
+            ]
+        )
 
-    @property
-    def after(self) -> NDArray[np.int64]:
-        """How many of the host's rows come before each of the device's."""
-        return self.device_after
+    @cached_property
+    def places(self) -> tuple[NDArray[np.int64], ...]:
+        """The numbers of the host's, the device's and the other rows among all rows in order."""
+        hosts, devices = np.arange(len(self.start)), np.arange(len(self.t))
+        before = _up_to(self.after, hosts) + _up_to(self.line_after, hosts)
+        return (
+            hosts + before,
+            devices + self.after + _up_to(self.line_heard, devices),
+            np.arange(len(self.lines)) + self.line_after + self.line_heard,
+        )
+
+    def _byte(self, rows: slice | NDArray[np.int64]) -> NDArray[np.integer]:
+        """The codes of some of the answers."""
+        code, tables = self.answers.code[rows], self.decoding
+        return code if tables.protocol.plain else tables.answers.bytes.take(code)
 
     def records(self, chosen: Selection | None = None) -> Sequence[Record]:
         """The rows in order as records; the chosen ones, None for all."""
@@ -188,11 +193,9 @@ class ColumnBatch(Batch):
         made: list[Record] = [*self._host_records(hosts, states.take(hosts + 1).tolist())]
         made += self._answers(devices, states.take(self.after[devices]).tolist())
         made += [self.others.listed[row] for row in others.tolist()]
-        rows = (hosts, devices, others)
-        places = np.concatenate([one[of] for one, of in zip(self.places, rows, strict=True)])
-        ordered = np.empty(len(self), object)
-        ordered[places] = np.fromiter(made, object, len(made))
-        records: list[Record] = ordered[np.sort(places)].tolist()
+        rows = zip(self.places, (hosts, devices, others), strict=True)
+        order = np.argsort(np.concatenate([places[some] for places, some in rows]))
+        records: list[Record] = np.fromiter(made, object, len(made))[order].tolist()
         return records
 
     @cached_property
@@ -228,25 +231,30 @@ class ColumnBatch(Batch):
 
     def _answers(self, rows: NDArray[np.int64], states: list[State]) -> list[DeviceRecord]:
         """The records of some of the device's rows, in these states."""
-        tables, hosts, end = self.decoding, self.devices, self.asked_end[rows]
-        code = self.answers.code[rows]
-        judged = self._asked_judgements(rows)
+        tables, t, end = self.decoding, self.t[rows], self.asked_end[rows]
+        asked, answers = self.asked.rows(rows), self.answers.rows(rows)
+        odd = ~tables.answers.agree(asked, answers) | (t - end > tables.late) | (t < end)
+        # The judgements of the frames that they answer.
+        new = self.sequence[rows] - self.first
+        carried = int(np.searchsorted(new, 0))
+        before = self._judged(asked.rows(slice(carried)))
+        judged = [*before.tolist(), *self._judgements(new[carried:]).tolist()]
         made = list(
             map(
                 DeviceRecord,
-                objects(self.t[rows]),
-                hosts.byte[rows].tolist(),
-                map(tables.answers.responses.__getitem__, code.tolist()),
+                objects(t),
+                self._byte(rows).tolist(),
+                map(tables.answers.responses.__getitem__, answers.code.tolist()),
                 judged,
                 self.sequence[rows].tolist(),
-                objects(hosts.latency[rows]),
+                objects(t - end),
                 repeat(True),
                 states,
                 repeat(()),
                 repeat(None) if tables.protocol.plain else self._replies(rows, judged),
             )
         )
-        for at in np.flatnonzero(hosts.odd[rows]).tolist():
+        for at in np.flatnonzero(odd).tolist():
             one = made[at]
             assert one.answered is not None
             assert one.instruction is not None
@@ -262,13 +270,6 @@ class ColumnBatch(Batch):
         for frame, asked in zip(frames, judged, strict=True):
             yield read_as(protocol, usual_way(protocol, asked.instruction), frame, asked)
 
-    def _asked_judgements(self, rows: NDArray[np.int64]) -> list[Judgement]:
-        """The judgements of the frames that some of the device's rows answer."""
-        new = self.sequence[rows] - self.first
-        carried = int(np.searchsorted(new, 0))
-        before = self._judged(self.asked.rows(rows[:carried]))
-        return [*before.tolist(), *self._judgements(new[carried:]).tolist()]
-
     def _judgements(self, rows: NDArray[np.int64]) -> NDArray[np.object_]:
         """The judgements of some of the new frames."""
         if 2 * len(rows) < len(self.start):
@@ -276,8 +277,7 @@ class ColumnBatch(Batch):
         return self._all_judged.take(rows)
 
     @cached_property
-    def _all_judged(self) -> NDArray[np.object_]:
-        """The judgements of all new frames, which the records of both sides have."""
+    def _all_judged(self) -> NDArray[np.object_]:  # which the records of both sides have
         return self._judged(self.requests)
 
     def _judged(self, requests: Requests) -> NDArray[np.object_]:
@@ -305,16 +305,14 @@ class ColumnBatch(Batch):
     @cached_property
     def _timelines(self) -> StateColumns:
         """The variables before the new frames and after each."""
-        return StateColumns(type(self.before.state), len(self.start) + 1, self._alone._timeline)
+        tables, known = self.decoding.requests.states, (self.data, self.requests, self.before)
+        count = len(self.start) + 1
+        return StateColumns(type(self.before.state), count, lambda n: tables.column(n, *known))
 
-    def _timeline(self, variable: str) -> NDArray[Any]:
-        tables = self.decoding.requests.states
-        return tables.column(variable, self.data, self.requests, self.before)
 
-    def _states_at(self, after: NDArray[np.int64]) -> StateColumns:
-        """The states of some rows, which come after so many frames."""
-        timelines = self._timelines
-        return StateColumns(timelines.kind, len(after), lambda name: timelines[name].take(after))
+def _up_to(values: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many of the values are at most the number of each row."""
+    return np.bincount(values, minlength=len(rows))[: len(rows)].cumsum()
 
 
 def objects(values: NDArray[np.int64]) -> list[int]:

@@ -343,7 +343,7 @@ class ColumnDecoder:
             sequence=sequence[:replies],
             answers=answers.rows(slice(replies)),
             t=answer_t[:replies],
-            device_after=after[:replies],
+            after=after[:replies],
             before=known,
             lines=[
                 replace(line, t=int(t[at]))
