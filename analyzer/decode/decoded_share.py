@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Literal, NamedTuple
-
-from msgspec.structs import replace
+from typing import NamedTuple, get_args
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.captures.schemas import Direction
@@ -17,7 +15,7 @@ from bilprov.spec.codec import judge, spaced
 from bilprov.spec.data import Order
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import frame_size
-from bilprov.spec.layout import Check, Layout
+from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.replies import covered
 
@@ -101,18 +99,12 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
         direction = _direction(begun)
         near = _near(protocol, begun, data)
         share.first = Undecoded(direction, offset, begun.t, data[:_SHOWN], near)
-        share.check = _fitting(protocol, wrong, direction)
+        fitting = [
+            fitting_check(protocol.layout, wrong["host"]),
+            fitting_check(protocol.reply, wrong["device"], "".join(protocol.layout.covered[:1])),
+        ]
+        share.check = next(filter(None, fitting if direction == "host" else fitting[::-1]), "")
     return share
-
-
-def _fitting(
-    protocol: Protocol, wrong: dict[Direction, list[Checked]], direction: Direction
-) -> str:
-    """A usual check that fits where the declared one is wrong, of this direction or the other."""
-    host = fitting_check(protocol.layout, wrong["host"])
-    asked = protocol.layout.covered[0] if protocol.layout.covered else ""
-    device = fitting_check(protocol.reply, wrong["device"], asked)
-    return host or device if direction == "host" else device or host
 
 
 def _direction(record: HostRecord | DeviceRecord) -> Direction:
@@ -151,11 +143,8 @@ def _near(protocol: Protocol, record: HostRecord | DeviceRecord, data: bytes) ->
     return NearMiss(asked.name if asked else "", "length", reason)
 
 
-Obstacle = Literal["checksum", "length", "range", "sync", "address", "id", "request"]
-
-_ORDERS: tuple[Order, ...] = ("big", "little")
 _LONGEST = 512  # bytes within which another end of a frame is looked for
-_OBSTACLES: dict[Outcome, Obstacle] = {
+_OBSTACLES = {
     Outcome.BAD_DATA: "range",
     Outcome.BAD_CHECKSUM: "checksum",
     Outcome.BAD_SYNC: "sync",
@@ -164,8 +153,6 @@ _OBSTACLES: dict[Outcome, Obstacle] = {
     Outcome.TOO_MANY: "length",
     Outcome.TOO_FEW: "length",
 }
-# The nearer come first: what only a value or a length keeps from being a frame is nearly one.
-_NEAREST: tuple[Obstacle, ...] = ("range", "length", "address", "sync", "checksum", "id")
 
 _USUAL: tuple[CheckFunction, ...] = (
     *(Sum(8), Sum(8, complement=1), Sum(8, complement=2), Xor(), Sum(16)),
@@ -181,42 +168,41 @@ _USUAL: tuple[CheckFunction, ...] = (
 
 
 class NearMiss(NamedTuple):
-    """The instruction that some bytes nearly are ("" if none is near), and what is wrong."""
+    """The instruction that some bytes nearly are ("" if none is near), and what is wrong.
+
+    The `obstacle` is one of _OBSTACLES, or `request` for an answer that nothing asked for.
+    """
 
     name: str
-    obstacle: Obstacle
+    obstacle: str
     reason: str
 
 
 def near_miss(protocol: Protocol, data: bytes) -> NearMiss | None:
     """What bytes of the host nearly are that begin where a frame was expected; None if nothing."""
-    found = list(_hypotheses(protocol, data))
-    return min(found, key=lambda one: (not one.name, _NEAREST.index(one.obstacle)), default=None)
-
-
-def _hypotheses(protocol: Protocol, data: bytes) -> Iterator[NearMiss]:
     layout = protocol.layout
     if layout.sync and not layout.begins(data[: layout.head]):
-        yield from _other_sync(protocol, data)
-        return
+        return _other_sync(protocol, data)
     size = frame_size(protocol, data)
     judged = judge(protocol, data[:size] if size and size > 0 else data)
     if judged.valid:
-        return
+        return None
     name = judged.instruction.name if judged.instruction else ""
     if judged.outcome in (Outcome.BAD_CHECKSUM, Outcome.TOO_FEW):
         size = 0 if judged.truncated else len(judged.frame)
-        yield from _other_length(layout, judged.instruction, data, size)
-    yield NearMiss(name, _OBSTACLES[judged.outcome], judged.reason)
+        other = _other_length(layout, judged.instruction, data, size)
+        if other and (other.name or not name):
+            return other
+    return NearMiss(name, _OBSTACLES[judged.outcome], judged.reason)
 
 
 def _other_length(
     layout: Layout, spec: InstructionSpec | None, data: bytes, size: int
-) -> Iterator[NearMiss]:
+) -> NearMiss | None:
     """The frame with another end, if its check is right there."""
     check = layout.check
     if check is None:
-        return
+        return None
     least = layout.head + layout.tail
     for end in check.right_sizes(data[:_LONGEST], check.first + check.last + 1):
         more = data[end:]
@@ -224,19 +210,18 @@ def _other_length(
             continue  # right by chance, once in 256 times
         if end == size or layout.wrong_constant(data[:end]):
             continue
-        name, reason = "", f"its check is right after {quantity(end, 'byte')}, "
-        if end < least or spec is None or layout.part("length"):
-            reason += "as if a part of FRAME were declared with a wrong size"
-            named = layout.part("address") or layout.part("length")
-            reason += f", such as {named.name}" if named else ""
-        else:
-            name, due = spec.name, max(size - least, spec.length)
-            reason += f"with {quantity(end - least, 'byte')} of data; {name} takes {due}"
-        yield NearMiss(name, "length", reason)
-        return
+        reason = f"its check is right after {quantity(end, 'byte')}, "
+        if spec and end >= least and not layout.part("length"):
+            takes = f"{spec.name} takes {max(size - least, spec.length)}"
+            reason += f"with {quantity(end - least, 'byte')} of data; {takes}"
+            return NearMiss(spec.name, "length", reason)
+        named = layout.part("address") or layout.part("length")
+        reason += "as if a part of FRAME were declared with a wrong size"
+        return NearMiss("", "length", reason + (f", such as {named.name}" if named else ""))
+    return None
 
 
-def _other_sync(protocol: Protocol, data: bytes) -> Iterator[NearMiss]:
+def _other_sync(protocol: Protocol, data: bytes) -> NearMiss | None:
     """The frame with the right constants in front: in place of the first bytes, or before them."""
     layout = protocol.layout
     sync = layout.sync
@@ -249,8 +234,9 @@ def _other_sync(protocol: Protocol, data: bytes) -> Iterator[NearMiss]:
         as_sent = layout.check is not None and layout.check.holds(data[: size - missing])
         if judged.valid or (judged.outcome is Outcome.BAD_CHECKSUM and as_sent):
             came = spaced(data[: len(sync) - missing]) or "no such bytes"
-            yield NearMiss(judged.name, "sync", f"it begins with {came}, right is {spaced(sync)}")
-            return
+            why = f"it begins with {came}, right is {spaced(sync)}"
+            return NearMiss(judged.name, "sync", why)
+    return None
 
 
 class Checked(NamedTuple):
@@ -260,65 +246,41 @@ class Checked(NamedTuple):
     asked: bytes = b""
 
 
-def fitting_check(layout: Layout, frames: Iterable[Checked], asked: str = "") -> str:
+def fitting_check(layout: Layout, frames: Sequence[Checked], asked: str = "") -> str:
     """A usual check that is right in each of these frames, as it is declared; "" if there is none.
 
-    `asked` names the covered part of the request, if a check of the answer may count it too. One
+    `asked` names the covered part of the request, which a check of the answer may count too. One
     frame alone says little of a check of one byte: two are needed then.
     """
-    given = list(frames)
     check = layout.check
-    if check is None or len(given) < (2 if check.part.size == 1 else 1):
+    if check is None or len(frames) < (2 if check.part.size == 1 else 1):
         return ""
+    part, covered, also = check.part, layout.covered[0], check.asked
     places = {part.offset: part.name for part in layout.parts if part.offset >= 0}
     places |= {layout.head: "data"} if layout.has_data else {}
-    tried = product(
-        sorted({check.asked, bool(asked)}, key=check.asked.__ne__),
-        sorted(places, key=check.first.__ne__),
-        _USUAL,
-        _ORDERS,
-    )
-    for counts_asked, first, function, order in tried:
-        if counts_asked <= bool(asked) and _fits(
-            replace(check, asked=counts_asked, first=first), function, order, given
+    firsts = sorted(places, key=check.first.__ne__)
+    for first, function, order in product(firsts, _USUAL, get_args(Order)):
+        if all(
+            function(before * also + frame[first : len(frame) - check.last])
+            == int.from_bytes(part.raw(frame), order)
+            for frame, before in frames
         ):
-            begins = "" if first == check.first else places[first]
-            return _in_words(layout, check, function, order, asked * counts_asked, begins)
+            kind = "Byte" if part.size == 1 else f"Int{8 * part.size}u{order[0]}"
+            counted = f"asked.{asked}.data + " * also + f"this.{covered}.data"
+            said = f'"{part.name}" / Checksum({kind}, {_declared(function)}, {counted})'
+            begins = f', with "{covered}" beginning at "{places[first]}"'
+            return said + begins * (first != check.first)
     return ""
 
 
-def _fits(check: Check, function: CheckFunction, order: Order, frames: list[Checked]) -> bool:
-    """Whether another function, in the place of the check, is right in every frame."""
-    return all(
-        function((asked if check.asked else b"") + check.covered(frame))
-        == int.from_bytes(check.part.raw(frame), order)
-        for frame, asked in frames
-    )
-
-
-def _in_words(
-    layout: Layout, check: Check, function: CheckFunction, order: Order, asked: str, begins: str
-) -> str:
-    """The check as a grammar declares it; `begins` is the part that its bytes begin with."""
-    size, covered = check.part.size, layout.covered[0]
-    kind = "Byte" if size == 1 else f"Int{8 * size}u{order[0]}"
-    counted = f"asked.{asked}.data + " if asked else ""
-    said = f'"{check.part.name}" / Checksum({kind}, {declared(function)}, '
-    said += f"{counted}this.{covered}.data)"
-    return said + (f', with "{covered}" beginning at "{begins}"' if begins else "")
-
-
-def declared(function: CheckFunction) -> str:
-    """A check as a grammar declares it."""
+def _declared(function: CheckFunction) -> str:
+    """One of the usual checks as a grammar declares it."""
     if isinstance(function, Sum):
-        complement = int(function.complement)
-        return f"Sum({function.bits}{f', complement={complement}' if complement else ''})"
-    if isinstance(function, Fletcher):
-        return f"Fletcher({function.modulus})"
-    if isinstance(function, Xor):
-        return f"Xor({function.start or ''})"
+        complement = f", complement={function.complement}" if function.complement else ""
+        return f"Sum({function.bits}{complement})"
+    if not isinstance(function, Crc):
+        return f"Fletcher({function.modulus})" if isinstance(function, Fletcher) else "Xor()"
     digits = -(-function.width // 4)
     said = f"Crc({function.width}, 0x{function.poly:0{digits}X}, 0x{function.init:0{digits}X}"
     said += ", reflected=True" if function.reflected else ""
-    said += f", refout={function.refout}" if function.refout is not function.reflected else ""
     return said + (f", xorout=0x{function.xorout:0{digits}X})" if function.xorout else ")")

@@ -74,10 +74,10 @@ class JsonLine(msgspec.Struct, frozen=True, gc=False):
     reason: str
     latency: float | None
     state: State
-    sequence: int | None
-    answers: int | None
-    agrees: bool | None
-    faults: tuple[str, ...]
+    sequence: int | None = None
+    answers: int | None = None
+    agrees: bool | None = None
+    faults: tuple[str, ...] = ()
     outcome: str | UnsetType = UNSET
     address: int | UnsetType = UNSET
     uncertain: bool | UnsetType = UNSET
@@ -120,8 +120,8 @@ def json_lines(records: Iterable[Record]) -> list[JsonLine]:
                     record.instruction,
                     record.agrees,
                     serious_kinds(record) if record.faults else (),
-                    UNSET if reply is None or answered is None else outcome_word(answered),
-                    unset_if_none(reply.address) if reply else UNSET,
+                    UNSET if reply is None or answered is None else _outcome(answered),
+                    _known(reply.address) if reply else UNSET,
                     (record.faults and record.uncertain) or UNSET,
                 )
             )
@@ -136,13 +136,11 @@ OUTCOME_WORDS = (*(one.name.lower().replace("_", "-") for one in Outcome), "trun
 _PLACE = {outcome: place for place, outcome in enumerate(Outcome)}
 
 
-def outcome_word(judgement: Judgement) -> str:
-    """The outcome of a frame as JSON lines have it."""
+def _outcome(judgement: Judgement) -> str:
     return OUTCOME_WORDS[-1 if judgement.truncated else _PLACE[judgement.outcome]]
 
 
-def unset_if_none(value: int | None) -> int | UnsetType:
-    """A value for a key that is left out where there is none."""
+def _known(value: int | None) -> int | UnsetType:
     return UNSET if value is None else value
 
 
@@ -166,12 +164,9 @@ def _frame_line(record: HostRecord) -> JsonLine:
         reason=record.reason,
         latency=None,
         state=record.state,
-        sequence=None,
-        answers=None,
-        agrees=None,
         faults=serious_kinds(record),
-        outcome=outcome_word(judgement) if judgement and judgement.framed else UNSET,
-        address=unset_if_none(judgement.address) if judgement else UNSET,
+        outcome=_outcome(judgement) if judgement and judgement.framed else UNSET,
+        address=_known(judgement.address) if judgement else UNSET,
         uncertain=record.uncertain or UNSET,
     )
 
@@ -193,7 +188,5 @@ def _fault_line(record: LineRecord | FaultRecord) -> JsonLine:
         latency=None,
         state=record.state,
         sequence=fault.instruction,
-        answers=None,
-        agrees=None,
         faults=serious_kinds(record),
     )
