@@ -6,15 +6,14 @@ exact; after that a row holds what was in one step of time, whose width doubles 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import groupby
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.analyzer.decode.batch import Batch, Selection
-from bilprov.analyzer.decode.records import Record, serious_faults
+from bilprov.analyzer.decode.records import serious_faults
 from bilprov.spec.protocol import Protocol
 
 MOST = 1 << 14
@@ -31,6 +30,7 @@ MOST_IDLE = 20
 
 _FINEST = 1000  # ns of the narrowest step
 
+Places: TypeAlias = NDArray[np.int64]
 Table: TypeAlias = NDArray[np.int64]
 """Rows by columns, the first of which is the time (ns)."""
 
@@ -61,9 +61,12 @@ class Timeline:
             + at_first.moving,
             *(at_first.code(name, getattr(at_first, name)) for name in self._numbers),
         )
-        self._states = _Rows(_merged_states, 3 + 3 * len(self._numbers))
-        self._latencies = _Rows(_merged_latencies, 4)
-        self._marks = _Marks()
+        # A step may take two rows: one for what changes in it, one for what holds after it.
+        self._states = _Rows(_merged_states, 3 + 3 * len(self._numbers), MOST, MOST // 2)
+        self._latencies = _Rows(_merged_latencies, 4, MOST, MOST // 2)
+        self._marks = _Rows(_merged_marks, 3, MOST_MARKS, MOST_MARKS)
+        self._said: dict[int, tuple[str, str]] = {}  # kind and reason, by the mark's number
+        self._numbered = 0  # marks so far
         self._end: int | None = None
         self._idle: list[tuple[int, int]] = []
         self.begin = 0
@@ -84,8 +87,9 @@ class Timeline:
             code += 2 * states[self._word].astype(np.int64)
         self._add_states(hosts.known, code, *(states[name] for name in self._numbers))
         answering = devices.answering
-        self._add_latencies(devices.t[answering], devices.latency[answering])
-        self._add_marks(batch)
+        t, latency = devices.t[answering], devices.latency[answering]
+        self._latencies.add(np.column_stack([t, latency, latency, np.ones(len(t), np.int64)]))
+        self._add_marks(batch, serious)
 
     def states(self) -> tuple[dict[str, Any], int]:
         """The states from `begin` on as lists, and the width (ns) of the steps, 0 for exact rows.
@@ -117,7 +121,8 @@ class Timeline:
 
     def marks(self) -> tuple[list[Mark], int]:
         """The anomalies in order, and the width (ns) of the steps; 0 where each has its mark."""
-        return self._marks.reduced()
+        table, step = self._marks.reduced()
+        return [Mark(t, amount, *self._said[one]) for t, amount, one in table.tolist()], step
 
     def idle(self) -> list[tuple[int, int]]:
         """The longest times without a byte or an anomaly, in order: from when to when (ns)."""
@@ -136,22 +141,13 @@ class Timeline:
                 rows.begin = first
         before, self._end = self.end, max(self.end, int(times.max()))
         if self._end - before >= SHORTEST_IDLE:
-            self._add_idle(np.append(before, times[times > before]))
+            times = np.sort(np.append(before, times[times > before]))
+            long = np.flatnonzero(np.diff(times) >= SHORTEST_IDLE)
+            self._idle += zip(times[long].tolist(), times[long + 1].tolist(), strict=True)
+            self._idle.sort(key=lambda idle: idle[0] - idle[1])
+            del self._idle[MOST_IDLE:]
 
-    def _add_idle(self, times: NDArray[np.int64]) -> None:
-        """Take in the times (ns) between which there may be idle ones."""
-        times = np.sort(times)
-        long = np.flatnonzero(np.diff(times) >= SHORTEST_IDLE)
-        ends = zip(times[long].tolist(), times[long + 1].tolist(), strict=True)
-        self._idle += ends
-        self._idle.sort(key=lambda idle: idle[0] - idle[1])
-        del self._idle[MOST_IDLE:]
-
-    def _add_states(
-        self,
-        t: NDArray[np.int64],
-        *values: NDArray[np.signedinteger],
-    ) -> None:
+    def _add_states(self, t: NDArray[np.int64], *values: NDArray[np.signedinteger]) -> None:
         """Take states in order, each with the time (ns) from which on it holds."""
         changed = np.zeros(len(t), np.bool_)
         for column, last in zip(values, self._last, strict=True):
@@ -160,50 +156,53 @@ class Timeline:
         if len(rows):
             self._last = tuple(int(column[-1]) for column in values)
             motion, *numbers = (column.take(rows) for column in values)
-            table = np.empty((3 + 3 * len(numbers), len(rows)), np.int64)
-            for place, column in enumerate([t.take(rows), motion, 1 << motion.astype(np.int64)]):
-                table[place] = column
-            for place, column in enumerate(numbers):
-                table[3 + 3 * place : 6 + 3 * place] = column
-            self._states.add(table.T)
+            columns = [t.take(rows), motion, 1 << motion.astype(np.int64)]
+            columns += [column for column in numbers for _ in range(3)]
+            self._states.add(np.column_stack(columns))
 
-    def _add_marks(self, batch: Batch) -> None:
-        sides = (batch.hosts.known, batch.devices.t, batch.others.t)
-        found = [np.flatnonzero(mask) for mask in batch.serious]
+    def _add_marks(self, batch: Batch, serious: Selection) -> None:
+        found = [np.flatnonzero(mask) for mask in serious]
         if not any(map(len, found)):
             return
-        amounts = [
-            kinds.amounts.take(kinds.code[rows])
-            for kinds, rows in zip((batch.hosts.faults, batch.devices.faults), found, strict=False)
-        ]
-        amounts.append(np.ones(len(found[2]), np.int64))
-        side = np.repeat(np.arange(3), list(map(len, found)))
-        rows = np.concatenate(found)
-
-        def made(places: NDArray[np.int64]) -> list[Record]:
-            """The records of some of these rows, side by side."""
-            return [
-                record
-                for one in range(3)
-                if len(asked := rows[places[side[places] == one]])
-                for record in batch.records(_only(one, asked, batch))
-            ]
-
-        t = np.concatenate([of[at] for of, at in zip(sides, found, strict=True)])
-        self._marks.add(t, np.concatenate(amounts), made)
-
-    def _add_latencies(self, t: NDArray[np.int64], latency: NDArray[np.int64]) -> None:
-        self._latencies.add(np.column_stack([t, latency, latency, np.ones(len(t), np.int64)]))
+        sides = (batch.hosts.known, batch.devices.t, batch.others.t)
+        t = np.concatenate([times[rows] for times, rows in zip(sides, found, strict=True)])
+        kinds = zip((batch.hosts.faults, batch.devices.faults), found, strict=False)
+        amounts = [one.amounts.take(one.code[rows]) for one, rows in kinds]
+        amount = np.concatenate([*amounts, np.ones(len(found[2]), np.int64)])
+        first, self._numbered = self._numbered, self._numbered + len(t)
+        self._marks.add(np.column_stack([t, amount, np.arange(first, self._numbered)]))
+        table, _ = self._marks.reduced()
+        self._said = {one: self._said[one] for one in table[:, 2].tolist() if one < first}
+        # Records are made of those marks alone that are kept.
+        kept = np.zeros(len(t), np.bool_)
+        kept[table[table[:, 2] >= first, 2] - first] = True
+        for side, rows in enumerate(np.split(kept, np.cumsum([len(one) for one in found])[:-1])):
+            chosen = [np.zeros(len(one), np.bool_) for one in sides]
+            chosen[side][found[side][rows]] = True
+            numbers = (first + np.flatnonzero(rows)).tolist()
+            for number, record in zip(numbers, batch.records(Selection(*chosen)), strict=True):
+                faults = serious_faults(record)
+                named = ", ".join(fault.kind for fault in faults)
+                self._said[number] = named, "; ".join(fault.reason for fault in faults)
+            first += len(rows)
 
 
 class _Rows:
-    """A table of at most `MOST` rows; when there are more, `merge` puts rows together.
+    """A table of at most `most` rows; when there are more, `merge` puts rows together.
 
-    It gets the table, for each row when (ns) its step of time begins, and the width of a step.
+    It gets the table, the first row of each step of time, when (ns) that begins, and its width.
+    Then there are so many `steps` at most.
     """
 
-    def __init__(self, merge: Callable[[Table, NDArray[np.int64], int], Table], width: int) -> None:
+    def __init__(
+        self,
+        merge: Callable[[Table, Places, Places, int], Table],
+        width: int,
+        most: int,
+        steps: int,
+    ) -> None:
         self._merge = merge
+        self._most, self._steps = most, steps
         self._pieces = [np.zeros((0, width), np.int64)]
         self._count = 0
         self._step = 0
@@ -213,37 +212,37 @@ class _Rows:
         """Take more rows."""
         self._pieces.append(table)
         self._count += len(table)
-        if self._count > 4 * MOST:
-            table, _ = self.reduced()
-            self._pieces, self._count = [table], len(table)
+        if self._count > 4 * self._most:
+            self.reduced()
 
     def reduced(self) -> tuple[Table, int]:
         """All of the rows, and the width (ns) of the steps, 0 if the rows are exact."""
         table = np.concatenate(self._pieces)
         if np.any(np.diff(table[:, 0]) < 0):
             table = table[np.argsort(table[:, 0], kind="stable")]
-        if self._step or len(table) > MOST:
+        if self._step or len(table) > self._most:
             since = table[:, 0] - self.begin
             self._step = self._step or _FINEST
-            # A step may take two rows: one for what changes in it, one for what holds after it.
-            while 2 * _distinct(since // self._step) > MOST:
+            while np.count_nonzero(np.diff(since // self._step)) >= self._steps:
                 self._step *= 2
-            table = self._merge(table, self.begin + since // self._step * self._step, self._step)
-        return table, self._step
+            start = self.begin + since // self._step * self._step
+            first = np.flatnonzero(np.diff(start, prepend=start[0] - 1))
+            table = self._merge(table, first, start[first], self._step)
+        self._pieces, self._count = [table], len(table)
+        return table.copy(), self._step
 
 
 _MOTION, _SEEN = 1, 2  # columns of a table of states
 _FIRST_RANGE = 3  # where the ranges begin, each with the columns last, low, high
 
 
-def _merged_states(table: Table, start: NDArray[np.int64], step: int) -> Table:
+def _merged_states(table: Table, first: Places, start: Places, step: int) -> Table:
     """The states of each step in a row, and what holds after it in another if the next is empty."""
-    first = np.flatnonzero(np.diff(start, prepend=start[0] - 1))
     last = np.append(first[1:], len(table)) - 1
     rows = table[last]
-    rows[:, 0] = start[first]
+    rows[:, 0] = start
     entry = table[first - 1]  # what held when the step began, unless it was set just then
-    entered = (table[first, 0] > start[first]) & (first > 0)
+    entered = (table[first, 0] > start) & (first > 0)
     seen = np.bitwise_or.reduceat(table[:, _SEEN], first)
     rows[:, _SEEN] = seen | np.where(entered, 1 << entry[:, _MOTION], 0)
     for value in range(_FIRST_RANGE, table.shape[1], 3):
@@ -270,13 +269,12 @@ def _held_after(rows: Table, step: int) -> Table:
     return rows
 
 
-def _merged_latencies(table: Table, start: NDArray[np.int64], step: int) -> Table:
+def _merged_latencies(table: Table, first: Places, start: Places, step: int) -> Table:
     """The latencies of each step in a row."""
-    first = np.flatnonzero(np.diff(start, prepend=start[0] - 1))
     _, low, high, count = table.T
     return np.column_stack(
         [
-            start[first],
+            start,
             np.minimum.reduceat(low, first),
             np.maximum.reduceat(high, first),
             np.add.reduceat(count, first),
@@ -284,73 +282,10 @@ def _merged_latencies(table: Table, start: NDArray[np.int64], step: int) -> Tabl
     )
 
 
-class _Marks:
-    """Marks of anomalies, at most `MOST_MARKS`; when there are more, one a step of time."""
-
-    def __init__(self) -> None:
-        self._marks: list[Mark] = []
-        self._step = 0
-        self.begin = 0
-
-    def add(
-        self,
-        t: NDArray[np.int64],
-        amounts: NDArray[np.int64],
-        made: Callable[[NDArray[np.int64]], Sequence[Record]],
-    ) -> None:
-        """Take the records with anomalies at these times (ns), and how many each of them has.
-
-        `made` gives the records of some of them, by their places, which increase.
-        """
-        if not len(t):
-            return
-        order = np.argsort(t, kind="stable")
-        starts = np.array([mark.t for mark in self._marks], np.int64)
-        if not self._step and len(self._marks) + len(t) > MOST_MARKS:
-            self._step = _FINEST
-        times = np.sort(np.append(starts, t))
-        while self._step and _distinct(self._steps(times)) > MOST_MARKS:
-            self._step *= 2
-        first = np.arange(len(t))
-        if self._step:
-            first = np.flatnonzero(np.diff(self._steps(t[order]), prepend=-1))
-        kept, sums = order[first].tolist(), np.add.reduceat(amounts[order], first).tolist()
-        counts = dict(zip(kept, sums, strict=True))
-        places = np.sort(order[first])
-        for place, record in zip(places.tolist(), made(places), strict=True):
-            faults = serious_faults(record)
-            kinds = ", ".join(fault.kind for fault in faults)
-            reasons = "; ".join(fault.reason for fault in faults)
-            self._marks.append(Mark(int(t[place]), counts[place], kinds, reasons))
-        self._marks.sort(key=lambda mark: mark.t)
-        if self._step:
-            steps = self._steps(np.array([mark.t for mark in self._marks], np.int64)).tolist()
-            together = groupby(zip(steps, self._marks, strict=True), lambda pair: pair[0])
-            self._marks = [_together([mark for _, mark in marks]) for _, marks in together]
-
-    def reduced(self) -> tuple[list[Mark], int]:
-        """The marks in order, and the width (ns) of the steps, 0 if each anomaly has its mark."""
-        return self._marks, self._step
-
-    def _steps(self, t: NDArray[np.int64]) -> NDArray[np.int64]:
-        steps: NDArray[np.int64] = np.maximum(t - self.begin, 0) // self._step
-        return steps
-
-
-def _together(marks: list[Mark]) -> Mark:
-    if len(marks) == 1:
-        return marks[0]
-    return marks[0]._replace(amount=sum(mark.amount for mark in marks))
-
-
-def _only(side: int, rows: NDArray[np.int64], batch: Batch) -> Selection:
-    """These rows of a side, and none of the others."""
-    masks = [
-        np.zeros(count, np.bool_)
-        for count in (len(batch.hosts), len(batch.devices), len(batch.others))
-    ]
-    masks[side][rows] = True
-    return Selection(*masks)
+def _merged_marks(table: Table, first: Places, start: Places, step: int) -> Table:
+    """The first mark of each step, for all in it."""
+    amounts = np.add.reduceat(table[:, 1], first)
+    return np.column_stack([table[first, 0], amounts, table[first, 2]])
 
 
 def word_of(protocol: Protocol) -> str | None:
@@ -361,8 +296,3 @@ def word_of(protocol: Protocol) -> str | None:
 def numbers_of(protocol: Protocol) -> tuple[str, ...]:
     """The variables whose ranges a timeline has: those that are whole numbers."""
     return tuple(n for n, spec in protocol.variables.items() if spec.kind == "whole")
-
-
-def _distinct(ordered: NDArray[np.int64]) -> int:
-    """How many different numbers there are, which never decrease."""
-    return int(np.count_nonzero(np.diff(ordered))) + 1

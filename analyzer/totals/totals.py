@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,14 +45,15 @@ class Rates:
     """
 
     def __init__(self, *names: str) -> None:
-        self._counts = {name: [0] * BUCKETS for name in names}
+        self._counts = {name: np.zeros(BUCKETS, np.int64) for name in names}
         self._used = 0
         self.start = 0
         self.width = SECOND
 
     def series(self, name: str) -> list[int]:
         """The counts of a series, from the first bucket to the last one that any series has."""
-        return self._counts[name][: self._used]
+        counts: list[int] = self._counts[name][: self._used].tolist()
+        return counts
 
     def count(
         self, name: str, t: NDArray[np.int64], amounts: NDArray[np.integer] | None = None
@@ -67,12 +68,10 @@ class Rates:
             self._counts[name][low] += len(t) if amounts is None else int(amounts.sum())
             return
         edges = self.start + self.width * np.arange(low + 1, high + 1)
-        places = [0, *np.searchsorted(t, edges).tolist(), len(t)]
-        upto = np.array(places)
+        upto = np.concatenate([[0], np.searchsorted(t, edges), [len(t)]])
         if amounts is not None:
-            upto = np.append(0, np.cumsum(amounts))[places]
-        for place, amount in enumerate(np.diff(upto).tolist(), low):
-            self._counts[name][place] += amount
+            upto = np.append(0, np.cumsum(amounts))[upto]
+        self._counts[name][low : high + 1] += np.diff(upto)
 
     def _bucket(self, t: int) -> int:
         return max(0, t - self.start) // self.width
@@ -82,16 +81,13 @@ class Rates:
         if not self._used:
             self.start = t // SECOND * SECOND
         while (place := self._bucket(t)) >= BUCKETS:
-            for name, counts in self._counts.items():
-                pairs = map(sum, zip(counts[::2], counts[1::2], strict=True))
-                self._counts[name] = [*pairs, *[0] * (BUCKETS // 2)]
+            for counts in self._counts.values():
+                counts[:] = np.pad(counts.reshape(-1, 2).sum(axis=1), (0, BUCKETS // 2))
             self._used = (self._used + 1) // 2
             self.width *= 2
         self._used = max(self._used, place + 1)
         return place
 
-
-Place = TypeVar("Place", int, NDArray[np.int64])
 
 _STEP = 1000  # ns
 _EARLIEST = 100 * MS  # ns by which an answer may be stamped before its instruction
@@ -199,17 +195,16 @@ class Latencies:
             return []
         upto = np.append(0, np.cumsum(self._counts[touched].sum(axis=1)))
         start, end = _time(touched.start), _time(touched.stop)
-        nearly = _time(
-            touched.start + int(np.searchsorted(upto[1:], upto[-1] * 95 // 100, "right"))
-        )
-        width = _round_width((nearly - start) // (_BINS - 2))
+        nearly = touched.start + int(np.searchsorted(upto[1:], upto[-1] * 95 // 100, "right"))
+        least = (_time(nearly) - start) // (_BINS - 2)
+        widths = (times * 10**power for power in range(3, 19) for times in (1, 2, 5))
+        width = next(width for width in widths if width > least)
         first = start // width * width
         edges = [first + width * bin for bin in range(_BINS) if first + width * bin < end]
         stops = [*edges[1:], end if len(edges) == _BINS else edges[-1] + width]
-        return [
-            Bin(begin, stop, _between(upto, begin - start, stop - start))
-            for begin, stop in zip(edges, stops, strict=True)
-        ]
+        steps = (np.array([edges, stops]) - start) // _STEP
+        below, upto_stop = upto.take(steps, mode="clip")
+        return [*map(Bin, edges, stops, (upto_stop - below).tolist())]
 
     def _touched(self, groups: slice = slice(None)) -> slice:
         """The steps from the first in which there is one to the last."""
@@ -223,55 +218,9 @@ class Latencies:
         return min(max((latency + _EARLIEST) // _STEP, 0), len(self._counts) - 1)
 
 
-def _time(place: Place) -> Place:
+def _time(place: Any) -> Any:
     """When (ns) a step begins; of several steps too."""
     return place * _STEP - _EARLIEST
-
-
-def _round_width(least: int) -> int:
-    """A width (ns) of 1, 2 or 5 times a power of ten that is larger than `least`, from 1 us on."""
-    width = _STEP
-    while True:
-        for times in (1, 2, 5):
-            if width * times > least:
-                return width * times
-        width *= 10
-
-
-def _between(upto: NDArray[np.int64], start: int, stop: int) -> int:
-    """How many there are in these ns after the first step, `upto` which step there are how many."""
-    low, high = (min(max(at // _STEP, 0), len(upto) - 1) for at in (start, stop))
-    return int(upto[high] - upto[low])
-
-
-class MovingTime:
-    """Adds up for how long the wheels turn, change by change."""
-
-    def __init__(self, moving: bool) -> None:
-        self._total = 0  # ns, up to the last change
-        self._since: int | None = None
-        self._moving = moving
-
-    def follow(
-        self, t: NDArray[np.int64], moving: NDArray[np.bool_], asked: tuple[int, ...] = ()
-    ) -> list[int]:
-        """Take the next times (ns) at which the state was set, and whether the wheels turn then.
-
-        Returns for how long (ns) they had turned at each of the times `asked` for, which are not
-        before the changes that came with an earlier call.
-        """
-        begin = min([*asked, *t[:1].tolist()], default=0) if self._since is None else self._since
-        turns = np.append(self._moving, moving)
-        changes = np.flatnonzero(turns[1:] != turns[:-1])
-        at = np.maximum.accumulate(np.append(begin, t[changes]))
-        turns = np.append(self._moving, moving[changes])
-        total = self._total + np.append(0, np.cumsum(np.diff(at) * turns[:-1]))
-        self._total, self._since, self._moving = int(total[-1]), int(at[-1]), bool(turns[-1])
-        places = np.searchsorted(at, asked, "right") - 1
-        return [
-            int(total[place]) + max(0, time - int(at[place])) * bool(turns[place])
-            for place, time in zip(places.clip(0).tolist(), asked, strict=True)
-        ]
 
 
 DAMAGED = "damaged"
@@ -281,18 +230,9 @@ SERIES = ("frames", "faults", "host_bytes", "device_bytes")
 """What is counted by time, each frame when it ended."""
 
 
+_COUNTS = ("_headers", "_due", "_answers", "_paired", "_faults", "kinds")
+_SUMS = ("host_bytes", "device_bytes", "agreeing", "disagreeing", "moving")
 _UNCODED = len(OUTCOMES)  # stands for a valid frame whose answer has no code
-
-
-def _verdicts(verdict: NDArray[Any]) -> list[int]:
-    """How many frames there are of each verdict."""
-    return [int(np.count_nonzero(verdict == place)) for place in range(_UNCODED + 1)]
-
-
-def _numbered(name: str) -> tuple[int, str]:
-    """Orders the names of unused codes by their numbers."""
-    number = name.removeprefix("unused ")
-    return (int(number) if number.isdecimal() else 256, name)
 
 
 class Instruction(NamedTuple):
@@ -330,15 +270,16 @@ class Totals:
         groups = [places.get(identity, len(places)) for identity in protocol.keys]
         self._groups = np.array(groups, np.int64)
         self._headers = np.zeros(256, np.int64)
-        self._verdicts = np.zeros(len(OUTCOMES), np.int64)
         self._due = np.zeros(_UNCODED + 1, np.int64)  # of these, the ones to be answered
         self._uncoded = np.isin(np.arange(256), list(protocol.uncoded))
         self._answers: Counter[str] = Counter()
         self._paired: Counter[tuple[int, str]] = Counter()  # by ID and name of the answer
         self.latencies = Latencies(protocol.timing, len(places) + 1)
         self._faults: Counter[tuple[str, int | None, str]] = Counter()  # direction, ID, kind
-        self._moving = MovingTime(protocol.power_on.moving)
-        self._moved_before: int | None = None  # ns that the wheels had turned at `first`
+        self._turning = protocol.power_on.moving
+        self._turned = 0  # ns, up to the last change, at `_since`
+        self._since: int | None = None
+        self._turned_before: int | None = None  # ns, at `first`
         self._second, self._in_second = -1, 0
         self.rates = Rates(*SERIES)
         self.kinds: Counter[str] = Counter()
@@ -362,25 +303,15 @@ class Totals:
 
     def merge(self, other: Totals) -> None:
         """Count another recording, of the same protocol; times and rates have no meaning then."""
-        self._headers += other._headers
-        self._verdicts += other._verdicts
-        self._due += other._due
-        self._answers += other._answers
-        self._paired += other._paired
+        for name in (*_COUNTS, *_SUMS):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
         self.latencies.merge(other.latencies)
-        self._faults += other._faults
-        self.kinds += other.kinds
-        self.host_bytes += other.host_bytes
-        self.device_bytes += other.device_bytes
-        self.agreeing += other.agreeing
-        self.disagreeing += other.disagreeing
-        self.moving += other.moving
         self.peak = max(self.peak, other.peak)
 
     @property
     def frames(self) -> int:
         """How many host frames there are, whole and truncated ones."""
-        return int(self._verdicts.sum())
+        return int(self._headers.sum())
 
     @property
     def answers(self) -> int:
@@ -427,7 +358,8 @@ class Totals:
     def _by_name(self, counts: Mapping[str, int]) -> dict[str, int]:
         """Some counts, those of the grammar's responses first."""
         used = [name for name in self._names if name in counts]
-        others = sorted((name for name in counts if name not in self._names), key=_numbered)
+        width = 10 if self._protocol.plain else 0  # unused codes are ordered by their numbers
+        others = sorted(counts.keys() - {*self._names}, key=lambda name: name.rjust(width))
         return {name: counts[name] for name in (*used, *others)}
 
     def _named_ids(self) -> Iterator[tuple[int, str]]:
@@ -456,9 +388,7 @@ class Totals:
         if not len(end):
             return []
         header = hosts.header[rows]
-        for place, amount in enumerate(np.bincount(kind, minlength=len(KINDS)).tolist()):
-            if amount:
-                self.kinds[KINDS[place]] += amount
+        self.kinds.update(dict(zip(KINDS, np.bincount(kind).tolist(), strict=False)))
         self.host_bytes += int(size.sum())
         self.rates.count("host_bytes", end, size)
         self._add_kinds("host", hosts.faults.of(mask), hosts.known[rows], header)
@@ -467,12 +397,12 @@ class Totals:
             frames = verdict != NO_VERDICT
             header, verdict, end = header[frames], verdict[frames], end[frames]
         self._headers += np.bincount(header, minlength=256)
-        self._verdicts += _verdicts(verdict)[:-1]
         if hosts.due is not None:
             due = hosts.due[rows]
             header, verdict = hosts.header[rows][due], hosts.verdict[rows][due]
         uncoded = self._uncoded.take(header) & (verdict == VALID)
-        self._due += _verdicts(np.where(uncoded, _UNCODED, verdict))
+        verdict = np.where(uncoded, np.uint8(_UNCODED), verdict)
+        self._due += [np.count_nonzero(verdict == place) for place in range(_UNCODED + 1)]
         self.rates.count("frames", end)
         self._ended(end)
         return [start, last]
@@ -556,15 +486,26 @@ class Totals:
             self.peak = max(self.peak, self._in_second)
 
     def _follow(self, hosts: HostRows, heard: list[int]) -> None:
-        """Add up for how long the car moves; `heard` are times (ns) of bytes that were counted."""
-        t, moving = hosts.known, hosts.states.moving
+        """Add up for how long the wheels turn; `heard` are times (ns) of bytes that were counted.
+
+        Those are not before the changes that came with an earlier batch.
+        """
+        t = hosts.known
+        begin = min([*heard, *t[:1].tolist()], default=0) if self._since is None else self._since
+        turns = np.append(self._turning, hosts.states.moving)
+        changes = np.flatnonzero(turns[1:] != turns[:-1])
+        at = np.maximum.accumulate(np.append(begin, t[changes]))
+        turns = turns[np.append(0, 1 + changes)]
+        total = self._turned + np.append(0, np.cumsum(np.diff(at) * turns[:-1]))
+        self._turned, self._since, self._turning = int(total[-1]), int(at[-1]), bool(turns[-1])
         if not heard:
-            self._moving.follow(t, moving)
             return
-        first, last = min(heard), max(heard)
-        moved = self._moving.follow(t, moving, (first, last))
-        if self._moved_before is None:
-            self._moved_before = moved[0]
-        self.moving = max(self.moving, moved[1] - self._moved_before)
+        asked = np.array([min(heard), max(heard)])
+        place = np.searchsorted(at, asked, "right").clip(1) - 1
+        before, upto = (total[place] + (asked - at[place]).clip(0) * turns[place]).tolist()
+        if self._turned_before is None:
+            self._turned_before = before
+        self.moving = max(self.moving, upto - self._turned_before)
+        first, last = asked.tolist()
         self.first = first if self.first is None else min(self.first, first)
         self.last = last if self.last is None else max(self.last, last)
