@@ -23,8 +23,8 @@ from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.topics import CAR_STATE
-from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.arrays.states import Known
+from bilprov.spec.arrays.tables import request_tables
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 

@@ -7,7 +7,7 @@ reading of the document and does not depend on what any device answered.
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeAlias
 
 import msgspec
@@ -98,6 +98,8 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
         return f"{to}{self.name}, {data_bytes(self.length)}"
 
 
+_BY_DATA = (Outcome.VALID, Outcome.BAD_DATA)
+
 FRAMING_FAULTS = (Outcome.BAD_CHECKSUM, Outcome.BAD_SYNC)
 """The outcomes of frames whose parts around the data are wrong."""
 
@@ -107,22 +109,18 @@ def spaced(data: bytes) -> str:
     return data.hex(" ")
 
 
-def data_bytes(count: int) -> str:
-    """A number of data bytes in words."""
-    return "1 data byte" if count == 1 else f"{count} data bytes"
-
-
-def bit_names(spec: FieldSpec, value: int) -> tuple[str, ...]:
-    """Return the names of the field's set bits, most significant first."""
-    top = len(spec.bits) - 1
-    return tuple(name for i, name in enumerate(spec.bits) if value >> (top - i) & 1)
+def data_bytes(count: int, what: str = "data byte") -> str:
+    """A number of data bytes in words, or of something else."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def field_words(spec: FieldSpec, value: Value) -> str:
     """A field and its value in words: `rgb=5 (R B)`."""
     if not spec.bits or not isinstance(value, int) or value > spec.high:
         return f"{spec.name}={shown_value(spec, value)}"
-    return f"{spec.name}={value} ({' '.join(bit_names(spec, value)) or 'off'})"
+    top = len(spec.bits) - 1
+    names = [name for place, name in enumerate(spec.bits) if value >> (top - place) & 1]
+    return f"{spec.name}={value} ({' '.join(names) or 'off'})"
 
 
 def judge(protocol: Protocol, frame: bytes) -> Judgement:
@@ -147,18 +145,20 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
     told = size > 0 and (spec or layout.part("length"))
     length = max(0, size - layout.head - layout.tail) if told else len(data)
     judged = _fault if whole else _cut_short
-    outcome, reason, wrong = judged(protocol, frame, spec, data, length)
+    outcome, reason = judged(protocol, frame, spec, data, length)
     fields: tuple[tuple[str, Any], ...] = ()
-    if whole and spec and outcome in (Outcome.VALID, Outcome.BAD_DATA):
+    registers: Registers = ()
+    wrong, code, reading = None, "", ""
+    if spec and outcome in _BY_DATA:
         fields = tuple(spec.decode(data).items())
+        registers = registers_in(protocol, spec.writes, spec, data, dict(fields))
+        wrong = spec.wrong(data) if outcome is Outcome.BAD_DATA else None
+    if wrong:
+        code, reading = wrong.code, wrong.reading
+    elif protocol.plain:
+        reading = _reading(spec, length, valid=outcome is Outcome.VALID, whole=whole)
     heard = whole or layout.check is None  # what is cut short has no right check
-    code = wrong.code if wrong else ""
-    about_data = outcome in (Outcome.VALID, Outcome.UNKNOWN_ID, Outcome.BAD_DATA)
-    valid = outcome is Outcome.VALID
-    if wrong or not protocol.plain:
-        reading = wrong.reading if wrong else ""
-    else:
-        reading = _reading(spec, length, valid=valid, whole=whole)
+    about_data = outcome in (*_BY_DATA, Outcome.UNKNOWN_ID)
     return Judgement(
         frame=frame,
         id=identity if identity is not None else -1,
@@ -175,7 +175,7 @@ def judge(protocol: Protocol, frame: bytes) -> Judgement:
         head=layout.head,
         key=protocol.key_of(identity),
         framed=not protocol.plain,
-        registers=_registers(protocol, spec, data, fields),
+        registers=registers,
     )
 
 
@@ -200,18 +200,6 @@ def _reading(spec: InstructionSpec | None, length: int, *, valid: bool, whole: b
     return "" if valid else "R-known-length"
 
 
-def _registers(
-    protocol: Protocol,
-    spec: InstructionSpec | None,
-    data: bytes,
-    fields: tuple[tuple[str, Any], ...],
-) -> Registers:
-    """The named registers that a frame writes."""
-    if not protocol.registers or spec is None or not fields:
-        return ()
-    return registers_in(protocol, spec.writes, spec, data, dict(fields))
-
-
 def registers_in(
     protocol: Protocol,
     memory: Memory | None,
@@ -224,8 +212,7 @@ def registers_in(
     `memory` is what the data write or read, None for nothing; `asked` has the fields of the request
     by name, which tell the first cell.
     """
-    named = protocol.registers.get(memory.name) if memory else None
-    if memory is None or named is None or memory.bits or memory.keep or memory.latest:
+    if not protocol.registers or memory is None or memory.bits or memory.keep or memory.latest:
         return ()
     part, width = _cells(memory, spec)
     many = part.many
@@ -240,7 +227,7 @@ def registers_in(
     return tuple(
         (replace(one, name=one.name + whose, offset=at), one.parse(data[at : at + one.size]))
         for whose, start, stop in spans
-        for place, one in named.items()
+        for place, one in protocol.registers.get(memory.name, {}).items()
         if start <= (at := start + (place - first) * width) <= stop - one.size
     )
 
@@ -254,16 +241,17 @@ def with_registers(
 
 def _cut_short(
     protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes, length: int
-) -> tuple[Outcome, str, FieldSpec | None]:
-    """The fault of a frame that is not complete."""
+) -> tuple[Outcome, str]:
+    """The fault of a frame that is not complete, and why it is one."""
     layout, name = protocol.layout, f"{spec.name}: " if spec else ""
-    if spec is None and len(frame) >= layout.head and not layout.check:
-        return Outcome.UNKNOWN_ID, _unused(protocol, frame), None
-    if layout.part("length") and not layout.tail and len(frame) >= layout.head:
-        return Outcome.TOO_FEW, f"{name}{data_bytes(length)} announced, {len(data)} came", None
+    begun = len(frame) >= layout.head
+    if spec is None and begun and not layout.check:
+        return Outcome.UNKNOWN_ID, _unused(protocol, frame)
+    if layout.part("length") and not layout.tail and begun:
+        return Outcome.TOO_FEW, f"{name}{data_bytes(length)} announced, {len(data)} came"
     size = layout.head + length + layout.tail
-    of = f" of {_plural(size)}" if spec and size > len(frame) else ""
-    return Outcome.TOO_FEW, f"{name}{_plural(len(frame))}{of} came", None
+    of = f" of {data_bytes(size, 'byte')}" if spec and size > len(frame) else ""
+    return Outcome.TOO_FEW, f"{name}{data_bytes(len(frame), 'byte')}{of} came"
 
 
 def _unused(protocol: Protocol, frame: bytes) -> str:
@@ -271,44 +259,36 @@ def _unused(protocol: Protocol, frame: bytes) -> str:
     return f"no instruction has ID {protocol.layout.value('id', frame)}, used are {used}"
 
 
-def _plural(count: int) -> str:
-    return "1 byte" if count == 1 else f"{count} bytes"
-
-
 def _fault(
     protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes, length: int
-) -> tuple[Outcome, str, FieldSpec | None]:
-    """The outcome of a whole frame, why, and the field whose value is wrong."""
+) -> tuple[Outcome, str]:
+    """The outcome of a whole frame, and why."""
     layout = protocol.layout
     wrong = layout.wrong_constant(frame)
     if wrong:
-        return Outcome.BAD_SYNC, wrong, None
+        return Outcome.BAD_SYNC, wrong
     wrong = layout.check.wrong(frame) if layout.check else ""
     if wrong:
-        return Outcome.BAD_CHECKSUM, wrong, None
+        return Outcome.BAD_CHECKSUM, wrong
     to = layout.part("address")
     if to and not to.reaches(to.read(frame)):
         reason = f"{to.name} is {to.read(frame)}, allowed are {to.allowed}: it is for no device"
-        return Outcome.OTHER_ADDRESS, reason, None
+        return Outcome.OTHER_ADDRESS, reason
     if spec is None:
-        return Outcome.UNKNOWN_ID, _unused(protocol, frame), None
+        return Outcome.UNKNOWN_ID, _unused(protocol, frame)
     needed = spec.measure(data)
     came = f"the header says {length}" if protocol.plain else f"{len(data)} came"
     if needed is None or len(data) < needed:
-        reason = f"{spec.name} takes {data_bytes(needed or spec.length)}, {came}"
-        return Outcome.TOO_FEW, reason, None
+        return Outcome.TOO_FEW, f"{spec.name} takes {data_bytes(needed or spec.length)}, {came}"
     if len(data) > needed and not spec.takes_rest:
-        return Outcome.TOO_MANY, f"{spec.name} takes {data_bytes(needed)}, {came}", None
+        return Outcome.TOO_MANY, f"{spec.name} takes {data_bytes(needed)}, {came}"
     part = spec.wrong(data)
     if part is None:
-        return Outcome.VALID, "", None
-    value = part.parse(spec.raw(part, data))
+        return Outcome.VALID, ""
+    value = shown_value(part, part.parse(spec.raw(part, data)))
     at = f" (frame {spaced(frame)}, byte {1 + part.offset})" if protocol.plain else ""
-    reason = (
-        f"{spec.name}.{part.name or 'constant'} is {shown_value(part, value)}, "
-        f"allowed are {part.allowed}{at}"
-    )
-    return Outcome.BAD_DATA, reason, part
+    name = f"{spec.name}.{part.name or 'constant'}"
+    return Outcome.BAD_DATA, f"{name} is {value}, allowed are {part.allowed}{at}"
 
 
 def _response(
@@ -461,7 +441,11 @@ def _built_part(owner: str, part: Part, given: dict[str, Any]) -> int:
 
 
 def _built(owner: str, part: FieldSpec, given: dict[str, Any]) -> bytes:
-    """The bytes of a field, whose value is taken out of `given`."""
+    """The bytes of a field, whose value is taken out of `given`.
+
+    Bytes and several numbers may be in hex, and numbers the names of named values.
+    """
+    name, names = f"{owner}.{part.name}", dict(part.names)
     if part.name not in given:
         example = "01ff" if part.many else part.high
         allowed = "BYTES" if part.many else f"{part.low}..{part.high}"
@@ -469,42 +453,25 @@ def _built(owner: str, part: FieldSpec, given: dict[str, Any]) -> bytes:
             f"{owner} needs {part.name}={allowed}, for example {owner} {part.name}={example}"
         )
     value = given.pop(part.name)
-    if part.many:
-        return _built_many(f"{owner}.{part.name}", part, value)
-    value = dict(part.names).get(value, value) if isinstance(value, str) else value
     try:
-        value = operator.index(value)
-    except TypeError:
-        raise ValueError(
-            f"{owner}.{part.name} is {value!r}, allowed are whole numbers from {part.low} "
-            f"to {part.high}"
-        ) from None
-    if not part.in_range(value):
-        raise ValueError(f"{owner}.{part.name} is {value}, allowed are {part.allowed}")
-    return part.build(value)
-
-
-def _built_many(name: str, part: FieldSpec, value: Any) -> bytes:
-    """The bytes of a field of bytes (as such or in hex) or of several numbers."""
-    assert part.many is not None
-    try:
-        if part.many.element and isinstance(value, str):
-            width = part.many.width
-            raw = bytes.fromhex(value)
-            value = [
-                part.many.element.parse(raw[at : at + width]) for at in range(0, len(raw), width)
-            ]
-        if part.names:
-            value = [dict(part.names).get(one, one) for one in value]
-        built = part.build(value)
+        if part.many is None:
+            value = operator.index(names.get(value, value))
+        elif part.element and isinstance(value, str):
+            value = replace(part.many, prefix=None).parse(bytes.fromhex(value))
+        elif names:
+            value = [names.get(one, one) for one in value]
+        if part.many:
+            built = part.build(value)
+            value = part.parse(built)
+        if part.in_range(value):
+            return part.build(value)
     except (ValueError, TypeError, OverflowError) as error:
-        what = "numbers, or their bytes in hex" if part.many.element else "bytes in hex"
-        raise ValueError(f"{name} is {value!r}, allowed are {what} ({error})") from None
-    values = part.parse(built)
-    if not part.in_range(values):
-        said = f"{name} is {shown_value(part, values)}"
-        raise ValueError(f"{said}, allowed are {part.allowed}")
-    return built
+        kinds, why = f"whole numbers from {part.low} to {part.high}", ""
+        if part.many:
+            kinds = "numbers, or their bytes in hex" if part.element else "bytes in hex"
+            why = f" ({error})"
+        raise ValueError(f"{name} is {value!r}, allowed are {kinds}{why}") from None
+    raise ValueError(f"{name} is {shown_value(part, value)}, allowed are {part.allowed}")
 
 
 def raw_frame(protocol: Protocol, identity: int, length: int, data: bytes = b"") -> bytes:
@@ -522,39 +489,45 @@ def raw_frame(protocol: Protocol, identity: int, length: int, data: bytes = b"")
     return bytes([header]) + data
 
 
-def all_data(spec: InstructionSpec, most: int = 256) -> Iterable[bytes]:
+def all_data(spec: InstructionSpec) -> Iterable[bytes]:
     """Return valid data of an instruction, over the whole range of each field.
 
     One field takes each of its values while the others stay at their lowest; a field with more than
-    `most` values is sampled evenly, both ends included.
+    256 values is sampled evenly, both ends included.
     """
-    lowest = [part.low for part in spec.fields]
-    seen: dict[bytes, None] = {b"".join(p.build(p.low) for p in spec.fields): None}
-    for index, part in enumerate(spec.fields):
-        for value in _spread(part.low, part.high, most):
-            values = [*lowest[:index], value, *lowest[index + 1 :]]
-            pairs = zip(spec.fields, values, strict=True)
-            seen[b"".join(p.build(v) for p, v in pairs)] = None
-    return seen
+    lowest = b"".join(part.build(part.low) for part in spec.fields)
+    every = _one_by_one(spec, lambda part: map(part.build, _spread(part.low, part.high)))
+    return {lowest: None, **every}
 
 
-def bad_data(spec: InstructionSpec, most: int = 256) -> Iterable[bytes]:
+def bad_data(spec: InstructionSpec) -> Iterable[bytes]:
     """Return data of the right length with one field out of its range, over all values of it.
 
-    A field with more than `most` (at least 256) values is sampled evenly, both ends included.
+    A field with more than 256 values is sampled evenly, both ends included.
     """
-    seen: dict[bytes, None] = {}
-    for index, part in enumerate(spec.fields):
-        head = b"".join(p.build(p.low) for p in spec.fields[:index])
-        tail = b"".join(p.build(p.low) for p in spec.fields[index + 1 :])
-        for raw in _spread(0, 256**part.size - 1, max(most, 256)):
-            coded = raw.to_bytes(part.size, "big")
+
+    def wrong(part: FieldSpec) -> Iterator[bytes]:
+        for value in _spread(0, 256**part.size - 1):
+            coded = value.to_bytes(part.size, "big")
             if not part.low <= part.parse(coded) <= part.high:
-                seen[head + coded + tail] = None
-    return seen
+                yield coded
+
+    return _one_by_one(spec, wrong)
 
 
-def _spread(low: int, high: int, most: int) -> Iterable[int]:
+def _one_by_one(
+    spec: InstructionSpec, values: Callable[[FieldSpec], Iterable[bytes]]
+) -> dict[bytes, None]:
+    """Data in which one field has each of some values and the others their lowest ones."""
+    lowest = [part.build(part.low) for part in spec.fields]
+    return {
+        b"".join([*lowest[:place], value, *lowest[place + 1 :]]): None
+        for place, part in enumerate(spec.fields)
+        for value in values(part)
+    }
+
+
+def _spread(low: int, high: int, most: int = 256) -> Iterable[int]:
     count = high - low + 1
     if count <= most:
         return range(low, high + 1)
@@ -601,9 +574,6 @@ class Step(msgspec.Struct, frozen=True, gc=False):
 
     judgement: Judgement
     sets: Assigned
-
-
-_BY_DATA = (Outcome.VALID, Outcome.BAD_DATA)
 
 
 class Steps(dict[bytes, Step]):

@@ -398,7 +398,7 @@ def _part_meaning(
     if part.role == "check" and layout.check:
         if layout.check.asked and asked is None:
             return "counts the request too", False
-        right = layout.check.right(one.frame, covered(protocol, asked.frame) if asked else b"")
+        right = layout.check.right(one.frame, covered(protocol, asked))
         return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
     if request and part.role == "address":
         everybody = part.broadcast is not None and one.address == part.broadcast

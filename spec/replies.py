@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import msgspec
@@ -17,7 +17,7 @@ from bilprov.spec.codec import (
 )
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome, codes_in
-from bilprov.spec.layout import Check, Layout
+from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import (
     NO_ANSWER,
     PLAIN_ANSWER,
@@ -105,8 +105,10 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
         return self.response.outcomes if self.response else ()
 
 
-def asked_values(protocol: Protocol, asked: Judgement) -> dict[str, Any]:
+def asked_values(protocol: Protocol, asked: Judgement | None) -> dict[str, Any]:
     """The parts and the fields of a request by name, which its answer may repeat or count by."""
+    if asked is None:
+        return {}
     parts = protocol.layout.values(asked.frame) if not asked.truncated else {}
     return {**parts, **dict(asked.fields)}
 
@@ -116,7 +118,7 @@ def reply_size(protocol: Protocol, held: bytes, asked: Judgement | None) -> int 
 
     `asked` is the request that it answers, None if there is none.
     """
-    values = asked_values(protocol, asked) if asked else {}
+    values = asked_values(protocol, asked)
     first = -1
     for way in _ways(protocol, asked, held):
         size = _size(protocol, way, held, asked, values)
@@ -136,7 +138,7 @@ def read_reply(
 
     With `alone` no request was heard: what only that tells is left open.
     """
-    values = asked_values(protocol, asked) if asked else {}
+    values = asked_values(protocol, asked)
     found: Reply | None = None
     for way in _ways(protocol, asked, frame):
         layout = way.layout
@@ -152,8 +154,13 @@ def read_reply(
                 break
     if found:
         return found
-    usual = next(_ways(protocol, asked, frame)).layout
-    return Reply(frame, None, (), None, reason=_unlike(usual, frame, values))
+    usual = _ways(protocol, asked, frame)[0].layout
+    wrong = "" if usual.begins(frame) else usual.wrong_constant(frame)
+    unrepeated = usual.unrepeated(frame, values) if values else None
+    if unrepeated and not wrong:
+        part, due = unrepeated
+        wrong = f"{part.name} is {part.read(frame)}, right is {due}"
+    return Reply(frame, None, (), None, reason=wrong or "the bytes are not an answer")
 
 
 def read_as(
@@ -169,7 +176,7 @@ def read_as(
 
     `asked` is its request, None if there is none, and `reason` tells how it is damaged.
     """
-    values = asked_values(protocol, asked) if asked else {}
+    values = asked_values(protocol, asked)
     layout = way.layout
     names, response = meaning(protocol, layout.value("code", frame))
     to = layout.part("address")
@@ -181,9 +188,8 @@ def read_as(
         has_some = bool(data) or response is None or Outcome.VALID in response.outcomes
         if has_some and (needed == len(data) or way.data.takes_rest):
             fields = tuple(way.data.decode(data).items())
-            if asked and asked.instruction and protocol.registers:
-                told = asked.instruction.reads
-                registers = registers_in(protocol, told, way.data, data, values)
+            told = asked.instruction.reads if asked and asked.instruction else None
+            registers = registers_in(protocol, told, way.data, data, values)
         elif has_some:
             reason = f"it has {len(data)} data bytes, {needed} are due"
     return Reply(
@@ -225,21 +231,21 @@ def build_reply(
     }
     if response.code >= 0:
         told |= {part.name: response.code for part in way.layout.parts if part.role == "code"}
-    return way.layout.build(told, data, covered(protocol, asked.frame))
+    return way.layout.build(told, data, covered(protocol, asked))
 
 
 def reported(protocol: Protocol, reply: Reply) -> Assigned:
     """The variables that an answer reports, with their values."""
     if not reply.fields or reply.way is None or reply.way.data is None:
         return ()
-    values = dict(reply.fields)
-    found = (
-        (spec.name, reported_value(spec, part, values[part.name]))
-        for part in reply.way.data.fields
-        if part.reports
-        for spec in (protocol.variables[part.reports.variable],)
-    )
-    return tuple((name, value) for name, value in found if value is not None)
+    values, found = dict(reply.fields), []
+    for part in reply.way.data.fields:
+        if part.reports:
+            spec = protocol.variables[part.reports.variable]
+            value = reported_value(spec, part, values[part.name])
+            if value is not None:
+                found.append((spec.name, value))
+    return tuple(found)
 
 
 def reported_value(spec: VariableSpec, part: FieldSpec, number: int) -> int | str | None:
@@ -270,10 +276,12 @@ def agrees(protocol: Protocol, asked: Judgement, reply: Reply) -> bool:
     return asked.outcome in reply.outcomes
 
 
-def covered(protocol: Protocol, request: bytes) -> bytes:
+def covered(protocol: Protocol, asked: Judgement | None) -> bytes:
     """The bytes of a request that its check covers; all of it where it has none."""
     check = protocol.layout.check
-    return check.covered(request) if check else request
+    if asked is None:
+        return b""
+    return check.covered(asked.frame) if check else asked.frame
 
 
 def usual_way(protocol: Protocol, spec: InstructionSpec | None) -> Way:
@@ -284,21 +292,19 @@ def usual_way(protocol: Protocol, spec: InstructionSpec | None) -> Way:
     return Way(protocol.acknowledgement, data or DataSpec())
 
 
-def _ways(protocol: Protocol, asked: Judgement | None, held: bytes) -> Iterator[Way]:
+def _ways(protocol: Protocol, asked: Judgement | None, held: bytes) -> list[Way]:
     """The ways in which a request can be answered, the likelier first.
 
     Without a request, `held` tells the instruction if answers repeat its ID.
     """
     spec = asked.instruction if asked else repeated_id(protocol, held)
     errors = [Way(layout, DataSpec()) for layout in protocol.errors]
-    if spec is None:
-        data = None if protocol.reply.has_data else DataSpec()
-        yield from errors if asked is None else ()
-        yield Way(protocol.reply if asked is None else protocol.acknowledgement, data)
-        yield from errors if asked is not None else ()
-        return
-    yield usual_way(protocol, spec)
-    yield from errors
+    if spec is not None:
+        return [usual_way(protocol, spec), *errors]
+    data = None if protocol.reply.has_data else DataSpec()
+    if asked is None:
+        return [*errors, Way(protocol.reply, data)]
+    return [Way(protocol.acknowledgement, data), *errors]
 
 
 def repeated_id(protocol: Protocol, held: bytes) -> InstructionSpec | None:
@@ -313,12 +319,11 @@ def repeated_id(protocol: Protocol, held: bytes) -> InstructionSpec | None:
 
 def _way_of(protocol: Protocol, asked: Judgement, response: ResponseSpec) -> Way:
     """The way in which a response is given: errors in a layout of their own, if there is one."""
-    ways = list(_ways(protocol, asked, b""))
+    ways = _ways(protocol, asked, b"")
     valid = Outcome.VALID in response.outcomes
     if valid or (ways[0].layout.part("code") is not None and not protocol.errors):
         return ways[0]
-    coded = [way for way in ways[1:] if way.layout.part("code") is not None]
-    return coded[0] if coded else ways[0]
+    return next((way for way in ways[1:] if way.layout.part("code") is not None), ways[0])
 
 
 def _size(
@@ -328,27 +333,21 @@ def _size(
     layout = way.layout
     if layout.unrepeated(held, values if asked else None):
         return -1
-    whole = len(held) >= layout.head
-    if asked is None and not layout.has_data and whole and layout.value("length", held):
+    begun = len(held) >= layout.head
+    if asked is None and not layout.has_data and begun and layout.value("length", held):
         return -1  # it has data
-    if layout.has_data and layout.part("length") is None and way.data is None:
-        check = layout.check
-        if check and (asked or (check.part.size > 1 and not check.asked)):
-            before = covered(protocol, asked.frame) if asked else b""
-            return _checked_size(protocol, layout, check, held, before)
-        if asked is None:
-            return None if layout.begins(held) else -1
-    return layout.size(held, way.data, values)
-
-
-def _checked_size(
-    protocol: Protocol, layout: Layout, check: Check, held: bytes, before: bytes
-) -> int | None:
-    """The size of an answer to an unused ID, which only its check tells; as `reply_size`."""
-    most = min(len(held), protocol.longest_frame)
-    right = check.right_sizes(held[:most], layout.head + layout.tail, before)
-    size = next(right, None)
-    return -1 if size is None and most < len(held) else size
+    if not layout.has_data or layout.part("length") or way.data is not None:
+        return layout.size(held, way.data, values)
+    check = layout.check
+    if check and (asked or (check.part.size > 1 and not check.asked)):
+        # The answer to an unused ID, of which only its check tells where it ends.
+        most = min(len(held), protocol.longest_frame)
+        least, before = layout.head + layout.tail, covered(protocol, asked)
+        size = next(check.right_sizes(held[:most], least, before), None)
+        return -1 if size is None and most < len(held) else size
+    if asked is None:
+        return None if layout.begins(held) else -1
+    return layout.size(held, None, values)
 
 
 def _is_right(protocol: Protocol, way: Way, frame: bytes, asked: Judgement | None) -> bool:
@@ -370,22 +369,12 @@ def meaning(protocol: Protocol, code: int | None) -> tuple[tuple[str, ...], Resp
     return tuple(one.name for one in known), telling[0]
 
 
-def _unlike(layout: Layout, frame: bytes, asked: Mapping[str, Any]) -> str:
-    """Why bytes are no answer, in words."""
-    wrong = "" if layout.begins(frame) else layout.wrong_constant(frame)
-    unrepeated = layout.unrepeated(frame, asked) if asked else None
-    if unrepeated and not wrong:
-        part, right = unrepeated
-        return f"{part.name} is {part.read(frame)}, right is {right}"
-    return wrong or "the bytes are not an answer"
-
-
 def _damage(protocol: Protocol, layout: Layout, frame: bytes, asked: Judgement | None) -> str:
     """What is wrong with a whole answer, in words; its check counts only where that is known."""
     wrong, check = layout.wrong_constant(frame), layout.check
     if wrong or check is None or (asked is None and check.asked):
         return wrong
-    return check.wrong(frame, covered(protocol, asked.frame) if asked else b"")
+    return check.wrong(frame, covered(protocol, asked))
 
 
 def _filled(data: DataSpec, asked: Mapping[str, Any], values: Mapping[str, Any]) -> bytes:
@@ -415,8 +404,8 @@ def _repeated(
         return None
     if not part.in_range(part.parse(raw)):
         return None
-    counted = part.many is not None and part.many is data.counted
-    due = data.measure(before + raw, asked) if counted and not data.takes_rest else None
+    counted = part is data.fields[-1] and data.counted and not data.takes_rest
+    due = data.measure(before + raw, asked) if counted else None
     return raw if due in (None, len(before + raw)) else None
 
 

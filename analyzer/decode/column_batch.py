@@ -30,10 +30,9 @@ from bilprov.analyzer.decode.decoder import answer_record
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.schemas import Line
-from bilprov.spec.arrays.answers import Answers, AnswerTables
 from bilprov.spec.arrays.layouts import Requests
-from bilprov.spec.arrays.requests import RequestTables
 from bilprov.spec.arrays.states import Known
+from bilprov.spec.arrays.tables import Answers, AnswerTables, RequestTables
 from bilprov.spec.codec import Judgement, Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import Reply, read_as, usual_way

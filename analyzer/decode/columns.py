@@ -24,10 +24,9 @@ from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.pairing import MOST
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.spec.arrays.answers import answer_tables
 from bilprov.spec.arrays.layouts import Mask, Places, Requests
-from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.arrays.states import Known
+from bilprov.spec.arrays.tables import answer_tables, request_tables
 from bilprov.spec.codec import Steps
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import GIVES_UP

@@ -90,7 +90,7 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
                 begun, offset = record, side.bytes
             if _has_wrong_check(protocol, record) and len(wrong[direction]) < _FRAMES:
                 asked = record.answered if isinstance(record, DeviceRecord) else None
-                counted = covered(protocol, asked.frame) if asked else b""
+                counted = covered(protocol, asked)
                 wrong[direction].append(Checked(record.data, counted))
         if begun is not None and direction == _direction(begun) and len(data) < _LOOKED_AT:
             data += record.data

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
@@ -10,8 +10,8 @@ import numpy as np
 from construct import Container
 from numpy.typing import NDArray
 
-from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum
-from bilprov.spec.data import DataSpec, FieldSpec, Many, Number
+from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
+from bilprov.spec.data import DataSpec, FieldSpec, Number
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
 
@@ -133,14 +133,6 @@ def part_values(part: Part, data: Bytes, start: Places, end: Places) -> Places:
     return value - part.also if part.also else value
 
 
-def same_bytes(raw: bytes, data: Bytes, at: Places) -> Mask:
-    """Whether these bytes stand at each place."""
-    found = np.ones(len(at), np.bool_)
-    for place, byte in enumerate(raw):
-        found &= data.take(at + place, mode="clip") == byte
-    return found
-
-
 def constants_hold(layout: Layout, data: Bytes, start: Places, end: Places) -> Mask:
     """Which of the frames have the right constants."""
     found = np.ones(len(start), np.bool_)
@@ -162,12 +154,31 @@ def checks_hold(
     return right
 
 
-def fixed_size(layout: Layout, spec: DataSpec) -> int:
+class Sizes:
+    """The sizes of frames by their kind, each laid out in its own way; that of kind -1 is 0."""
+
+    def __init__(self, ways: Sequence[tuple[Layout, DataSpec]]) -> None:
+        self.ways = ways
+        # Of the kinds whose frames all have the same size; 0 of those that are `varied`.
+        self.fixed = np.array([*(_fixed_size(*way) for way in ways), 0], np.int64)
+        self.varied = [kind for kind, size in enumerate(self.fixed[:-1]) if not size]
+
+    def at(self, kinds: Places, data: Bytes, start: Places) -> Places:
+        """The sizes of frames of these kinds that begin at these places; see `frame_sizes`."""
+        found = self.fixed.take(kinds)
+        for kind in self.varied:
+            rows = np.flatnonzero(kinds == kind)
+            if len(rows):
+                found[rows] = frame_sizes(*self.ways[kind], data, start[rows])
+        return found
+
+
+def _fixed_size(layout: Layout, spec: DataSpec) -> int:
     """The size of all frames with data laid out as `spec`; 0 where it differs."""
     counted = layout.has_data and spec.counted is not None and not spec.takes_rest
     if layout.part("length") is not None or counted:
         return 0
-    return int(frame_sizes(layout, spec, np.zeros(1, np.uint8), np.zeros(1, np.int64))[0])
+    return layout.head + layout.tail + (spec.length if layout.has_data else 0)
 
 
 def frame_sizes(layout: Layout, spec: DataSpec, data: Bytes, start: Places) -> Places:
@@ -216,44 +227,37 @@ def data_sizes(spec: DataSpec, data: Bytes, at: Places, asked: Numbers = NO_NUMB
     return spec.length + np.maximum(count.astype(np.int64), 0) * many.width
 
 
-def require_arrays(spec: DataSpec, asked: Iterable[str] = ()) -> None:
+def require_arrays(spec: DataSpec, asked: Numbers = NO_NUMBERS) -> None:
     """Raise OverflowError for data whose sizes cannot be worked out for arrays.
 
-    `asked` names the numbers of the request that they answer.
+    `asked` has the numbers of two requests that they answer.
     """
-    two = np.zeros(2, np.int64)
-    data_sizes(spec, np.zeros(1, np.uint8), two, dict.fromkeys(asked, two))
+    data_sizes(spec, np.zeros(1, np.uint8), np.zeros(2, np.int64), asked)
 
 
 def in_range(part: FieldSpec, data: Bytes, at: Places, size: Places) -> Mask:
     """Which of the fields at these places, the last one of `size` bytes, are in their range."""
+    good, many = np.ones(len(at), np.bool_), part.many
     if part.constant is not None:
-        return same_bytes(part.constant, data, at)
-    if part.many:
-        return _all_in_range(part, part.many, data, at, size)
-    if part.number is None or part.unlimited:
-        return np.ones(len(at), np.bool_)
-    return _numbers_in_range(part, part.number, data, at)
-
-
-def _all_in_range(part: FieldSpec, many: Many, data: Bytes, at: Places, size: Places) -> Mask:
-    """Which of the fields have whole elements, each of which is in its range."""
-    before = many.prefix.size if many.prefix else 0
-    count = np.full(len(at), many.fixed)
-    good = np.ones(len(at), np.bool_)
+        for place, byte in enumerate(part.constant):
+            good &= data.take(at + place, mode="clip") == byte
+    elif many is None and not part.unlimited:
+        good = _numbers_in_range(part, data, at)
+    if many is None:
+        return good
+    before, count = many.prefix.size if many.prefix else 0, np.full(len(at), many.fixed)
     if many.how != "fixed":
         count, over = np.divmod(size - before, many.width)
         good = over == 0
-    if many.element and not part.unlimited:
-        for place in range(int(count.max(initial=0))):
-            rows = np.flatnonzero(good & (count > place))
-            places = at[rows] + before + place * many.width
-            good[rows] = _numbers_in_range(part, many.element, data, places)
+    for place in range(0 if part.unlimited else int(count.max(initial=0))):
+        rows = np.flatnonzero(good & (count > place))
+        good[rows] = _numbers_in_range(part, data, at[rows] + before + place * many.width)
     return good
 
 
-def _numbers_in_range(part: FieldSpec, number: Number, data: Bytes, at: Places) -> Mask:
-    value = number_values(number, data, at)
+def _numbers_in_range(part: FieldSpec, data: Bytes, at: Places) -> Mask:
+    assert part.element
+    value = number_values(part.element, data, at)
     good = (value >= part.low) & (value <= part.high)
     if part.names:
         good &= np.isin(value, [known for _, known in part.names])
@@ -274,9 +278,7 @@ class Checking:
         self._register = np.full(count, first, np.int64)
         self._second = np.zeros(count, np.int64)  # of a Fletcher the sum of its sums
 
-    def take(
-        self, data: NDArray[np.uint8], start: NDArray[np.int64], end: NDArray[np.int64]
-    ) -> None:
+    def take(self, data: Bytes, start: Places, end: Places) -> None:
         """Count the bytes of `data` from each start to its end."""
         if isinstance(self._function, Crc):
             self._register = _folded(self._function, self._register, data, start, end)
@@ -292,35 +294,22 @@ class Checking:
             self._register ^= _between(upto, np.bitwise_xor, start, end)
 
     @property
-    def values(self) -> NDArray[np.int64]:
+    def values(self) -> Any:
         """The checks of what was counted."""
-        function, values = self._function, self._register
-        if isinstance(function, Fletcher):
-            values = function.of(values, self._second)
-        elif isinstance(function, Sum | Crc):
-            values = function.of(values)
-        return values
+        if isinstance(self._function, Fletcher):
+            return self._function.of(self._register, self._second)
+        if isinstance(self._function, Xor):
+            return self._register
+        return self._function.of(self._register)
 
 
-def _between(
-    upto: NDArray[np.int64],
-    difference: Callable[..., Any],
-    start: NDArray[np.int64],
-    end: NDArray[np.int64],
-) -> NDArray[np.int64]:
+def _between(upto: Places, difference: Callable[..., Any], start: Places, end: Places) -> Any:
     """The sums from each start to its end, of the sums up to and with each byte."""
     upto = np.append(np.int64(0), upto)
-    found: NDArray[np.int64] = difference(upto.take(end), upto.take(start))
-    return found
+    return difference(upto.take(end), upto.take(start))
 
 
-def _folded(
-    crc: Crc,
-    register: NDArray[np.int64],
-    data: NDArray[np.uint8],
-    start: NDArray[np.int64],
-    end: NDArray[np.int64],
-) -> NDArray[np.int64]:
+def _folded(crc: Crc, register: Places, data: Bytes, start: Places, end: Places) -> Places:
     """The registers after the bytes from each start to its end.
 
     All stretches take their first byte together, then their second one, and so on; the longest

@@ -45,7 +45,7 @@ def every_frame(protocol: Protocol) -> Iterator[bytes]:
             yield from (bytes([header, value]) for value in range(256))
     for spec in protocol.instructions:
         if spec.length > 1:
-            for data in (*all_data(spec, 40), *list(bad_data(spec))[::7]):
+            for data in (*list(all_data(spec))[::7], *list(bad_data(spec))[::7]):
                 yield raw_frame(protocol, spec.id, spec.length, data)
 
 

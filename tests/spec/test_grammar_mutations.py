@@ -10,7 +10,7 @@ import ast
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from bilprov.spec.codec import bit_names, judge
+from bilprov.spec.codec import field_words, judge
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import GrammarError, Protocol, load
@@ -116,7 +116,10 @@ def failing(protocol: Protocol, drive: Drive) -> Iterator[str]:
         "timing": ({name: getattr(protocol.timing, name) for name in TIMING}, TIMING),
         "line": ({name: getattr(protocol.line, name) for name in LINE}, LINE),
         "power-on": ((*(getattr(protocol.power_on, name) for name in POWER_ON._fields),), POWER_ON),
-        "colours": ({v: bit_names(protocol.by_name["LED"].fields[0], v) for v in COLOURS}, COLOURS),
+        "colours": (
+            [field_words(protocol.by_name["LED"].fields[0], value) for value in COLOURS],
+            [f"rgb={value} ({' '.join(lit) or 'off'})" for value, lit in COLOURS.items()],
+        ),
     }
     yield from (name for name, (ours, theirs) in facts.items() if ours != theirs)
     for vector in FRAMES:

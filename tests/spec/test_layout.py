@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from benchmarks.construct_alone import question
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.arrays.requests import request_tables
+from bilprov.spec.arrays.tables import request_tables
 from bilprov.spec.codec import build, judge
 from bilprov.spec.explain import explain
 from bilprov.spec.fields import Outcome

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.arrays.requests import request_tables
 from bilprov.spec.arrays.states import Known
+from bilprov.spec.arrays.tables import request_tables
 from bilprov.spec.by_effect import change_by, effect_words
 from bilprov.spec.codec import judge
 from bilprov.spec.errors import WrongValue

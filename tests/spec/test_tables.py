@@ -11,10 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bilprov.spec.arrays.answers import answer_tables
 from bilprov.spec.arrays.layouts import OUTCOMES, WIDEST, Checking, field_values, number_values
-from bilprov.spec.arrays.requests import RequestTables, request_tables
 from bilprov.spec.arrays.states import Known
+from bilprov.spec.arrays.tables import RequestTables, answer_tables, request_tables
 from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
 from bilprov.spec.codec import Steps, build, judge, nearest, raw_frame
 from bilprov.spec.data import Number
