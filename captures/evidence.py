@@ -7,10 +7,12 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from mcap.opcode import Opcode
+
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.reader import Capture, open_capture
-from bilprov.captures.storage.records import DATA_END, MAGIC
+from bilprov.captures.storage.records import MAGIC
 from bilprov.captures.text import printable
 
 
@@ -67,7 +69,7 @@ def _wrong_checksum(path: Path, unfinished: bool) -> str:
         size = os.fstat(file.fileno()).st_size
         if unfinished:
             walk = RecordFile(file, size).walk(len(MAGIC), size, only=())
-            ended = any(isinstance(one, Found) and one.opcode == DATA_END for one in walk)
+            ended = any(isinstance(one, Found) and one.opcode == Opcode.DATA_END for one in walk)
             return "that of the summary, which is cut off" if ended else ""
         index = read_index(file, size)
         if index is None:

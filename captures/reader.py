@@ -14,16 +14,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
+from mcap.opcode import Opcode
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import Volume, kept_parts, merged, start_of, stated_start, volumes_of
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, Recorded
-from bilprov.captures.storage.records import FOOTER, JSON_ERRORS, MAGIC, AttachmentRecord, Damaged
+from bilprov.captures.storage.records import JSON_ERRORS, MAGIC, Damaged
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import since, stated_number
 
 if TYPE_CHECKING:
+    from mcap.records import Attachment
+
     # The rest needs arrays, and whoever only names a capture does not.
     from bilprov.captures.events import Events
     from bilprov.captures.storage.blocks import Messages, Stored
@@ -215,7 +218,7 @@ class Capture:
         """How many bytes of the file are not read, because they are damaged or incomplete."""
         return sum(_left_out(volume.contents) for volume in self.volumes)
 
-    def attachments(self) -> Iterator[AttachmentRecord]:
+    def attachments(self) -> Iterator[Attachment]:
         """Yield the complete attachments in file order. Raises CaptureError as `events` does."""
         from bilprov.captures.storage.messages import attachments
 
@@ -430,7 +433,7 @@ def appended(capture: Capture) -> Capture | None:
             for found in source.walk(start, size):
                 if isinstance(found, Lost):
                     break
-                end, finished = found.end, found.opcode == FOOTER
+                end, finished = found.end, found.opcode == Opcode.FOOTER
     except OSError as error:
         raise _unreadable(volume.path, error) from error
     if end == start:
@@ -546,7 +549,7 @@ def _is_hardly_begun(contents: Contents) -> bool:
 
 
 def _surveyed(path: Path, front: bool) -> Contents:
-    from bilprov.captures.storage.survey import surveyed
+    from bilprov.captures.storage.survey import Survey
 
     try:
         status = path.stat()
@@ -556,7 +559,11 @@ def _surveyed(path: Path, front: bool) -> Contents:
         with _read_ahead(path) as file:
             size = os.fstat(file.fileno()).st_size
             damage = _magic_damage(path, file, size)
-            return surveyed(file, size, damage, front=front)
+            survey = Survey(file, size, damage)
+            for _ in survey.blocks():
+                if front:
+                    break
+            return survey.contents()
     except (OSError, ValueError) as error:
         raise _unreadable(path, error) from error
 

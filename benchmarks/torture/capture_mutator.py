@@ -6,19 +6,23 @@ breaks a checksum gets no further than the reader's first look.
 
 from __future__ import annotations
 
+import io
 import json
 import re
+import struct
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from random import Random
-from struct import error as StructError
 from struct import pack, pack_into, unpack_from
 from typing import Any, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Chunk
 
-from bilprov.captures.storage import records
 from bilprov.captures.storage.records import MAGIC, MESSAGE_HEAD, RECORD_HEAD
 from bilprov.captures.topics import CHANNEL_START_KEY, METADATA_NAME, START_KEY, TOPICS
 
@@ -101,7 +105,7 @@ def _change(random: Random, found: list[Record], pool: Sequence[bytes], inside: 
         found[at] = _changed(random, found[at], pool)
         return
     others, _ = split(random.choice(pool)[len(MAGIC) :])
-    chunks = [one for one in others if one.opcode == records.CHUNK]
+    chunks = [one for one in others if one.opcode == Opcode.CHUNK]
     if inside and chunks:
         others, _ = split(_unpacked(random.choice(chunks).content) or b"")
     _change_items(random, found, others, lambda: others[:1])
@@ -111,14 +115,14 @@ def _changed(random: Random, record: Record, pool: Sequence[bytes]) -> Record:
     opcode, content = record
     if random.random() < 0.03:
         return Record(random.choice((*range(17), 0x80, 0xFF)), content)
-    if opcode == records.CHUNK and random.random() < 0.9:
+    if opcode == Opcode.CHUNK and random.random() < 0.9:
         inner = _unpacked(content)
         if inner is not None:
             parts, rest = split(inner)
             for _ in range(random.choice((1, 1, 2, 3, 8))):
                 _change(random, parts, pool, inside=True)
             return Record(opcode, _packed(random, _bytes(parts) + rest, content))
-    if opcode == records.MESSAGE and len(content) >= MESSAGE_HEAD.size and random.random() < 0.8:
+    if opcode == Opcode.MESSAGE and len(content) >= MESSAGE_HEAD.size and random.random() < 0.8:
         return Record(opcode, _changed_message(random, content, pool))
     return Record(opcode, _damaged(random, content, pool))
 
@@ -199,14 +203,14 @@ def _damaged(random: Random, data: bytes, pool: Sequence[bytes]) -> bytes:
 def _unpacked(content: bytes) -> bytes | None:
     """The records in a chunk; None if it cannot be unpacked, or holds too much."""
     try:
-        fields = records.chunk_fields(content)
-        packed, compression = content[fields.start :], fields.compression
-        if fields.size > _LARGEST:
+        chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
+        packed, compression = chunk.data, chunk.compression
+        if chunk.uncompressed_size > _LARGEST:
             return None
         if compression == "zstd":
             return zstandard.ZstdDecompressor().decompress(packed, max_output_size=_LARGEST)
         data: bytes = lz4.frame.decompress(packed) if compression == "lz4" else packed
-    except (records.Damaged, zstandard.ZstdError, RuntimeError, ValueError, MemoryError):
+    except (EndOfFile, struct.error, zstandard.ZstdError, RuntimeError, ValueError, MemoryError):
         return None
     return data if len(data) <= _LARGEST else None
 
@@ -244,23 +248,23 @@ def _joined(found: list[Record], right: bool) -> bytes:
     for record in found:
         opcode, content, at = record.opcode, bytearray(record.content), len(out)
         try:
-            if opcode == records.CHUNK:
+            if opcode == Opcode.CHUNK:
                 chunks.append((at, len(content) + RECORD_HEAD.size))
-            elif opcode == records.ATTACHMENT:
+            elif opcode == Opcode.ATTACHMENT:
                 pack_into("<I", content, len(content) - 4, zlib.crc32(content[:-4]))
-            elif opcode == records.DATA_END:
+            elif opcode == Opcode.DATA_END:
                 summary = at + RECORD_HEAD.size + len(content)
                 pack_into("<I", content, 0, zlib.crc32(out))
             elif opcode == _CHUNK_INDEX and entry < len(chunks):
                 pack_into("<QQ", content, 16, *chunks[entry])
                 entry += 1
-            elif opcode == records.FOOTER and summary:
+            elif opcode == Opcode.FOOTER and summary:
                 offset = unpack_from("<Q", content, 8)[0]
                 pack_into("<QQ", content, 0, summary, offset)
                 head = RECORD_HEAD.pack(opcode, len(content))
                 crc = zlib.crc32(bytes(out[summary:]) + head + bytes(content[:16]))
                 pack_into("<I", content, 16, crc)
-        except StructError:
+        except struct.error:
             pass  # it is too short for its fields, and stays so
         out += RECORD_HEAD.pack(opcode, len(content)) + content
     return bytes(out)

@@ -16,6 +16,8 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
+from mcap.opcode import Opcode
+
 from benchmarks.torture.capture_mutator import split
 from benchmarks.torture.capture_seeds import foreign_captures, loose_capture, own_captures, parts
 from benchmarks.torture.capture_uses import examined, mended
@@ -25,7 +27,6 @@ from bilprov.analyzer.doctor.finding import Grade, of_capture
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path
 from bilprov.captures.reader import open_capture
-from bilprov.captures.storage import records
 from bilprov.captures.storage.records import MAGIC, RECORD_HEAD
 
 Messages = list[tuple[int, str, str]]
@@ -66,7 +67,7 @@ def _bounds(data: bytes) -> list[int]:
 
 
 def _data_end(data: bytes) -> int:
-    return next(at for at in _bounds(data) if data[at] == records.DATA_END)
+    return next(at for at in _bounds(data) if data[at] == Opcode.DATA_END)
 
 
 def _stretch(random: Random, data: bytes) -> tuple[int, int]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
@@ -189,7 +190,7 @@ def message_starts(content: bytes, index: bytes = b"") -> tuple[NDArray[np.int64
             return found
     starts, others = [], []
     for record in records_in(content):
-        if record[0] == records.MESSAGE:
+        if record[0] == Opcode.MESSAGE:
             starts.append(record[1] - _FRONT)
         else:
             others.append(record)
@@ -205,7 +206,7 @@ def _indexed_starts(content: bytes, index: bytes) -> tuple[NDArray[np.int64], Ot
     lengths = heads["length"].astype(np.int64)
     ends = starts + lengths + _FRONT
     if not (
-        (heads["opcode"] == records.MESSAGE).all()
+        (heads["opcode"] == Opcode.MESSAGE).all()
         and (ends[:-1] == starts[1:]).all()
         and int(ends[-1]) == len(content)
         and int(lengths.min()) >= records.MESSAGE_HEAD.size
@@ -215,7 +216,7 @@ def _indexed_starts(content: bytes, index: bytes) -> tuple[NDArray[np.int64], Ot
         front = list(records_in(content[: int(starts[0])]))
     except Damaged:
         return None
-    return None if any(opcode == records.MESSAGE for opcode, _, _ in front) else (starts, front)
+    return None if any(opcode == Opcode.MESSAGE for opcode, _, _ in front) else (starts, front)
 
 
 def _heads(content: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:

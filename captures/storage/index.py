@@ -6,31 +6,41 @@ its chunks, its channels. Its counts and times are believed, since its checksum 
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BufferedReader
-from struct import Struct
-from struct import error as StructError
 from typing import Final
 
+from mcap.opcode import Opcode
+from mcap.records import Header, Metadata
+
 from bilprov.captures import topics
-from bilprov.captures.storage import records
 from bilprov.captures.storage.messages import Contents
-from bilprov.captures.storage.records import MAGIC, RECORD_HEAD, Damaged, Statistics
-from bilprov.captures.storage.recovery import RecordFile, read_footer
+from bilprov.captures.storage.records import DATA_END_BYTES, MAGIC, OWN_LIBRARY, Damaged
+from bilprov.captures.storage.recovery import RecordFile, parsed, read_footer
+from bilprov.captures.text import printable
 
 SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
 
 _READ: Final = 1024 * 1024  # bytes at once, for a checksum
-_CHUNK_INDEX: Final = 0x08
-_PASSED: Final = {records.SCHEMA, 0x0A, 0x0D, 0x0E}  # indexes of attachments and metadata, offsets
+_PASSED: Final = {
+    Opcode.SCHEMA,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX,
+    Opcode.SUMMARY_OFFSET,
+}
 
-_DATA_END = Struct("<BQI")  # opcode, length; CRC over all data, 0 for none
-_FOOTER = Struct("<BQQQI")  # opcode, length; summary start, summary offset start, CRC
+_DATA_END = struct.Struct("<BQI")  # opcode, length; CRC over all data, 0 for none
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length; summary start, summary offset start, CRC
 _END = _FOOTER.size + len(MAGIC)
-_ENTRY = Struct("<BQQQQQI")  # opcode, length; times, offset and length of the chunk; map's length
-_MAP_ITEM = Struct("<H8x")  # a channel that the chunk has messages of, and where their index is
+_ENTRY = struct.Struct(
+    "<BQQQQQI"
+)  # opcode, length; times, offset and length of the chunk; map's length
+_MAP_ITEM = struct.Struct(
+    "<H8x"
+)  # a channel that the chunk has messages of, and where their index is
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +74,7 @@ class Index:
         for at in reversed(self.entries):
             _, length, first, _, offset, _, map_length = _ENTRY.unpack_from(self.summary, at)
             start = at + _ENTRY.size
-            if first >= time or start + map_length > at + RECORD_HEAD.size + length:
+            if first >= time or start + map_length > at + 9 + length:
                 continue
             if map_length % 10 == 0 and channel in {
                 of for (of,) in _MAP_ITEM.iter_unpack(self.summary[start : start + map_length])
@@ -79,100 +89,82 @@ def read_index(file: BufferedReader, size: int) -> Index | None:
     """
     try:
         return _read_index(file, size)
-    except (Damaged, StructError):
+    except (Damaged, struct.error):
         return None
 
 
 def _read_index(file: BufferedReader, size: int) -> Index:
-    library, metadata, data_start = _front(file, size)
-    summary_start, summary, data_crc = _end(file, size)
-    stated: Statistics | None = None
-    channels: list[records.ChannelRecord] = []
-    entries: list[int] = []
-    data_end = summary_start - _DATA_END.size
-    at, end, reached = 0, len(summary) - _END, data_start
-    entry = _ENTRY.unpack_from
-    while at < end:
-        # The footer behind the records makes this front complete for the shortest record too.
-        opcode, length, _, _, offset, chunk, _ = entry(summary, at)
-        if opcode == _CHUNK_INDEX:
-            if offset < reached:
-                raise Damaged("a chunk's entry does not fit")
-            reached = offset + chunk
-            entries.append(at)
-        elif opcode == records.CHANNEL:
-            if len(channels) >= records.CHANNELS or length > records.RECORD_BYTES:
-                raise Damaged("there are too many channels")
-            channels.append(records.channel_record(summary[at + 9 : at + 9 + length], own=True))
-        elif opcode == records.STATISTICS:
-            stated = records.statistics_record(summary[at + 9 : at + 9 + length], own=True)
-        elif opcode not in _PASSED:
-            raise Damaged("what stands there is no record of a summary")
-        at += 9 + length
-    known = {topic.channel: (topic.name, topic.encoding) for topic in topics.TOPICS}
-    table = {channel.id: (channel.topic, channel.encoding) for channel in channels}
-    start = metadata.get(topics.START_KEY)
-    if (
-        at != end
-        or reached > data_end
-        or stated is None
-        or not table.items() <= known.items()
-        or {channel.metadata.get(topics.CHANNEL_START_KEY) for channel in channels} != {start}
-    ):
-        raise Damaged("the index does not fit")
-    contents = Contents(
-        size=size,
-        regions=((len(MAGIC), size),),
-        own=True,
-        in_order=True,
-        counted=True,
-        library=library,
-        metadata=metadata,
-        starts=() if start is None else (start,),
-        channels=table,
-        first=stated.first,
-        last=stated.last,
-        counts={topic: stated.counts.get(channel, 0) for channel, (topic, _) in table.items()},
-        sizes={},
-        unfinished=False,
-        damage=(),
-    )
-    return Index(contents, data_end, data_crc, summary, entries)
-
-
-def _front(file: BufferedReader, size: int) -> tuple[str, dict[str, str], int]:
-    """The library, the metadata `bilprov`, and the offset behind them. Raises Damaged."""
     source = RecordFile(file, size)
     source.own = True
     header = source.record(len(MAGIC))
     about = source.record(header.end)
-    if (header.opcode, about.opcode) != (records.HEADER, records.METADATA):
-        raise Damaged("the file does not begin as bilprov's do")
-    library = records.header_library(header.content)
-    name, metadata = records.metadata_record(about.content)
-    if not library.startswith(records.OWN_LIBRARY) or name != topics.METADATA_NAME:
-        raise Damaged("the file does not begin as bilprov's do")
-    return library, metadata, about.end
+    match header.record, about.record:
+        case Header(library=library), Metadata(name=topics.METADATA_NAME, metadata=metadata) if (
+            library.startswith(OWN_LIBRARY)
+        ):
+            start = metadata.get(topics.START_KEY)
+        case _:
+            raise Damaged("the file does not begin as bilprov's do")
+    data_end, summary, data_crc = _end(file, size)
+    known = {topic.channel: (topic.name, topic.encoding) for topic in topics.TOPICS}
+    table: dict[int, tuple[str, str]] = {}
+    stated = None
+    entries: list[int] = []
+    at, end, reached = 0, len(summary) - _END, about.end
+    entry = _ENTRY.unpack_from
+    while at < end:
+        # The footer behind the records makes this front complete for the shortest record too.
+        opcode, length, _, _, offset, chunk, _ = entry(summary, at)
+        if opcode == Opcode.CHUNK_INDEX:
+            if offset < reached:
+                raise Damaged("a chunk's entry does not fit")
+            reached = offset + chunk
+            entries.append(at)
+        elif opcode == Opcode.CHANNEL:
+            channel = parsed(opcode, summary[at + 9 : at + 9 + length], own=True)
+            table[channel.id] = channel.topic, channel.message_encoding
+            if (
+                table[channel.id] != known.get(channel.id)
+                or channel.metadata.get(topics.CHANNEL_START_KEY) != start
+            ):
+                raise Damaged("a channel is not one of bilprov's")
+        elif opcode == Opcode.STATISTICS:
+            stated = parsed(opcode, summary[at + 9 : at + 9 + length], own=True)
+        elif opcode not in _PASSED:
+            raise Damaged("what stands there is no record of a summary")
+        at += 9 + length
+    if at != end or reached > data_end or stated is None:
+        raise Damaged("the index does not fit")
+    counts = stated.channel_message_counts
+    contents = Contents(
+        size=size,
+        library=printable(library),
+        metadata=metadata,
+        starts=() if start is None else (start,),
+        channels=table,
+        first=stated.message_start_time,
+        last=stated.message_end_time,
+        counts={topic: counts.get(channel, 0) for channel, (topic, _) in table.items()},
+        regions=((len(MAGIC), size),),
+    )
+    return Index(contents, data_end, data_crc, summary, entries)
 
 
 def _end(file: BufferedReader, size: int) -> tuple[int, bytes, int]:
-    """Where the summary begins, its bytes with the footer and the magic, and the CRC of all data.
+    """Where the data end, the summary with the footer and the magic, and the CRC of all data.
 
     Raises Damaged.
     """
-    _, _, start, _, crc = _FOOTER.unpack_from(read_footer(file, size))  # none: StructError
+    _, _, start, _, crc = _FOOTER.unpack_from(read_footer(file, size))  # none: struct.error
     data_end = start - _DATA_END.size
     if not len(MAGIC) <= data_end <= size - _END or size - data_end > SUMMARY_BYTES:
         raise Damaged("the summary does not begin where it can")
     file.seek(data_end)
-    content = file.read(size - data_end)
-    covered = memoryview(content)[_DATA_END.size : 4 - _END + 21]
-    kind, size_of_it, data_crc = _DATA_END.unpack_from(content)
-    if len(content) != size - data_end or (kind, size_of_it) != (
-        records.DATA_END,
-        records.DATA_END_BYTES,
-    ):
+    opcode, length, data_crc = _DATA_END.unpack(file.read(_DATA_END.size))
+    if (opcode, length) != (Opcode.DATA_END, DATA_END_BYTES):
         raise Damaged("the data do not end before the summary")
-    if zlib.crc32(covered) != crc:
+    summary = file.read(size - start)
+    # It covers all but itself and the magic behind it.
+    if zlib.crc32(memoryview(summary)[:-12]) != crc:
         raise Damaged("the summary's checksum is wrong")
-    return start, content[_DATA_END.size :], data_crc
+    return data_end, summary, data_crc

@@ -7,19 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BufferedReader
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Attachment
 
-from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, Stored, blocks_of, message_starts
-from bilprov.captures.storage.records import MESSAGE_BYTES, AttachmentRecord, Damaged
+from bilprov.captures.storage.records import MESSAGE_BYTES, Damaged
 from bilprov.captures.storage.recovery import SKIPPED, Lost, RecordFile
 
-_WITH_MESSAGES = {records.CHUNK, records.MESSAGE}
+_WITH_MESSAGES = {Opcode.CHUNK, Opcode.MESSAGE}
 _TOO_LONG = "a message that is too long is left out here"
 
 
@@ -37,10 +38,6 @@ class Contents:
     """
 
     size: int
-    regions: tuple[tuple[int, int], ...]
-    own: bool
-    in_order: bool
-    counted: bool
     library: str
     metadata: dict[str, str]
     starts: tuple[str, ...]
@@ -48,9 +45,13 @@ class Contents:
     first: int
     last: int
     counts: dict[str, int]
-    sizes: dict[str, int]
-    unfinished: bool
-    damage: tuple[str, ...]
+    regions: tuple[tuple[int, int], ...]
+    sizes: dict[str, int] = field(default_factory=dict)
+    own: bool = True
+    in_order: bool = True
+    counted: bool = True
+    unfinished: bool = False
+    damage: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -126,7 +127,7 @@ def messages_before(
             starts, _ = message_starts(found.content)
         except Damaged:
             continue
-        if found.opcode == records.CHUNK:
+        if found.opcode == Opcode.CHUNK:
             block = Messages.at(found.content, starts)
             block = block.rows(block.channel == channel)
             places = [Place(offset, end, 0) for end in block.end.tolist()]
@@ -194,13 +195,13 @@ def _pieces(
                     where = ""
             elif found.opcode == SKIPPED:
                 where = "a chunk or message that is too large is left out here"
-            elif found.opcode == records.DATA_END and not surveyed:
+            elif found.opcode == Opcode.DATA_END and not surveyed:
                 return
             passed = 0
         where = "the file is damaged here"
 
 
-def attachments(file: BufferedReader, contents: Contents) -> Iterator[AttachmentRecord]:
+def attachments(file: BufferedReader, contents: Contents) -> Iterator[Attachment]:
     """Yield the complete attachments of an open file, in file order; nothing else is read.
 
     Raises Damaged if the file has changed since the survey.
@@ -211,8 +212,7 @@ def attachments(file: BufferedReader, contents: Contents) -> Iterator[Attachment
         for found in source.walk(start, end, only=()):
             if isinstance(found, Lost):
                 raise found.damage
-            if found.opcode == records.ATTACHMENT:
+            if found.opcode == Opcode.ATTACHMENT:
                 with suppress(Damaged):  # nobody looked at those of foreign files
-                    content = source.record(start, {records.ATTACHMENT}).content
-                    yield records.attachment_record(content, contents.own)
+                    yield source.record(start, {Opcode.ATTACHMENT}).record
             start = found.end

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import io
 import re
+import struct
 import zlib
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from io import BufferedReader
-from struct import Struct
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Header, MessageIndex, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import message_starts
-from bilprov.captures.storage.records import CHUNK_BYTES, ChannelRecord, CutOff, Damaged
+from bilprov.captures.storage.records import CHUNK_BYTES, CutOff, Damaged
 
 SKIPPED: Final = -1
 """Opcode of a record that was skipped because it is larger than allowed."""
@@ -40,18 +44,58 @@ CHUNK_FRONT = re.compile(
 ATTACHED: Final = records.ATTACHMENT_BYTES + 1024
 """Largest size in bytes of an attachment record, its names included."""
 
-_INDEX_FRONT = Struct("<BQHI")  # opcode, length, channel, bytes of the entries
-INDEX_RECORDS = {0x08, 0x0A, records.STATISTICS, 0x0D, 0x0E, records.FOOTER}
+_CHUNK = struct.Struct("<16xQII")  # times; size, CRC, length of the compression's name
+_U64 = struct.Struct("<Q")
+_INDEX_FRONT = struct.Struct("<BQHI")  # opcode, length, channel, bytes of the entries
+INDEX_RECORDS = {0x08, 0x0A, Opcode.STATISTICS, 0x0D, 0x0E, Opcode.FOOTER}
 
-CHECKS: dict[int, Callable[[bytes, bool], object]] = {
-    records.HEADER: records.header_library,
-    records.CHANNEL: records.channel_record,
-    records.METADATA: records.metadata_record,
-    records.ATTACHMENT: records.attachment_record,
-    records.STATISTICS: records.statistics_record,
-    records.SCHEMA: records.check_schema,
-    records.MESSAGE_INDEX: records.check_message_index,
+_PARSED: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.STATISTICS: Statistics,
+    Opcode.SCHEMA: Schema,
+    Opcode.MESSAGE_INDEX: MessageIndex,
 }
+
+
+class _Fields(ReadDataStream):
+    """The content of a record, whose fields end no earlier than the record says."""
+
+    def read(self, length: int) -> bytes:
+        data: bytes = super().read(length)
+        if len(data) < length:
+            raise EndOfFile
+        return data
+
+    def read_prefixed_string(self) -> str:
+        """Read the next string; invalid UTF-8 becomes escapes."""
+        length = self.read4()
+        if length > records.STRING_BYTES:
+            raise Damaged(f"a string is {length} bytes, allowed are {records.STRING_BYTES}")
+        return self.read(length).decode("utf-8", "backslashreplace")
+
+
+def parsed(opcode: int, content: bytes, own: bool) -> Any:
+    """Parse one of the records of `_PARSED`; its texts are as stored. Raises Damaged.
+
+    An attachment has a checksum; one of 0 is none, which is accepted unless it is our `own`.
+    """
+    fields = _Fields(io.BytesIO(content))
+    try:
+        record = _PARSED[opcode].read(fields)
+    except EndOfFile as error:
+        raise Damaged("a record is shorter than its fields") from error
+    # The format lets other writers append fields; our writer does not.
+    if own and fields.count != len(content):
+        raise Damaged("a record is longer than its fields")
+    if opcode == Opcode.ATTACHMENT:
+        end = fields.count - 4
+        crc = int.from_bytes(content[end : end + 4], "little")
+        if (crc or own) and crc != zlib.crc32(memoryview(content)[:end]):
+            raise Damaged("the checksum (CRC) of an attachment is wrong")
+    return record
 
 
 NOTHING: Final = np.zeros(0, np.int64)
@@ -59,11 +103,12 @@ ONE: Final = np.zeros(1, np.int64)
 
 
 class Found(NamedTuple):
-    """A complete record: its opcode, the offset of its end, its content (unpacked for a chunk).
+    """A complete record: its opcode, the offset of its end, and what it holds.
 
-    `verified` is true if a checksum covers the content; `note` says why a record was skipped. Of a
-    chunk that `walk` gives, `starts` are where its messages begin, `channels` the channels that it
-    describes, and its end is behind its message indexes.
+    That is the `content` of a chunk (unpacked) or a message, or the `record` of another one that is
+    parsed. `verified` is true if a checksum covers the content; `note` says why a record was
+    skipped. Of a chunk that `walk` gives, `starts` are where its messages begin, `channels` the
+    channels that it describes, and its end is behind its message indexes.
     """
 
     opcode: int
@@ -72,7 +117,8 @@ class Found(NamedTuple):
     verified: bool = False
     note: str = ""
     starts: NDArray[np.int64] = NOTHING
-    channels: Sequence[ChannelRecord] = ()
+    channels: Sequence[Channel] = ()
+    record: Any = None
 
 
 class Lost(NamedTuple):
@@ -123,9 +169,9 @@ class RecordFile:
             raise CutOff("a record ends after the file")
         if only is not None and opcode not in only:
             return Found(opcode, end)
-        if opcode == records.CHUNK:
+        if opcode == Opcode.CHUNK:
             return self._chunk(offset, length, end)
-        if opcode == records.MESSAGE:
+        if opcode == Opcode.MESSAGE:
             return self._message(length, end)
         return self._other(opcode, length, end, bool(only))
 
@@ -139,7 +185,7 @@ class RecordFile:
         while offset < end:
             try:
                 found = self.record(offset, only)
-                if found.opcode == records.CHUNK and (only is None or records.CHUNK in only):
+                if found.opcode == Opcode.CHUNK and (only is None or Opcode.CHUNK in only):
                     found = self._examined(found)
             except Damaged as damage:
                 at = self.next_chunk(offset + 1)
@@ -147,10 +193,10 @@ class RecordFile:
                 offset = self.size if at is None else at
                 continue
             offset = found.end
-            if found.opcode == records.DATA_END:
+            if found.opcode == Opcode.DATA_END:
                 self.past_data = True
             yield found
-            if found.opcode == records.FOOTER:
+            if found.opcode == Opcode.FOOTER:
                 return
 
     def _examined(self, chunk: Found) -> Found:
@@ -161,11 +207,11 @@ class RecordFile:
         index, end = self._index(chunk.end, len(content))
         starts, others = message_starts(content, index)
         channels = [
-            records.channel_record(content[start:stop])
+            parsed(opcode, content[start:stop], own=False)
             for opcode, start, stop in others
-            if opcode == records.CHANNEL
+            if opcode == Opcode.CHANNEL
         ]
-        return Found(records.CHUNK, end, content, chunk.verified, "", starts, channels)
+        return Found(Opcode.CHUNK, end, content, chunk.verified, "", starts, channels)
 
     def _index(self, offset: int, most: int) -> tuple[bytes, int]:
         """The entries of the message indexes that stand at `offset`, and where these end."""
@@ -176,7 +222,7 @@ class RecordFile:
             if len(head) < _INDEX_FRONT.size:
                 break
             opcode, length, _, size = _INDEX_FRONT.unpack(head)
-            if opcode != records.MESSAGE_INDEX or size + 6 != length or size > most:
+            if opcode != Opcode.MESSAGE_INDEX or size + 6 != length or size > most:
                 break
             entry = self._file.read(size)
             if size % 16 or len(entry) < size:
@@ -216,15 +262,19 @@ class RecordFile:
             return False
         finally:
             self._patience -= max(self._file.tell() - offset, HEAD_ROOM)
-        return found.opcode == records.CHUNK and (found.verified or compressed)
+        return found.opcode == Opcode.CHUNK and (found.verified or compressed)
 
     def _chunk(self, offset: int, length: int, end: int) -> Found:
         front = self._content(min(length, HEAD_ROOM))
-        fields = records.chunk_fields(front)
-        size = fields.size
-        if fields.start + fields.packed != length:
+        try:
+            size, crc, name = _CHUNK.unpack_from(front)
+            start = _CHUNK.size + name + _U64.size
+            (packed,) = _U64.unpack_from(front, start - _U64.size)
+        except struct.error as error:
+            raise Damaged("a record is shorter than its fields") from error
+        if start + packed != length:
             raise Damaged("a chunk's length does not fit its content")
-        if max(size, fields.packed) > CHUNK_BYTES:
+        if max(size, packed) > CHUNK_BYTES:
             if self.own:
                 raise Damaged(f"a chunk is larger than the {CHUNK_BYTES} bytes allowed")
             note = f"the chunk at byte {offset} holds {size} bytes, allowed are {CHUNK_BYTES}"
@@ -235,31 +285,32 @@ class RecordFile:
             free = UNPACKED_FREE >> 20
             raise Damaged(f"it unpacks to more than {free} MiB and {UNPACKED_SHARE} x its size")
         content = front + self._content(length - len(front))
-        data = self._unpack(memoryview(content)[fields.start :], fields.compression, size)
+        compression = content[_CHUNK.size : _CHUNK.size + name]
+        data = self._unpack(memoryview(content)[start:], compression, size)
         if len(data) != size:
             raise Damaged("a chunk does not unpack to the size that it declares")
         # A CRC of 0 means that there is none, which is accepted from foreign writers only.
-        verified = fields.crc != 0 or self.own
-        if verified and zlib.crc32(data) != fields.crc:
+        verified = crc != 0 or self.own
+        if verified and zlib.crc32(data) != crc:
             raise Damaged("a chunk's checksum is wrong")
-        return Found(records.CHUNK, end, data, verified)
+        return Found(Opcode.CHUNK, end, data, verified)
 
-    def _unpack(self, packed: memoryview, compression: str, size: int) -> bytes:
+    def _unpack(self, packed: memoryview, compression: bytes, size: int) -> bytes:
         """Unpack a chunk; gives at most one byte more than its size. Raises Damaged."""
         try:
-            if compression == "zstd":
+            if compression == b"zstd":
                 if zstandard.frame_content_size(packed) == size:  # so much is allocated
                     return self._zstd.decompress(packed, allow_extra_data=False)
                 # What the frame declares is not to be allocated: unpacked piece by piece.
                 source = io.BytesIO(packed)
                 with self._zstd.stream_reader(source, read_across_frames=True) as reader:
                     return reader.read(size + 1)
-            if compression == "lz4":
+            if compression == b"lz4":
                 decompressor = lz4.frame.LZ4FrameDecompressor()
                 return bytes(decompressor.decompress(packed, max_length=size + 1))
         except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
-            raise Damaged(f"a chunk cannot be unpacked with {compression}") from error
-        if compression == "":
+            raise Damaged(f"a chunk cannot be unpacked with {compression.decode()}") from error
+        if compression == b"":
             return bytes(packed)
         raise Damaged("a chunk is compressed with something other than zstd and lz4")
 
@@ -271,29 +322,27 @@ class RecordFile:
         if length - records.MESSAGE_HEAD.size > records.MESSAGE_BYTES:
             note = f"a message holds {length} bytes, allowed are {records.MESSAGE_BYTES}: left out"
             return Found(SKIPPED, end, note=note)
-        content = records.RECORD_HEAD.pack(records.MESSAGE, length) + self._content(length)
-        return Found(records.MESSAGE, end, content, starts=ONE)
+        content = records.RECORD_HEAD.pack(Opcode.MESSAGE, length) + self._content(length)
+        return Found(Opcode.MESSAGE, end, content, starts=ONE)
 
     def _other(self, opcode: int, length: int, end: int, only: bool) -> Found:
-        if opcode == records.FOOTER and end + len(records.MAGIC) > self.size:
+        if opcode == Opcode.FOOTER and end + len(records.MAGIC) > self.size:
             raise CutOff("the file ends before its last 8 bytes")
-        if opcode == records.FOOTER and (
+        if opcode == Opcode.FOOTER and (
             length != records.FOOTER_BYTES or end + len(records.MAGIC) != self.size
         ):
             raise Damaged("a footer stands before the end")
         if opcode in INDEX_RECORDS and not self.past_data:
             raise Damaged("a record of the index stands before the end of the data")
         # Foreign attachments are read only where they are asked for.
-        if opcode in CHECKS and (self.own or only or opcode != records.ATTACHMENT):
-            most = ATTACHED if opcode == records.ATTACHMENT else records.RECORD_BYTES
+        if opcode in _PARSED and (self.own or only or opcode != Opcode.ATTACHMENT):
+            most = ATTACHED if opcode == Opcode.ATTACHMENT else records.RECORD_BYTES
             if length > most:
                 raise Damaged(f"a record is larger than the {most} bytes allowed")
-            content = self._content(length)
-            CHECKS[opcode](content, self.own)
-            return Found(opcode, end, content)
-        if opcode == records.DATA_END and length != records.DATA_END_BYTES:
+            return Found(opcode, end, record=parsed(opcode, self._content(length), self.own))
+        if opcode == Opcode.DATA_END and length != records.DATA_END_BYTES:
             raise Damaged("the end of the data is not as long as it should be")
-        if opcode == 0 or (self.own and opcode > records.LAST_KNOWN):
+        if opcode == 0 or (self.own and opcode > Opcode.DATA_END):
             raise Damaged("what stands there is no record")
         return Found(opcode, end)
 
@@ -306,7 +355,7 @@ class RecordFile:
 
 def read_footer(file: BufferedReader, size: int) -> bytes:
     """The footer of a file and the magic behind it; b"" if the file is not finished."""
-    begin = records.RECORD_HEAD.pack(records.FOOTER, records.FOOTER_BYTES)
+    begin = records.RECORD_HEAD.pack(Opcode.FOOTER, records.FOOTER_BYTES)
     tail = len(begin) + records.FOOTER_BYTES + len(records.MAGIC)
     file.seek(max(0, size - tail))
     last = file.read(tail)

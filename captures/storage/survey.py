@@ -7,38 +7,27 @@ from collections.abc import Iterator
 from io import BufferedReader
 from typing import Final
 
-import msgspec
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Header, Metadata, Statistics
 from numpy.typing import NDArray
 
 from bilprov.captures import topics
-from bilprov.captures.schemas import Line
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, blocks_of
 from bilprov.captures.storage.messages import Contents
-from bilprov.captures.storage.records import MAGIC, ChannelRecord, CutOff
+from bilprov.captures.storage.records import MAGIC, CutOff
 from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile, read_footer
 from bilprov.captures.text import printable
 
 DAMAGE_NOTES: Final = 20  # sentences about damage; further damaged places are only counted
-OWN_LINE: Final = topics.BY_VALUE[Line].channel
-
-
-def surveyed(file: BufferedReader, size: int, damage: str = "", *, front: bool = False) -> Contents:
-    """Survey an open MCAP file of `size` bytes, whose magic at the start was checked before.
-
-    `damage` says what is damaged there, "" for nothing. With `front` the survey ends with the first
-    messages.
-    """
-    survey = Survey(file, size, damage)
-    for _ in survey.blocks():
-        if front:
-            break
-    return survey.contents()
 
 
 class Survey:
-    """A survey of an open file; arguments as in `surveyed`."""
+    """A survey of an open MCAP file of `size` bytes, whose first bytes were checked before.
+
+    `damage` says what is damaged there, "" for nothing.
+    """
 
     def __init__(self, file: BufferedReader, size: int, damage: str = "") -> None:
         self._records = RecordFile(file, size)
@@ -46,23 +35,20 @@ class Survey:
         self._finished = bool(read_footer(file, size))
         self._regions: list[tuple[int, int]] = []
         self._library = ""
-        self._metadata: dict[str, str] = {}
-        self._seen_metadata = False
+        self._metadata: dict[str, str] | None = None
         self._guarded_start: str | None = None
-        self._channels: dict[int, ChannelRecord] = {}
+        self._channels: dict[int, Channel] = {}
         self._verified: set[int] = set()
         self._counts: Counter[int] = Counter()
         self._sizes: Counter[int] = Counter()
         self._times: list[int] = []  # first, earliest, latest
         self._too_long = 0
-        self._bad_lines = 0
         self._in_order = True
         self._held = np.zeros(0, np.uint64)  # times, of a foreign file in order of time
         self._passed = np.uint64(0)
         self._late = 0
         self._notes = [damage] if damage else []
         self._more_notes = 0
-        self._lines: set[int] = set()
         self._left_out = False  # whether a note tells of records that are not read
         self._stated: int | None = None  # messages that the file's statistics count
 
@@ -87,7 +73,7 @@ class Survey:
                 self._take(found)
                 if len(found.starts):
                     yield Piece(found.content, found.starts, "")
-                if found.opcode == records.FOOTER:
+                if found.opcode == Opcode.FOOTER:
                     self._extend(start, self._size)
                 else:
                     self._extend(start, found.end)
@@ -102,8 +88,6 @@ class Survey:
                 f"{self._too_long} messages hold more than the {records.MESSAGE_BYTES} bytes "
                 "allowed and are left out"
             )
-        if self._bad_lines:
-            self._note(f"{self._bad_lines} messages on /line cannot be decoded and are left out")
         if unknown:
             self._note(f"{unknown} messages are on channels that the file does not describe")
         self._put_in_order(np.zeros(0, np.uint64))
@@ -124,7 +108,7 @@ class Survey:
             in_order=self._in_order,
             counted=self._library.startswith(records.OWN_LIBRARY),
             library=printable(self._library),
-            metadata=self._metadata,
+            metadata=self._metadata or {},
             starts=tuple(self._starts()),
             channels=channels,
             first=first if own else earliest,
@@ -138,7 +122,7 @@ class Survey:
     def _starts(self) -> Iterator[str]:
         if self._guarded_start is not None:
             yield self._guarded_start
-        if topics.START_KEY in self._metadata:
+        if self._metadata and topics.START_KEY in self._metadata:
             yield self._metadata[topics.START_KEY]
         for channel in self._channels.values():
             if topics.CHANNEL_START_KEY in channel.metadata:
@@ -146,7 +130,7 @@ class Survey:
 
     def _table(self) -> dict[int, tuple[str, str]]:
         table = {
-            record.id: (printable(record.topic), printable(record.encoding))
+            record.id: (printable(record.topic), printable(record.message_encoding))
             for record in self._channels.values()
         }
         if self._records.own:
@@ -156,23 +140,19 @@ class Survey:
         return table
 
     def _take(self, found: Found) -> None:
-        if found.opcode == records.CHUNK:
-            for channel in found.channels:
-                self._learn(channel, found.verified)
-        elif found.opcode == records.HEADER:
-            self._library = records.header_library(found.content)
-            self._records.own = self._library.startswith(records.OWN_LIBRARY)
-            if self._records.own:
-                self._lines = {OWN_LINE}
-        elif found.opcode == records.CHANNEL:
-            self._learn(records.channel_record(found.content), verified=False)
-        elif found.opcode == records.METADATA:
-            name, pairs = records.metadata_record(found.content)
-            if name == topics.METADATA_NAME and not self._seen_metadata:
-                self._metadata, self._seen_metadata = pairs, True
-        elif found.opcode == records.STATISTICS:
-            self._stated = records.statistics_record(found.content).messages
-        elif found.opcode == SKIPPED:
+        for channel in found.channels:
+            self._learn(channel, found.verified)
+        match found.record:
+            case Header(library=library):
+                self._library = library
+                self._records.own = library.startswith(records.OWN_LIBRARY)
+            case Channel():
+                self._learn(found.record, verified=False)
+            case Metadata(name=topics.METADATA_NAME) if self._metadata is None:
+                self._metadata = found.record.metadata
+            case Statistics(message_count=stated):
+                self._stated = stated
+        if found.opcode == SKIPPED:
             self._left_out = True
             self._note(found.note)
 
@@ -196,11 +176,6 @@ class Survey:
             self._in_order &= first >= before[2] and bool((times[1:] >= times[:-1]).all())
             self._put_in_order(times)
         self._times = [before[0], min(before[1], earliest), max(before[2], latest)]
-        for line in block.rows(np.isin(block.channel, list(self._lines))).single():
-            try:
-                msgspec.json.decode(line.data, type=Line)
-            except records.JSON_ERRORS:
-                self._bad_lines += 1
 
     def _put_in_order(self, times: NDArray[np.uint64]) -> None:
         """Count the messages that come too late to be put in order as reading does it."""
@@ -210,7 +185,7 @@ class Survey:
         self._passed = passed.max(initial=self._passed)
         self._held = both[len(passed) :]
 
-    def _learn(self, channel: ChannelRecord, verified: bool) -> None:
+    def _learn(self, channel: Channel, verified: bool) -> None:
         known = self._channels.get(channel.id)
         if known is None and len(self._channels) >= records.CHANNELS:
             note = f"the file describes more than the {records.CHANNELS} channels allowed"
@@ -219,9 +194,6 @@ class Survey:
             return
         if known is None or (verified and channel.id not in self._verified):
             self._channels[channel.id] = channel
-            self._lines.discard(channel.id)
-            if channel.topic == topics.LINE:
-                self._lines.add(channel.id)
         if verified:
             self._verified.add(channel.id)
             start = channel.metadata.get(topics.CHANNEL_START_KEY)

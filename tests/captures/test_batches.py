@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from bilprov.captures.errors import CaptureError
@@ -229,11 +230,11 @@ def test_an_index_that_lies_leads_to_the_same_messages_as_none(seed: int) -> Non
     choose = random.Random(seed)
     content, index = b"", b""
     for n in range(80):
-        opcode = 4 if choose.random() < 0.01 else records.MESSAGE
+        opcode = 4 if choose.random() < 0.01 else Opcode.MESSAGE
         body = choose.randbytes(choose.choice([22, 23, 23, 40]))
         if choose.random() < 0.003:
             body = body[:9]
-        index += struct.pack("<QQ", n, len(content)) if opcode == records.MESSAGE else b""
+        index += struct.pack("<QQ", n, len(content)) if opcode == Opcode.MESSAGE else b""
         content += records.RECORD_HEAD.pack(opcode, len(body)) + body
     content += bytes(choose.choice([0, 0, 8]))  # less than a record
     lying = bytearray(index)

@@ -9,6 +9,7 @@ import zlib
 from pathlib import Path
 
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -16,7 +17,7 @@ from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.evidence import open_evidence
 from bilprov.captures.reader import open_capture
-from bilprov.captures.storage.records import ATTACHMENT_BYTES, DATA_END
+from bilprov.captures.storage.records import ATTACHMENT_BYTES
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.recheck import recheck
 from bilprov.spec.protocol import Protocol
@@ -85,7 +86,7 @@ def test_one_checksum_covers_all_data(small: Path) -> None:
     content = small.read_bytes()
     end = int.from_bytes(content[-28:-20], "little") - 13
 
-    assert content[end] == DATA_END
+    assert content[end] == Opcode.DATA_END
     assert int.from_bytes(content[end + 9 : end + 13], "little") == zlib.crc32(content[:end])
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import zstandard
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 from bilprov.captures.errors import CaptureError
@@ -84,7 +85,7 @@ def test_a_file_cut_anywhere_gives_a_prefix(small: Path, pytestconfig: pytest.Co
 
 
 def chunk_offsets(data: bytes) -> list[int]:
-    return [at for at, _ in record_places(data, records.CHUNK)]
+    return [at for at, _ in record_places(data, Opcode.CHUNK)]
 
 
 def without_record(data: bytes, opcode: int, number: int) -> bytes:
@@ -97,7 +98,7 @@ def without_record(data: bytes, opcode: int, number: int) -> bytes:
 def test_a_chunk_that_was_taken_out_is_missed_by_the_statistics(
     small: Path, tmp_path: Path, lost: int
 ) -> None:
-    data = without_record(small.read_bytes(), records.CHUNK, lost)
+    data = without_record(small.read_bytes(), Opcode.CHUNK, lost)
     capture = open_capture(with_bytes(tmp_path / "out.mcap", data))
     assert capture.damage == ("20 messages are there, the file's statistics count 24",)
     gaps = [event.detail for event in capture if isinstance(event, Line) and event.event == "gap"]
@@ -109,20 +110,20 @@ def test_a_message_taken_out_of_a_foreign_file_without_chunks_is_missed(tmp_path
     path = foreign(tmp_path / "f.mcap", two_taps, use_chunking=False)
     before = open_capture(path)
     held = sum(before.contents.counts.values())
-    path.write_bytes(without_record(path.read_bytes(), records.MESSAGE, 0))
+    path.write_bytes(without_record(path.read_bytes(), Opcode.MESSAGE, 0))
     told = f"{held - 1} messages are there, the file's statistics count {held}"
     assert told in open_capture(path).damage
     assert not any("statistics" in sentence for sentence in before.damage)
 
 
-STATISTICS = [struct.pack("<BQ", records.STATISTICS, 46 + 10 * n) for n in range(1, 9)]
+STATISTICS = [struct.pack("<BQ", Opcode.STATISTICS, 46 + 10 * n) for n in range(1, 9)]
 
 
 def test_statistics_that_are_cut_short_are_damage_and_no_more(tmp_path: Path) -> None:
     path = foreign(tmp_path / "f.mcap", two_taps)
     data, held = path.read_bytes(), all_of(path)
     at = next(n for n in range(len(data)) if data[n : n + 9] in STATISTICS)
-    short = data[:at] + struct.pack("<BQ", records.STATISTICS, 4) + bytes(4)
+    short = data[:at] + struct.pack("<BQ", Opcode.STATISTICS, 4) + bytes(4)
     capture = open_capture(with_bytes(path, short + data[at + 9 + data[at + 1] :]))
     assert any("a record is shorter than its fields" in note for note in capture.damage)
     assert list(messages(capture)) == held
@@ -238,7 +239,7 @@ def test_foreign_writers_are_read_by_time(tmp_path: Path, options: dict[str, Any
     events = list(capture)
     assert capture.start == 1000
     assert not capture.unfinished
-    assert capture.damage == ("6 messages on /line cannot be decoded and are left out",)
+    assert capture.damage == ()
     assert events.pop(1) == Line(1, "break")
     assert events == [
         Chunk(
@@ -282,7 +283,7 @@ def packed_chunk(packed: bytes, declared: int, crc: int = 1) -> bytes:
     """A chunk record of these bytes, which declares the size and checksum of what was packed."""
     front = struct.pack("<QQQII", 0, 0, declared, crc, 4) + b"zstd"
     body = front + struct.pack("<Q", len(packed)) + packed
-    return struct.pack("<BQ", records.CHUNK, len(body)) + body
+    return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
 
 
 @pytest.mark.parametrize("declared", [100, records.CHUNK_BYTES, records.CHUNK_BYTES + 1, 1 << 60])
@@ -449,7 +450,7 @@ def test_a_file_that_unpacks_to_far_more_than_its_size_is_read_up_to_a_limit(
     monkeypatch.setattr(recovery, "UNPACKED_SHARE", 100)
     whole = small.read_bytes()
     foreign = whole[: chunk_offsets(whole)[0]].replace(b"bilprov 1", b"nothing 1")
-    message = struct.pack("<BQHIQQ", records.MESSAGE, 22 + 60_000, 1, 0, START, START)
+    message = struct.pack("<BQHIQQ", Opcode.MESSAGE, 22 + 60_000, 1, 0, START, START)
     large = whole_chunk((message + bytes(60_000)) * 200)
     path = with_bytes(tmp_path / "u.mcap", foreign + large * 5)
 
