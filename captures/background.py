@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from threading import Event, Thread
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 from bilprov.captures import topics
 from bilprov.captures.closing import Closing
@@ -24,23 +24,6 @@ QUEUE_BYTES: Final = 16 * 1024 * 1024  # of payload that may wait
 WAKE_BYTES: Final = 256 * 1024  # of waiting payload that is written at once
 WAKE_AFTER: Final = 0.05  # s; what waits less is written then: 0.1 s at most after it was read
 EVENT_BYTES: Final = 256  # counted for each event beside its bytes
-
-
-class _Next(NamedTuple):
-    """The file in which to go on, from `t` (ns) on; so many of the newest files are kept."""
-
-    path: Path
-    metadata: Mapping[str, str]
-    t: int
-    keep: int | None
-
-
-class _Made(NamedTuple):
-    """A file that was made here and begins at `t` (ns), and what tells it from another one."""
-
-    path: Path
-    t: int
-    identity: tuple[int, int, int] | None = None
 
 
 class BackgroundWriter(Closing):
@@ -62,17 +45,17 @@ class BackgroundWriter(Closing):
         self.waited_ns = 0
         self.failure = ""
         self._writer = writer
+        self._newest = writer.path
         self.oldest = 0
-        self._made = [_Made(self._writer.path, 0)]
-        # With t and size.
-        self._queue: deque[tuple[Chunk | topics.Written | _Next, int, int]] = deque()
+        # The files that were made here, the time (ns) with which each begins, and, once they are
+        # finished, what tells them from others of their name.
+        self._made: list[tuple[Path, int, tuple[int, ...]]] = [(writer.path, 0, ())]
+        # What is to be done, with what, and how many bytes that has.
+        self._queue: deque[tuple[Callable[..., None], tuple[Any, ...], int]] = deque()
         # Each number is changed by one thread alone, and so needs no lock.
         self._put_bytes = 0
         self._taken_bytes = 0
-        self._asked = 1
-        self._begun = 1
-        self._wake, self._room = Event(), Event()
-        self._full = False
+        self._wake = Event()
         self._closing = False
         self._error: Exception | None = None
         self._thread = Thread(target=self._run, name="capture writer", daemon=True)
@@ -86,21 +69,21 @@ class BackgroundWriter(Closing):
     @property
     def paths(self) -> tuple[Path, ...]:
         """The files that hold the capture, the newest last."""
-        return tuple(file.path for file in self._made)
+        return tuple(path for path, _, _ in self._made)
 
     @property
     def size(self) -> int:
         """How many bytes of the file are written, 0 while a next one is not begun."""
-        return self._writer.size if self._asked == self._begun else 0
+        return self._writer.size if self.path == self._newest else 0
 
     def chunk(self, chunk: Chunk) -> None:
         """Hand over a chunk."""
-        self._put(chunk, chunk.t, len(chunk.data) + EVENT_BYTES)
+        self._put(self._writer.chunk, chunk, size=len(chunk.data))
 
     def write(self, value: topics.Written, t: int) -> None:
         """Hand over a value for the topic of its type; `t` is ns since the capture's start."""
         size = len(value.decoder) if type(value) is Checkpoint else 0
-        self._put(value, t, size + EVENT_BYTES)
+        self._put(self._writer.write, value, t, size=size)
 
     def go_on_in(
         self, path: Path, metadata: Mapping[str, str], t: int, keep: int | None = None
@@ -110,8 +93,8 @@ class BackgroundWriter(Closing):
         It begins at `t` (ns since the capture's start). With `keep` older files are deleted, but
         for the newest so many: only those that were made here and are what they were.
         """
-        self._asked += 1
-        self._put(_Next(path, metadata, t, keep), t, EVENT_BYTES)
+        self._newest = path
+        self._put(self._go_on, path, metadata, t, keep)
 
     def close(self) -> None:
         """Write all that waits, finish the file and end the thread; further calls do nothing."""
@@ -124,34 +107,31 @@ class BackgroundWriter(Closing):
         if self._error is not None:
             raise self._error
 
-    def _put(self, value: Chunk | topics.Written | _Next, t: int, size: int) -> None:
+    def _put(self, act: Callable[..., None], *given: Any, size: int = 0) -> None:
+        """Hand over something to do in the thread, which holds `size` bytes."""
         self._check()
         if self._closing:
             raise ValueError(f"the capture {printable(self.path)} is closed")
         if self.failure:
             return
-        waiting = self._put_bytes - self._taken_bytes
-        if waiting >= WAKE_BYTES:
-            if waiting + size > QUEUE_BYTES:
-                self._wait_for_room(size)
-            if not self._wake.is_set():
-                self._wake.set()
-        self._queue.append((value, t, size))
+        size += EVENT_BYTES
+        if self._waiting >= WAKE_BYTES:
+            self._wake.set()
+            if self._waiting + size > QUEUE_BYTES:
+                self._wait_for_room(max(0, QUEUE_BYTES - size))
+        self._queue.append((act, given, size))
         self._put_bytes += size
 
-    def _wait_for_room(self, size: int) -> None:
-        most = max(0, QUEUE_BYTES - size)
+    @property
+    def _waiting(self) -> int:
+        return self._put_bytes - self._taken_bytes
+
+    def _wait_for_room(self, most: int) -> None:
         began = time.monotonic_ns()
-        self._full = True
-        try:
-            while self._put_bytes - self._taken_bytes > most and self._thread.is_alive():
-                self._room.clear()
-                self._wake.set()
-                # Looked at again in a while, so that nothing depends on who comes first.
-                self._room.wait(0.05)
-        finally:
-            self._full = False
-            self.waited_ns += time.monotonic_ns() - began
+        while self._waiting > most and self._thread.is_alive():
+            self._wake.set()
+            time.sleep(0.001)
+        self.waited_ns += time.monotonic_ns() - began
         self._check()
 
     def _run(self) -> None:
@@ -173,42 +153,31 @@ class BackgroundWriter(Closing):
 
     def _write_waiting(self) -> None:
         """Write what waits, in order, and pass it to the operating system."""
-        queue, writer = self._queue, self._writer
-        if not queue:
+        if not self._queue:
             return
-        while queue:
-            value, t, size = queue.popleft()
-            if isinstance(value, Chunk):
-                writer.chunk(value)
-            elif isinstance(value, _Next):
-                writer = self._begin(value)
-            else:
-                writer.write(value, t)
+        while self._queue:
+            act, given, size = self._queue.popleft()
+            act(*given)
             self._taken_bytes += size
-            if self._full:
-                self._room.set()
-        writer.flush()
+        self._writer.flush()
 
-    def _begin(self, file: _Next) -> CaptureWriter:
-        finished = self._writer
-        self._writer = finished.following(file.path, file.metadata)
-        self._made[-1] = self._made[-1]._replace(identity=_identity(finished.path))
-        self._made.append(_Made(file.path, file.t))
-        self._begun += 1
-        while file.keep and len(self._made) > file.keep:
-            gone = self._made[0]
-            if gone.identity and gone.identity == _identity(gone.path):
+    def _go_on(self, path: Path, metadata: Mapping[str, str], t: int, keep: int | None) -> None:
+        self._writer.go_on_in(path, metadata)
+        finished, began, _ = self._made[-1]
+        self._made[-1:] = [(finished, began, _identity(finished)), (path, t, ())]
+        while keep and len(self._made) > keep:
+            gone, _, identity = self._made[0]
+            if identity and identity == _identity(gone):
                 with suppress(OSError):
-                    gone.path.unlink()
-            self.oldest = self._made[1].t
+                    gone.unlink()
+            self.oldest = self._made[1][1]
             del self._made[0]
-        return self._writer
 
 
-def _identity(path: Path) -> tuple[int, int, int] | None:
-    """What tells a finished file from another one of its name; None if it is not there."""
+def _identity(path: Path) -> tuple[int, ...]:
+    """What tells a finished file from another one of its name; () if it is not there."""
     try:
         status = path.lstat()
     except OSError:
-        return None
+        return ()
     return status.st_dev, status.st_ino, status.st_size

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import zlib
 from collections import Counter
-from collections.abc import Iterator
 from io import BufferedWriter
 from struct import Struct, pack
 from typing import Any, Final
@@ -50,21 +49,15 @@ class ChunkedFile:
         """The number of bytes written."""
         self._file = file
         self._crc = 0  # of all that is written
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
+        self._table: dict[Opcode, bytes] = {}
         self._messages: list[tuple[int, int, int, bytes]] = []
         self._chunk_front = b""
         self._pack = zstandard.ZstdCompressor().compress
-        self._counts: Counter[int] = Counter()
-        self._first: int | None = None
-        self._last = 0
-        self._chunks = 0
+        self._stated = Statistics(0, 0, Counter(), *[0] * 6)  # of nothing
         self._indexes: dict[Opcode, RecordBuilder] = {
             kind: RecordBuilder()
             for kind in (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
         }
-        self._attachments = 0
-        self._metadata = 0
         self.message = self._messages.append
         """Add a message: its channel, sequence (32 bits), log time (ns, 64 bits) and data.
 
@@ -78,8 +71,9 @@ class ChunkedFile:
         The copy before the chunks lets the streaming readers of other programs work when the first
         chunk is lost or was never written.
         """
-        self._schemas, self._channels = schemas, channels
-        self._chunk_front = _bytes(*schemas, *channels)
+        self._stated.schema_count, self._stated.channel_count = len(schemas), len(channels)
+        self._table = {Opcode.SCHEMA: _bytes(*schemas), Opcode.CHANNEL: _bytes(*channels)}
+        self._chunk_front = b"".join(self._table.values())
         self._write(self._chunk_front)
 
     def metadata(self, name: str, pairs: dict[str, str]) -> None:
@@ -89,7 +83,7 @@ class ChunkedFile:
         MetadataIndex(offset=at, length=len(record), name=name).write(
             self._indexes[Opcode.METADATA_INDEX]
         )
-        self._metadata += 1
+        self._stated.metadata_count += 1
 
     def attachment(self, name: str, media_type: str, data: bytes, log_time: int) -> None:
         """Write an attachment, outside of the chunks."""
@@ -101,7 +95,7 @@ class ChunkedFile:
         AttachmentIndex(offset=at, length=len(record), data_size=len(data), **about).write(
             self._indexes[Opcode.ATTACHMENT_INDEX]
         )
-        self._attachments += 1
+        self._stated.attachment_count += 1
 
     def end_chunk(self) -> None:
         """Write the messages added since the last chunk as one; without any, nothing."""
@@ -125,82 +119,56 @@ class ChunkedFile:
         # Cleared before anything is written: what cannot be written is not tried again.
         messages.clear()
         self._chunk_front = b""
-        self._write_chunk(content, min(times), max(times), places)
-
-    def flush(self) -> None:
-        """Pass the written data to the operating system."""
-        self._file.flush()
-
-    def finish(self) -> None:
-        """Write the end of the data, with a checksum of them all, and the summary with indexes."""
-        self.end_chunk()
-        self._write(_bytes(DataEnd(self._crc)))
-        start = self.size
-        summary = b""
-        offsets = []
-        for kind, group in self._summary():
-            if group:
-                at = start + len(summary)
-                offsets.append(
-                    SummaryOffset(group_opcode=kind, group_start=at, group_length=len(group))
-                )
-                summary += group
-        at = start + len(summary)
-        summary += _bytes(*offsets)
-        crc = zlib.crc32(pack("<BQQQ", Opcode.FOOTER, 20, start, at), zlib.crc32(summary))
-        footer = Footer(summary_start=start, summary_offset_start=at, summary_crc=crc)
-        self._write(summary + _bytes(footer) + MAGIC)
-
-    def _summary(self) -> Iterator[tuple[Opcode, bytes]]:
-        """The groups of the summary, each with its opcode."""
-        statistics = Statistics(
-            attachment_count=self._attachments,
-            channel_count=len(self._channels),
-            channel_message_counts=self._counts,
-            chunk_count=self._chunks,
-            message_count=self._counts.total(),
-            message_end_time=self._last,
-            message_start_time=self._first or 0,
-            metadata_count=self._metadata,
-            schema_count=len(self._schemas),
-        )
-        yield Opcode.SCHEMA, _bytes(*self._schemas)
-        yield Opcode.CHANNEL, _bytes(*self._channels)
-        yield Opcode.STATISTICS, _bytes(statistics)
-        for kind, index in self._indexes.items():
-            yield kind, index.end()  # type: ignore[no-untyped-call]
-
-    def _write_chunk(
-        self, content: bytes, first: int, last: int, places: dict[int, list[int]]
-    ) -> None:
-        """Write a chunk and, by channel, the times and places of its messages in turn."""
         packed = self._pack(content)
+        first, last = min(times), max(times)
         about: dict[str, Any] = {"compression": "zstd", "uncompressed_size": len(content)}
         about |= {"message_start_time": first, "message_end_time": last}
         record = _bytes(Chunk(data=packed, uncompressed_crc=zlib.crc32(content), **about))
-        at = self.size
         offsets = {}
         parts = [record]
-        end = at + len(record)
+        start, end = self.size, self.size + len(record)
+        stated = self._stated
         for channel, pairs in places.items():
             size = 8 * len(pairs)
             offsets[channel] = end
             front = (Opcode.MESSAGE_INDEX, size + 6, channel, size)
             parts.append(pack(f"<BQHI{len(pairs)}Q", *front, *pairs))
             end += len(parts[-1])
-            self._counts[channel] += len(pairs) // 2
-        self._first = first if self._first is None else min(self._first, first)
-        self._last = max(self._last, last)
-        self._chunks += 1
+            stated.channel_message_counts[channel] += len(pairs) // 2
+        stated.message_count += len(times)
+        started = stated.message_start_time if stated.chunk_count else first
+        stated.message_start_time = min(first, started)
+        stated.message_end_time = max(last, stated.message_end_time)
+        stated.chunk_count += 1
         self._write(b"".join(parts))
         ChunkIndex(
             chunk_length=len(record),
-            chunk_start_offset=at,
+            chunk_start_offset=start,
             compressed_size=len(packed),
-            message_index_length=end - at - len(record),
+            message_index_length=end - start - len(record),
             message_index_offsets=offsets,
             **about,
         ).write(self._indexes[Opcode.CHUNK_INDEX])
+
+    def finish(self) -> None:
+        """Write the end of the data, with a checksum of them all, and the summary with indexes."""
+        self.end_chunk()
+        self._write(_bytes(DataEnd(self._crc)))
+        start = self.size
+        groups = {**self._table, Opcode.STATISTICS: _bytes(self._stated)}
+        for kind, index in self._indexes.items():
+            groups[kind] = index.end()  # type: ignore[no-untyped-call]
+        summary = b""
+        offsets = []
+        for kind, group in groups.items():
+            if group:
+                offsets.append(SummaryOffset(kind, start + len(summary), len(group)))
+                summary += group
+        at = start + len(summary)
+        summary += _bytes(*offsets)
+        crc = zlib.crc32(pack("<BQQQ", Opcode.FOOTER, 20, start, at), zlib.crc32(summary))
+        footer = Footer(summary_start=start, summary_offset_start=at, summary_crc=crc)
+        self._write(summary + _bytes(footer) + MAGIC)
 
     def _write(self, data: bytes) -> None:
         self._crc = zlib.crc32(data, self._crc)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from io import BufferedWriter
 from pathlib import Path
 from typing import Final
@@ -54,36 +54,36 @@ class CaptureWriter(Closing):
         version: str,
         shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
-        self.path = Path(path)
         self._start = start_wall
         self._log_time(0)
-        self._sequence = 0
-        self._newest = 0
-        self._flush_at = NEVER
-        self._chunk_messages = 0
-        self._chunk_bytes = 0
-        self._kept_bytes = 0
-        self._kept_until = 0
         self._version = version
         self._shapes = shapes
+        self._sequence = self._newest = self._kept_until = 0
         self._before = ""  # what else holds a part of the recording
         self._failure = ""
-        self._closed = False
+        self._begin(Path(path), metadata)
+
+    def _begin(self, path: Path, metadata: Mapping[str, str]) -> None:
         about = {_utf8(name): _utf8(text) for name, text in metadata.items()}
-        about[topics.START_KEY] = str(start_wall)
+        about[topics.START_KEY] = str(self._start)
         for name, text in about.items():
             if max(len(name.encode()), len(text.encode())) > STRING_BYTES:
                 raise ValueError(
                     f"metadata {printable(name)} is longer than the {STRING_BYTES} bytes allowed"
                 )
-        self._file = _new_file(self.path)
+        self._file = _new_file(path)
+        self._kept_bytes = self._chunk_messages = self._chunk_bytes = 0
+        self._flush_at = NEVER
+        self._closed = False
+        self.path = path
         # Some file systems do not count links; there a deleted file cannot be noticed.
         self._counts_links = os.fstat(self._file.fileno()).st_nlink > 0
         try:
-            self._guarded(lambda: self._open(about, f"bilprov {version}"))
+            with self._guarded():
+                self._write_front(about)
         except CaptureError:
             with suppress(OSError):
-                self.path.unlink()  # it holds nothing
+                path.unlink()  # it holds nothing
             raise
 
     @property
@@ -117,7 +117,12 @@ class CaptureWriter(Closing):
             self._add(topic.channel, data, t)
             return
         left_out = f"{topic.name}: a message of {len(data)} bytes, allowed are {MESSAGE_BYTES}"
-        self._leave_out(left_out, t)
+        self.log(t, 3, left_out, "left out")
+
+    def log(self, t: int, level: int, message: str, name: str) -> None:
+        """Write on `/faults`, at `t` (ns since the capture's start); the rest as in a Log."""
+        moment = Time(*divmod(self._log_time(t), 1_000_000_000))
+        self.write(Log(moment, level, message, name), t)
 
     def attach(self, name: str, media_type: str, data: bytes, t: int) -> None:
         """Attach a file's content at `t` (ns since the capture's start) and flush it.
@@ -127,11 +132,13 @@ class CaptureWriter(Closing):
         """
         log_time = self._log_time(t)
         if len(data) > ATTACHMENT_BYTES:
-            self._leave_out(f"{name}: {len(data)} bytes, allowed are {ATTACHMENT_BYTES}", t)
+            left_out = f"{name}: {len(data)} bytes, allowed are {ATTACHMENT_BYTES}"
+            self.log(t, 3, left_out, "left out")
             return
         self.flush()
-        self._guarded(lambda: self._mcap.attachment(name, media_type, data, log_time))
-        self._guarded(self._mcap.flush)
+        with self._guarded():
+            self._mcap.attachment(name, media_type, data, log_time)
+            self._file.flush()
         self._kept_bytes = self._mcap.size
 
     def tick(self, now: int) -> None:
@@ -148,9 +155,10 @@ class CaptureWriter(Closing):
 
         Raises CaptureError if the disk is full, the file is gone or cannot be written.
         """
-        self._guarded(self._require_unchanged)
-        self._guarded(self._mcap.end_chunk)
-        self._guarded(self._mcap.flush)
+        with self._guarded():
+            self._require_unchanged()
+            self._mcap.end_chunk()
+            self._file.flush()
         self._kept_bytes = self._mcap.size
         self._kept_until = self._newest
         self._flush_at = NEVER
@@ -161,27 +169,19 @@ class CaptureWriter(Closing):
         """How many bytes of the file have been written, in complete chunks."""
         return self._kept_bytes
 
-    def following(self, path: str | Path, metadata: Mapping[str, str]) -> CaptureWriter:
-        """Finish the file, and return the writer of a new one that goes on where this one ends.
+    def go_on_in(self, path: Path, metadata: Mapping[str, str]) -> None:
+        """Finish the file, and go on in a new one.
 
         Times count from the same start and sequence numbers go on. Raises CaptureError if this file
         cannot be finished, or the new one made.
         """
         self.close()
+        finished = self.path
         try:
-            writer = CaptureWriter(
-                path,
-                start_wall=self._start,
-                metadata=metadata,
-                version=self._version,
-                shapes=self._shapes,
-            )
+            self._begin(path, metadata)
         except CaptureError as error:
-            raise CaptureError(f"{error}; {self._kept()} in {printable(self.path)}") from error
-        writer._sequence = self._sequence
-        writer._newest = writer._kept_until = self._newest
-        writer._before = " and the parts before it"
-        return writer
+            raise CaptureError(f"{error}; {self._kept()} in {printable(finished)}") from error
+        self._before = " and the parts before it"
 
     def close(self) -> None:
         """Finish the file; further calls, and a call after a failure, do nothing.
@@ -191,15 +191,16 @@ class CaptureWriter(Closing):
         if self._closed:
             return
         self.flush()
-        self._guarded(self._mcap.finish)
-        # A buffered file that cannot be flushed is closed all the same when it is closed, and then
-        # the half-written end can no longer be cut off.
-        self._guarded(self._file.flush)
-        self._guarded(self._file.close)
+        with self._guarded():
+            self._mcap.finish()
+            # A buffered file that cannot be flushed is closed all the same when it is closed, and
+            # then the half-written end can no longer be cut off.
+            self._file.flush()
+            self._file.close()
         self._closed = True
 
-    def _open(self, about: dict[str, str], library: str) -> None:
-        self._mcap = ChunkedFile(self._file, library)
+    def _write_front(self, about: dict[str, str]) -> None:
+        self._mcap = ChunkedFile(self._file, f"bilprov {self._version}")
         self._mcap.metadata(topics.METADATA_NAME, about)
         # A flipped bit in the metadata record is not detected, and would shift all times: the
         # start is in the channels too, which a chunk's checksum protects.
@@ -207,23 +208,11 @@ class CaptureWriter(Closing):
         schemas: list[Schema] = []
         channels: list[Channel] = []
         for topic in topics.TOPICS:
-            schema = 0
             if topic.schema:
-                schema = len(schemas) + 1
-                value = self._shapes.get(topic.value, topic.value)
-                form = topics.json_schema(value)
-                schemas.append(
-                    Schema(id=schema, data=form, encoding="jsonschema", name=topic.schema)
-                )
-            channels.append(
-                Channel(
-                    id=topic.channel,
-                    topic=topic.name,
-                    message_encoding=topic.encoding,
-                    metadata=guarded,
-                    schema_id=schema,
-                )
-            )
+                form = topics.json_schema(self._shapes.get(topic.value, topic.value))
+                schemas.append(Schema(len(schemas) + 1, form, "jsonschema", topic.schema))
+            schema = len(schemas) if topic.schema else 0
+            channels.append(Channel(topic.channel, topic.name, topic.encoding, guarded, schema))
         self._mcap.table(schemas, channels)
         self._file.flush()
         self._kept_bytes = self._mcap.size
@@ -232,7 +221,8 @@ class CaptureWriter(Closing):
         # A message costs about a microsecond: nothing here that is not needed for each.
         log_time = self._start + t
         if self._closed or not 0 <= log_time < U64:
-            self._guarded(lambda: self._log_time(t))
+            with self._guarded():
+                self._log_time(t)
         sequence = self._sequence
         self._sequence = (sequence + 1) & 0xFFFF_FFFF
         self._mcap.message((channel, sequence, log_time, data))
@@ -269,23 +259,20 @@ class CaptureWriter(Closing):
                 "is lost, record again"
             )
 
-    def _leave_out(self, what: str, t: int) -> None:
-        seconds, nanoseconds = divmod(self._log_time(t), 1_000_000_000)
-        self.write(Log(Time(seconds, nanoseconds), 3, what, "left out"), t)
-
     def _log_time(self, t: int) -> int:
         log_time = self._start + t
         if not 0 <= log_time < U64:
             raise ValueError(f"log time is {log_time} ns, allowed are 0 to {U64 - 1}")
         return log_time
 
-    def _guarded(self, act: Callable[[], object]) -> None:
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
         if self._failure:
             raise CaptureError(self._failure)
         if self._closed:
             raise ValueError(f"the capture {printable(self.path)} is closed")
         try:
-            act()
+            yield
         except OSError as error:
             why = "disk full" if error.errno in FULL else printable(error.strerror or error)
             name = printable(self.path)

@@ -10,7 +10,7 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from decimal import Decimal
 from pathlib import Path
@@ -23,10 +23,9 @@ from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path, part_paths, require_new
-from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Log, Resumption, Time
+from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Resumption
 from bilprov.captures.storage.records import STRING_BYTES
 from bilprov.captures.text import printable
-from bilprov.captures.topics import Written
 from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
@@ -224,10 +223,19 @@ class RecordWriter(CaptureWriter):
 
     def record(self, record: Record) -> None:
         """Write a decoded record: the frame, the state when it changes, and the anomalies."""
-        for value, t in _values(record, self._state, self._start):
-            self.write(value, t)
         if isinstance(record, HostRecord):
-            self._state = record.state
+            self.write(record.value, record.value.t)
+            if record.state != self._state:
+                self.write(record.state, record.value.end)
+                self._state = record.state
+        elif isinstance(record, DeviceRecord):
+            self.write(record.value, record.value.t)
+        for fault in record.faults:
+            self.log(fault.t, int(fault.severity), fault.reason, fault.kind)
+
+    def forget_state(self) -> None:
+        """Have the next state written though it is the last one that was."""
+        self._state = None
 
 
 class Checkpoints:
@@ -284,7 +292,6 @@ class Recorder(BackgroundWriter):
         shapes: topics.Shapes = topics.CAR_SHAPES,
     ) -> None:
         self.bytes = 0
-        self._start = start_wall
         self._name = Path(path)
         self._metadata = dict(metadata)
         self._rotation = rotation
@@ -293,9 +300,9 @@ class Recorder(BackgroundWriter):
         require_new(self._name)
         if rotation:
             path, metadata = part_path(self._name, 1), {**metadata, topics.PART: "1"}
-        super().__init__(RecordWriter(path, start_wall, metadata, shapes))
+        self._file = RecordWriter(path, start_wall, metadata, shapes)
+        super().__init__(self._file)
         self._throttle = Throttle()
-        self._state: State | None = None
         self._checkpoints = Checkpoints(metadata[topics.GRAMMAR_HASH])
 
     def part_due(self, now: int) -> bool:
@@ -330,7 +337,7 @@ class Recorder(BackgroundWriter):
         self._count(frames, now)
         if not (self.failure or self._throttle.stopped):
             for record in records():
-                self._write(record)
+                self._put(self._file.record, record)
 
     def checkpoint(self, t: int, save: Callable[[], str | None]) -> None:
         """Write a checkpoint at `t` if one is due; call it when all events so far are decoded.
@@ -359,7 +366,6 @@ class Recorder(BackgroundWriter):
         assert self._rotation is not None
         self._part += 1
         self._part_since = None
-        self._state = None  # so that the state is written into each part
         about = {
             **self._metadata,
             topics.PART: str(self._part),
@@ -367,35 +373,13 @@ class Recorder(BackgroundWriter):
             "attached": "yes",  # for decoders that cannot use the checkpoint
         }
         self.go_on_in(part_path(self._name, self._part), about, t, self._rotation.keep)
+        self._put(self._file.forget_state)  # so that the state is written into each part
 
     def _count(self, frames: int, now: int) -> None:
         if not self.failure and (change := self._throttle.count(frames, now)):
             name, why = change
-            self._state = None  # so that the first state is written when they resume
-            self.write(Log(_wall(self._start + now), Severity.INFO, why, name), now)
-
-    def _write(self, record: Record) -> None:
-        for value, t in _values(record, self._state, self._start):
-            self.write(value, t)
-        if isinstance(record, HostRecord):
-            self._state = record.state
-
-
-def _values(record: Record, state: State | None, start: int) -> Iterator[tuple[Written, int]]:
-    """Yield the messages of a record with their times; `state` is the last one that was written."""
-    if isinstance(record, HostRecord):
-        yield record.value, record.value.t
-        if record.state != state:
-            yield record.state, record.value.end
-    elif isinstance(record, DeviceRecord):
-        yield record.value, record.value.t
-    for fault in record.faults:
-        log = Log(_wall(start + fault.t), int(fault.severity), fault.reason, fault.kind)
-        yield log, fault.t
-
-
-def _wall(time: int) -> Time:
-    return Time(*divmod(time, 1_000_000_000))
+            self._put(self._file.forget_state)  # so that the first state is written afterwards
+            self._put(self._file.log, now, Severity.INFO, why, name)
 
 
 MOST_BYTES: Final = 1 << 30

@@ -53,7 +53,7 @@ def parts() -> tuple[bytes, ...]:
     writer: CaptureWriter = RecordWriter(paths[0], _START, {**about, PART: "1"})
     for number, path in enumerate(paths):
         if number:
-            writer = writer.following(path, {**about, PART: str(number + 1)})
+            writer.go_on_in(path, {**about, PART: str(number + 1)})
         for turn in range(12):
             t = (12 * number + turn) * 10 * MS
             writer.chunk(Chunk(t, "host", bytes([turn]) * 4))

@@ -43,7 +43,7 @@ def written_by_us(path: Path, choose: random.Random, length: int, parts: int) ->
     )
     for number in range(max(1, parts)):
         if number:
-            writer = writer.following(part_path(path, number + 1), {"part": str(number + 1)})
+            writer.go_on_in(part_path(path, number + 1), {"part": str(number + 1)})
             if choose.random() < 0.7:
                 writer.write(VALUES[-1], 0)
         for t in range(length):

@@ -36,7 +36,7 @@ def parts(folder: Path, count: int, *, start: int = START, name: str = "drive") 
         if t and t % EVENTS == 0:
             number = t // EVENTS + 1
             about = about | {topics.PART: str(number), topics.CUT_START: str(t * SECOND)}
-            writer = writer.following(part_path(path, number), about)
+            writer.go_on_in(part_path(path, number), about)
             writer.write(state(t * SECOND), t * SECOND)
         writer.chunk(Chunk(t * SECOND, "host", b"%d" % t))
     writer.close()
