@@ -309,7 +309,7 @@ def _copied(
 
 
 def _note_size(new: Path, copy: Copy, of: str) -> None:
-    note(f"{new} holds {quantity(copy.size, 'byte')} of {of}")
+    note(f"{new} holds {quantity(copy.raw_bytes, 'byte')} of {of}")
 
 
 @contextmanager

@@ -29,11 +29,12 @@ capture:
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
-from itertools import islice
+from itertools import islice, takewhile
+from operator import eq
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from rich.console import RenderableType
@@ -69,9 +70,9 @@ def _exchanges(
 
 
 RUN: Final = 16  # frames that are the same, after which two streams count as aligned
-WINDOWS: Final = (64, 512)  # exchanges of each stream that are looked at for few edits
-FAR: Final = 20_000  # the same for many
-_READ_AT_ONCE: Final = 512  # exchanges that are read
+FAR: Final = 20_000
+WINDOWS: Final = (64, 512, FAR)
+"""Exchanges of each stream that are looked at: for few edits, for more, for the next run."""
 
 Keys = Sequence[tuple[str, bytes]]
 Step = tuple[bool, bool]
@@ -82,56 +83,36 @@ Pair = tuple[Exchange | None, Exchange | None]
 
 def aligned(first: Iterator[Exchange], second: Iterator[Exchange]) -> Iterator[Pair]:
     """Yield all exchanges of both in order: pairs with the same frame, or one alone."""
-    left, right = _Ahead(first), _Ahead(second)
-    while True:
-        one, other = left.next(), right.next()
-        if one is None or other is None:
-            break
-        if one.key == other.key:
-            yield left.taken(), right.taken()
-            continue
-        edits = (_edits(left.keys(few), right.keys(few), few) for few in WINDOWS)
-        steps = next(filter(None, edits), None) or _jump(left.keys(FAR), right.keys(FAR))
+    left: deque[Exchange] = deque()
+    right: deque[Exchange] = deque()
+    steps: Sequence[Step] = [(False, False)]
+    while steps:
+        for window in WINDOWS:
+            steps = _steps(_next(left, first, window), _next(right, second, window), window)
+            if steps:
+                break
         for to_left, to_right in steps:
-            yield left.taken() if to_left else None, right.taken() if to_right else None
-    while left.next() is not None:
-        yield left.taken(), None
-    while right.next() is not None:
-        yield None, right.taken()
+            yield left.popleft() if to_left else None, right.popleft() if to_right else None
 
 
-class _Ahead:
-    """A stream of which some of what comes next can be looked at."""
-
-    def __init__(self, stream: Iterator[Exchange]) -> None:
-        self._stream = stream
-        self._held: list[Exchange] = []
-        self._at = 0
-
-    def next(self) -> Exchange | None:
-        """What `taken` gives next, None at the end."""
-        if self._at == len(self._held):
-            self._held, self._at = list(islice(self._stream, _READ_AT_ONCE)), 0
-        return self._held[self._at] if self._held else None
-
-    def taken(self) -> Exchange:
-        """The next exchange, which is gone from the stream then."""
-        self._at += 1
-        return self._held[self._at - 1]
-
-    def keys(self, count: int) -> Keys:
-        """The keys of so many next exchanges, of fewer at the end."""
-        del self._held[: self._at]
-        self._at = 0
-        self._held += islice(self._stream, max(0, count - len(self._held)))
-        return [one.key for one in self._held[:count]]
+def _next(held: deque[Exchange], stream: Iterator[Exchange], count: int) -> Keys:
+    """The keys of so many next exchanges of a stream, of fewer at the end."""
+    held.extend(islice(stream, max(0, count - len(held))))
+    return [one.key for one in islice(held, count)]
 
 
-def _edits(left: Keys, right: Keys, window: int) -> list[Step] | None:
-    """The steps up to where the streams are aligned again; None where they are not in the window.
+def _steps(left: Keys, right: Keys, window: int) -> Sequence[Step]:
+    """The steps as far as the streams are the same, or up to where they are aligned again.
 
-    A stream with fewer keys than the window ends with them.
+    There are none where the window does not show that, nor at the end of both. A stream with fewer
+    keys than the window ends with them.
     """
+    if not left or not right:
+        return [(True, False)] * len(left) + [(False, True)] * len(right)
+    if same := len([*takewhile(bool, map(eq, left, right))]):
+        return [(True, True)] * same
+    if window == FAR:
+        return _jump(left, right)
     steps: list[Step] = []
     matcher = SequenceMatcher(None, left, right, autojunk=False)
     for _, begin, end, first, last in matcher.get_opcodes():
@@ -141,7 +122,7 @@ def _edits(left: Keys, right: Keys, window: int) -> list[Step] | None:
                 return steps
         else:
             steps += [(True, False)] * (end - begin) + [(False, True)] * (last - first)
-    return steps if max(len(left), len(right)) < window else None
+    return steps if max(len(left), len(right)) < window else []
 
 
 def _jump(left: Keys, right: Keys) -> list[Step]:

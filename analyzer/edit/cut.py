@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import re
 from array import array
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
@@ -31,7 +32,7 @@ from msgspec.structs import replace
 
 from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.checkpoint import DecoderState, encoded, encoded_or_none
-from bilprov.analyzer.decode.records import DeviceRecord, FaultRecord, HostRecord, Record, shapes_of
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, shapes_of
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.files import replaced_whole
@@ -45,6 +46,7 @@ from bilprov.analyzer.replay.capture_decoding import (
     capture_timeout,
     heard,
 )
+from bilprov.analyzer.replay.comparison import Exchange, Exchanges
 from bilprov.analyzer.replay.recorder import (
     CHECKPOINT_STATE,
     Checkpoints,
@@ -110,50 +112,69 @@ def size_of(batch: list[Timed]) -> int:
     return sum(len(one.value.data) for one in batch if isinstance(one.value, Chunk))
 
 
-def write_values(out: RecordWriter, batch: list[Timed]) -> None:
-    """Write a batch as it is, but for checkpoints from which decoding need not go on."""
-    for one in batch:
-        if isinstance(one.value, Chunk | Line):
-            out.event(one.value)
-        elif not isinstance(one.value, Checkpoint):
-            out.write(one.value, one.value.t)
-
-
-class Copy:
-    """A new capture while it is written: its `writer`, and how many raw bytes it has (`size`).
+class Copy(RecordWriter):
+    """A new capture while it is written; `raw_bytes` is how many raw bytes were copied into it.
 
     `progress` is told how many raw bytes were read for it.
     """
 
-    def __init__(self, writer: RecordWriter, protocol: Protocol, progress: Progress) -> None:
-        self.writer = writer
+    def __init__(
+        self,
+        path: Path,
+        start: int,
+        metadata: Mapping[str, str],
+        protocol: Protocol,
+        progress: Progress,
+    ) -> None:
+        super().__init__(path, start, metadata, shapes_of(protocol))
         self.protocol = protocol
         self.progress = progress
-        self.size = 0
+        self.raw_bytes = 0
         self._checkpoints = Checkpoints(protocol.sha256)
+
+    def values(self, values: Iterable[Recorded]) -> None:
+        """Write values as they are, but for checkpoints from which decoding need not go on."""
+        for value in values:
+            if isinstance(value, Chunk | Line):
+                self.event(value)
+            elif not isinstance(value, Checkpoint):
+                self.write(value, value.t)
 
     def take(self, batch: list[Timed], decoder: StreamDecoder, *, decoded: bool = False) -> None:
         """Write a batch, and a checkpoint of the decoder that follows it, if one is due.
 
         With `decoded` what the batch completes is written too.
         """
-        write_values(self.writer, batch)
-        records = decoder.feed(events_in(batch))
+        self.values(one.value for one in batch)
+        batches = decoder.feed(events_in(batch))
         if decoded:
-            self.records(records)
+            self.records(batches)
         size = size_of(batch)
-        self.size += size
+        self.raw_bytes += size
         now = batch[-1].now
-        made = self._checkpoints.made(now, self.size, lambda: encoded_or_none(decoder.saved()))
+        made = self._checkpoints.made(now, self.raw_bytes, lambda: encoded_or_none(decoder.saved()))
         if made:
-            self.writer.write(made, now)
+            self.write(made, now)
         self.progress(size)
 
     def records(self, batches: Iterable[Batch]) -> None:
         """Write all records of decoded batches."""
         for batch in batches:
             for record in batch.records():
-                self.writer.record(record)
+                self.record(record)
+
+    def resumption(self, state: DecoderState, t: int, gap: Line | None = None) -> None:
+        """Write a checkpoint at `t` (ns) from which decoding is to go on; a `gap` goes before it.
+
+        A state whose text is too long for a message, which no car's traffic leads to, is left out:
+        then decoding looks for frame boundaries after the gap.
+        """
+        text = encoded(state)
+        fits = len(text) <= CHECKPOINT_STATE
+        if gap or not fits:
+            self.event(gap or Line(t, "gap"))
+        if fits:
+            self.write(Checkpoint.of(t, self.protocol.sha256, text, resumes=True), t)
 
 
 def first_state(decoder: StreamDecoder) -> DecoderState:
@@ -179,22 +200,20 @@ def new_capture(
     the block raises, nothing is left of it. Raises CaptureError where it cannot be written.
     """
     start = min(capture.start for capture in captures)
-    writer: RecordWriter | None = None
+    copy: Copy | None = None
     try:
-        with replaced_whole(out, force=force) as part:
-            writer = RecordWriter(part, start, metadata, shapes_of(protocol))
-            try:
-                for file in chain.from_iterable(one.attachments() for one in captures):
-                    writer.attach(file.name, file.media_type, file.data, file.log_time - start)
-                yield Copy(writer, protocol, progress)
-            finally:
-                if not writer.failed:
-                    writer.close()
+        with (
+            replaced_whole(out, force=force) as part,
+            Copy(part, start, metadata, protocol, progress) as copy,
+        ):
+            for file in chain.from_iterable(one.attachments() for one in captures):
+                copy.attach(file.name, file.media_type, file.data, file.log_time - start)
+            yield copy
     except ValueError as error:
         raise CaptureError(f"{printable(out)} cannot be written: {error}") from error
     except CaptureError as error:
         cause = error.__cause__
-        if not isinstance(cause, OSError) or not (writer is None or writer.failed):
+        if not isinstance(cause, OSError) or not (copy is None or copy.failed):
             raise  # the capture that is read
         why = cause.strerror
         raise CaptureError(
@@ -238,22 +257,6 @@ def cut_metadata(
     return about
 
 
-def write_resumption(
-    out: RecordWriter, protocol: Protocol, state: DecoderState, t: int, gap: Line | None = None
-) -> None:
-    """Write a checkpoint at `t` (ns) from which decoding is to go on; a `gap` goes before it.
-
-    A state whose text is too long for a message, which no car's traffic leads to, is left out: then
-    decoding looks for frame boundaries after the gap.
-    """
-    text = encoded(state)
-    fits = len(text) <= CHECKPOINT_STATE
-    if gap or not fits:
-        out.event(gap or Line(t, "gap"))
-    if fits:
-        out.write(Checkpoint.of(t, protocol.sha256, text, resumes=True), t)
-
-
 def said_of(name: Path) -> str:
     """A file's name as it stands in a history: without its folder, safe to show."""
     return re.sub(r"\s+", " ", printable(name.name))
@@ -281,14 +284,12 @@ def write_split(capture: Capture, copy: Copy) -> None:
     protocol = copy.protocol
     wire = HalfDuplex(protocol, capture_timeout(capture, protocol))
     for value in capture.recorded(looks=look_class(protocol.state_type)):
-        values: list[Recorded] = []
         if isinstance(value, Chunk):
             copy.progress(len(value.data))
-            values += wire.feed(value.data, value.t)
+            copy.values(wire.feed(value.data, value.t))
         else:
-            values += [*wire.rest(), value]
-        write_values(copy.writer, [Timed(one.t, one) for one in values])
-    write_values(copy.writer, [Timed(one.t, one) for one in wire.rest()])
+            copy.values([*wire.rest(), value])
+    copy.values(wire.rest())
 
 
 def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
@@ -309,24 +310,19 @@ def write_window(opened: Opened, window: Window, copy: Copy, *, decoded: bool = 
     `Capture.events` and the writer do.
     """
     protocol = copy.protocol
-    settings = capture_settings(opened.capture, protocol)
     decoder = opened.decoder
     values = timed(opened.recorded(protocol), first_state(decoder).time)
     if window.first is not None:
-        state, values = _state_at(decoder, values, window.first, copy.progress)
-        decoder = StreamDecoder(protocol, **settings)
+        state, begin = _state_at(decoder, values, window.first, copy.progress)
+        values = chain(begin, values)
+        decoder = StreamDecoder(protocol, **capture_settings(opened.capture, protocol))
         decoder.resume(state)
-        begin = next(values, None)
-        if begin is not None:
-            values = chain([begin], values)
         # A part of a part may begin before that does; then it has a checkpoint already.
-        begun = begin and isinstance(begin.value, Resumption) and begin.value.silent
-        if not begun:
-            at = window.first if begin is None else min(window.first, begin.now)
-            write_resumption(copy.writer, protocol, state, at)
+        first = begin[0].value if begin else None
+        if not (isinstance(first, Resumption) and first.silent):
+            copy.resumption(state, min([window.first, *(one.now for one in begin[:1])]))
     behind: list[Timed] = []
-    together = 1 if decoded else BATCH_VALUES
-    for batch in batched(_before(values, window.after, behind), together):
+    for batch in batched(_before(values, window.after, behind), 1 if decoded else BATCH_VALUES):
         copy.take(batch, decoder, decoded=decoded)
     if decoded:
         copy.records(decoder.finish())
@@ -335,7 +331,7 @@ def write_window(opened: Opened, window: Window, copy: Copy, *, decoded: bool = 
         end = decoder.saved()
         soon = end and behind[0].now <= end.time + AFTERMATH
         if end and soon and (end.frame or end.held):  # which may go on behind the window
-            copy.writer.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)
+            copy.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)
 
 
 def write_selected(
@@ -358,10 +354,9 @@ def write_selected(
                 part.take([one], kept=selected.meets(one.now, one.now), counted=window.has(one.now))
         else:
             part.take(batch, kept=False, counted=window.has(batch[-1].now))
-        for one in batch:
-            # What is no event, such as the looks of a conformance run, is kept.
-            if not isinstance(one.value, Chunk | Line | Checkpoint) and window.has(one.now):
-                copy.writer.write(one.value, one.value.t)
+        # What is no event, such as the looks of a conformance run, is kept.
+        rest = (one.value for one in batch if window.has(one.now))
+        copy.values(value for value in rest if not isinstance(value, Chunk | Line))
         copy.progress(size_of(batch))
     part.close()
 
@@ -428,9 +423,8 @@ class _Part:
         self._resume(quiet, max(self._known.time, self._now or 0))
 
     def _write(self, batch: list[Timed]) -> None:
-        for event in events_in(batch):
-            self._copy.writer.event(event)
-        self._copy.size += size_of(batch)
+        self._copy.values(events_in(batch))
+        self._copy.raw_bytes += size_of(batch)
         self._now = batch[-1].now if batch else self._now
 
     def _resume(self, state: DecoderState, t: int) -> None:
@@ -440,87 +434,56 @@ class _Part:
             said = f"{what} left out here by bilprov capture cut"
             begin = min(t, state.time) if self._now is None else self._now
             gap = Line(begin, "gap", "", said)
-        write_resumption(self._copy.writer, self._copy.protocol, state, t, gap)
+        self._copy.resumption(state, t, gap)
         self._left_out = 0
 
 
 class _Times:
-    """Spans of time, each of which begins after the one before it has ended."""
+    """Spans of time (ns), each of which begins after the one before it has ended."""
 
     def __init__(self) -> None:
         self._first, self._last = array("q"), array("q")
-        self._at = 0
 
     def add(self, first: int, last: int) -> None:
-        """Add a span (ns), which may begin before others that were added earlier."""
+        """Add a span, which may begin before others that were added earlier."""
+        first, last = min(first, last), max(first, last)
         while self._last and first <= self._last[-1]:
             first, last = min(first, self._first.pop()), max(last, self._last.pop())
         self._first.append(first)
         self._last.append(last)
 
+    def add_exchanges(self, exchanges: Iterable[Exchange]) -> None:
+        """Add the spans of those that are selected."""
+        for one in exchanges:
+            if one.selected and one.frame:
+                self.add(one.frame.t, max(one.frame.known, one.until))
+
     def meets(self, first: int, last: int) -> bool:
-        """Whether a span has some of this one; asked for later and later ones."""
-        while self._at < len(self._last) and self._last[self._at] < first:
-            self._at += 1
-        return self._at < len(self._first) and self._first[self._at] <= last
+        """Whether a span has some of this one."""
+        at = bisect_left(self._last, first)
+        return at < len(self._first) and self._first[at] <= last
 
 
 def _selected_times(opened: Opened, window: Window, test: Filter, copy: Copy) -> _Times:
-    """When what is selected came, each instruction with its answer."""
+    """When what is selected came, each instruction with its answer.
+
+    An answer may be stamped `skew` before its instruction: it is known only then to have none.
+    """
     settings = capture_settings(opened.capture, copy.protocol)
-    found = _Exchanges(paired=settings["heard"] >= BOTH, skew=settings["skew"])
-    batches = opened.decoded(copy.progress, window, TEXT_BATCH)
-    for batch in batches:
+    times, pairs = _Times(), Exchanges(paired=settings["heard"] >= BOTH)
+    for batch in opened.decoded(copy.progress, window, TEXT_BATCH):
         chosen = batch.in_order(test.selection(batch) & batch.inside(window.first, window.after))
         for record, selected in zip(batch.records(), chosen.tolist(), strict=True):
-            found.add(record, selected)
-    found.give_up()
-    return found.times
-
-
-class _Exchanges:
-    """Notes when selected instructions and answers came; where answers are `paired`, as one.
-
-    An answer may be stamped `skew` ns before its instruction: it is known only then to have none.
-    """
-
-    def __init__(self, *, paired: bool, skew: int) -> None:
-        self.times = _Times()
-        self._paired = paired
-        self._skew = skew
-        self._waiting: dict[int, tuple[HostRecord, bool]] = {}
-
-    def add(self, record: Record, selected: bool) -> None:
-        """Take the next record."""
-        if isinstance(record, HostRecord) and record.sequence is not None and self._paired:
-            self._waiting[record.sequence] = record, selected
-            return
-        number = None
-        end = record.t
-        if isinstance(record, DeviceRecord):
-            number = record.instruction
-            end += self._skew * (number is None)
-        elif isinstance(record, FaultRecord):
-            number = record.fault.instruction
-        elif isinstance(record, HostRecord):
-            end = record.known
-        elif record.lost:
-            self.give_up()
-        if number is not None and number in self._waiting:
-            frame, frame_selected = self._waiting.pop(number)
-            self._note(frame.t, max(frame.known, end), selected or frame_selected)
-        else:
-            self._note(record.t, end, selected)
-
-    def give_up(self) -> None:
-        """No answer will come for the instructions that wait."""
-        for frame, selected in self._waiting.values():
-            self._note(frame.t, frame.known, selected)
-        self._waiting.clear()
-
-    def _note(self, first: int, last: int, selected: bool) -> None:
-        if selected:
-            self.times.add(min(first, last), max(first, last))
+            pairs.record(record, selected=selected)
+            if selected:
+                end = record.known if isinstance(record, HostRecord) else record.t
+                if isinstance(record, DeviceRecord) and record.instruction is None:
+                    end += settings["skew"]
+                times.add(record.t, end)
+        times.add_exchanges(pairs.settled())
+    pairs.give_up()
+    times.add_exchanges(pairs.rest)
+    return times
 
 
 def _before(values: Iterator[Timed], end: int | None, behind: list[Timed]) -> Iterator[Timed]:
@@ -534,8 +497,8 @@ def _before(values: Iterator[Timed], end: int | None, behind: list[Timed]) -> It
 
 def _state_at(
     decoder: StreamDecoder, values: Iterator[Timed], start: int, progress: Progress
-) -> tuple[DecoderState, Iterator[Timed]]:
-    """Decode up to `start` (ns); returns a state there and the values from it on.
+) -> tuple[DecoderState, list[Timed]]:
+    """Decode up to `start` (ns); returns a state there, and those of the values that follow it.
 
     Where frame boundaries are looked for then, both are those from before that.
     """
@@ -551,4 +514,4 @@ def _state_at(
     if not since:
         decoder.advance(start - 1)
         state = decoder.saved() or state
-    return state, chain(since, behind, values)
+    return state, since + behind

@@ -16,7 +16,6 @@ from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
     HostRecord,
-    LineRecord,
     Record,
     Severity,
     severity_of,
@@ -37,7 +36,8 @@ class Exchange:
     """A frame of the host and its answer. The first one of a capture has no frame.
 
     `missing` tells that no answer came; without it and without an answer it is not known if one
-    would have come. `unasked` are device bytes behind it that answer no instruction.
+    would have come. `unasked` are device bytes behind it that answer no instruction. `selected` is
+    true if the frame is or what was found of its answer, which was known at `until` (ns).
     """
 
     frame: HostRecord | None
@@ -45,6 +45,8 @@ class Exchange:
     missing: bool = False
     unasked: bytearray = field(default_factory=bytearray)
     settled: bool = True
+    selected: bool = False
+    until: int = 0
 
     @property
     def code(self) -> int | None:
@@ -75,25 +77,29 @@ class Exchanges:
         self._paired = paired
         self._waiting: dict[int, Exchange] = {}
 
-    def record(self, record: Record) -> None:
+    def record(self, record: Record, *, selected: bool = False) -> None:
         """Add the next record."""
+        number = None
         if isinstance(record, HostRecord):
             waits = self._paired and record.sequence is not None
             self.rest.append(Exchange(record, settled=not waits))
             if waits and record.sequence is not None:
                 self._waiting[record.sequence] = self.rest[-1]
+                self.rest[-1].selected = selected
         elif isinstance(record, DeviceRecord):
-            if record.instruction is None:
+            number = record.instruction
+            if number is None:
                 unasked = self.rest[-1].unasked
                 unasked += record.data[: _MOST_UNASKED - len(unasked)]
-            elif (exchange := self._waiting.pop(record.instruction, None)) is not None:
-                exchange.answer, exchange.settled = record, True
         elif isinstance(record, FaultRecord):
             number = record.fault.instruction
-            if number is not None and (exchange := self._waiting.pop(number, None)) is not None:
-                exchange.missing, exchange.settled = True, True
-        elif isinstance(record, LineRecord) and record.lost:
+        elif record.lost:
             self.give_up()
+        if number is not None and (exchange := self._waiting.pop(number, None)):
+            exchange.answer = record if isinstance(record, DeviceRecord) else None
+            exchange.missing, exchange.settled = exchange.answer is None, True
+            exchange.selected |= selected
+            exchange.until = record.t
 
     def give_up(self) -> None:
         """No more will be known of those that wait."""

@@ -128,7 +128,7 @@ def _written(
         write(copy)
     made = open_capture(new)
     require(not made.damage and not made.unfinished, "what was written is damaged")
-    return copy.size, made
+    return copy.raw_bytes, made
 
 
 def _bytes_of(capture: Capture) -> bytes:
