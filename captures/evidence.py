@@ -71,9 +71,9 @@ def _wrong_checksum(path: Path, unfinished: bool) -> str:
             walk = RecordFile(file, size).walk(len(MAGIC), size, only=())
             ended = any(isinstance(one, Found) and one.opcode == Opcode.DATA_END for one in walk)
             return "that of the summary, which is cut off" if ended else ""
-        index = read_index(file, size)
-        if index is None:
+        contents = read_index(file, size)
+        if contents is None or contents.index is None:
             return "that of the summary, or the file does not begin and end as bilprov's do"
         # Older kits wrote none over all data.
-        right = not index.data_crc or index.covers(file)
+        right = not contents.index.data_crc or contents.index.covers(file)
     return "" if right else "that over all data"

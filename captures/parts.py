@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import printable
-from bilprov.captures.wall_clock import stated_number
 
 if TYPE_CHECKING:
-    from bilprov.captures.storage.messages import Contents
+    from bilprov.captures.storage.index import Contents
 
 DIGITS: Final = 5  # as many as dumpcap's, so that a listing is in order up to 99,999 parts
 
@@ -85,7 +84,7 @@ def volumes_of(path: Path, held: Sequence[tuple[int, Path, Contents]]) -> tuple[
     """
     first, *others = held
     for other in others:
-        if start_of(other[2]) != start_of(first[2]):
+        if other[2].start != first[2].start:
             raise CaptureError(
                 f"{printable(first[1])} and {printable(other[1])} are parts of different "
                 "recordings: move those of one of them to another folder, or name a single part"
@@ -120,18 +119,6 @@ def merged(volumes: Sequence[Volume]) -> Contents:
         unfinished=any(one.unfinished for one in contents),
         damage=tuple(_damage(volumes)),
     )
-
-
-def start_of(contents: Contents) -> int:
-    """The wall clock in ns from which the times of a file count."""
-    start = stated_start(contents)
-    return contents.first if start is None else start
-
-
-def stated_start(contents: Contents) -> int | None:
-    """The first start that a file states and a clock of 64 bits can show; None without."""
-    stated = (stated_number(text) for text in contents.starts)
-    return next((start for start in stated if start is not None), None)
 
 
 def _damage(volumes: Sequence[Volume]) -> Iterator[str]:

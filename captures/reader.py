@@ -5,33 +5,33 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from dataclasses import replace as with_changes
 from functools import partial
 from io import BufferedReader, FileIO
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-import msgspec
 from mcap.opcode import Opcode
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.parts import Volume, kept_parts, merged, start_of, stated_start, volumes_of
+from bilprov.captures.parts import Volume, kept_parts, merged, volumes_of
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, Recorded
-from bilprov.captures.storage.records import JSON_ERRORS, MAGIC, Damaged
+from bilprov.captures.storage.records import MAGIC, Damaged, decoded
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import since, stated_number
 
 if TYPE_CHECKING:
+    # The rest needs arrays, and whoever only names a capture does not.
     from mcap.records import Attachment
 
-    # The rest needs arrays, and whoever only names a capture does not.
     from bilprov.captures.events import Events
     from bilprov.captures.storage.blocks import Messages, Stored
-    from bilprov.captures.storage.index import Index
-    from bilprov.captures.storage.messages import Contents, Order, Place
+    from bilprov.captures.storage.index import Contents
+    from bilprov.captures.storage.messages import Order, Place
     from bilprov.captures.storage.survey import Survey
 
 TOPICS_SHOWN = 10
@@ -94,9 +94,9 @@ class Capture:
     `volumes` are its files: of a recording that is kept in parts, those that are there. `path` is
     then the name that stands for all of them, and `contents` are those of all together.
 
-    `indexes` are those of its volumes if it was opened by them: then `damage` and `contents.sizes`
-    are empty, and unless it was verified nobody looked for damage. Where a part turns out to be
-    damaged, it is left out and a Line `gap` is inserted, as after a survey.
+    If it is `indexed`, it was opened by the indexes of its volumes: then `damage` and
+    `contents.sizes` are empty, and unless it was verified nobody looked for damage. Where a part
+    turns out to be damaged, it is left out and a Line `gap` is inserted, as after a survey.
 
     `surveys` are those of its volumes if only its front is known (`open_front`), None otherwise.
     `walked` counts the bytes of its files that were passed.
@@ -110,7 +110,6 @@ class Capture:
     damage: tuple[str, ...]
     contents: Contents = field(repr=False)
     volumes: tuple[Volume, ...] = field(repr=False)
-    indexes: tuple[Index, ...] = ()
     surveys: list[Survey] | None = field(default=None, repr=False)
     walked: list[int] = field(default_factory=lambda: [0], repr=False, compare=False)
 
@@ -151,15 +150,12 @@ class Capture:
         if self.surveys is None:
             return self
         contents = [survey.contents() for survey in self.surveys]
-        if [_DECIDES(volume.contents) for volume in self.volumes] != [*map(_DECIDES, contents)]:
+        as_told = [_DECIDES(volume.contents) for volume in self.volumes]
+        if as_told != [*map(_DECIDES, contents)] or any(one.damage for one in contents):
             return None
-        if any(one.damage for one in contents):
-            return None
-        volumes = [
-            volume._replace(contents=one)
-            for volume, one in zip(self.volumes, contents, strict=True)
-        ]
-        whole = _capture_of(self.path, tuple(volumes), cut_short=self.unfinished)
+        both = zip(self.volumes, contents, strict=True)
+        volumes = tuple(volume._replace(contents=one) for volume, one in both)
+        whole = _capture_of(self.path, volumes, cut_short=self.unfinished)
         return whole if whole.start == self.start else None
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
@@ -209,6 +205,11 @@ class Capture:
         return self.contents.metadata.get(topics.GRAMMAR_TEXT, "")
 
     @property
+    def indexed(self) -> bool:
+        """Whether it was opened by its index."""
+        return self.contents.index is not None
+
+    @property
     def in_parts(self) -> bool:
         """Whether it is the parts of a recording, and not one file."""
         return self.volumes[0].path.name != self.path.name
@@ -232,34 +233,18 @@ class Capture:
         not what it says it is, is passed over for the one before it. There is none in a capture
         that was not opened by its index. Raises CaptureError as `events` does.
         """
+        from bilprov.captures.storage.messages import checkpoints_before
+
         recorded = self.metadata.get(topics.GRAMMAR_HASH)
-        if not self.contents.counts.get(topics.CHECKPOINT) or (
-            grammar and recorded and recorded != grammar
-        ):
+        if grammar and recorded and recorded != grammar:
             return None
-        for number in reversed(range(len(self.indexes))):
-            read = partial(self._checkpoints_before, t, number)
-            for found in _read_volume(self.volumes[number], read):
-                value = found.value
-                if value.t < t and value.whole and grammar in (None, value.grammar):
-                    return found
+        read = partial(checkpoints_before, time=self.start + t)
+        for number in reversed(range(len(self.volumes) if self.indexed else 0)):
+            for log_time, value, place in _read_volume(self.volumes[number], read):
+                itself = value.t == log_time - self.start and value.whole
+                if itself and value.t < t and grammar in (None, value.grammar):
+                    return StoredCheckpoint(value, place, number)
         return None
-
-    def _checkpoints_before(
-        self, t: int, number: int, file: BufferedReader, contents: Contents
-    ) -> Iterator[StoredCheckpoint]:
-        from bilprov.captures.storage.messages import messages_before
-
-        channel = topics.BY_VALUE[Checkpoint].channel
-        _check_size(file.fileno(), contents.size)
-        chunks = self.indexes[number].chunks_before(self.start + t, channel)
-        for message, place in messages_before(file, contents, chunks, channel):
-            try:
-                value = msgspec.json.decode(message.data, type=Checkpoint)
-            except JSON_ERRORS:
-                continue
-            if value.t == message.log_time - self.start:
-                yield StoredCheckpoint(value, place, number)
 
     def _values(
         self,
@@ -310,66 +295,67 @@ class Capture:
         self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
     ) -> Iterator[Messages]:
         """Yield the messages of a file, and count how much of it was passed."""
+        from bilprov.captures.storage.messages import put_in_order, stored_parts
+        from bilprov.captures.storage.survey import Survey
+
+        if self.surveys is None:
+            blocks = stored_parts(file, contents, order, place)
+        else:
+            self.surveys.append(Survey(file, contents.size))
+            blocks = put_in_order(self.surveys[-1].blocks(), contents, order)
         before = 0
-        for block in self._read(order, place, file, contents):
+        for block in blocks:
+            if self.surveys and self.surveys[-1].damaged:  # `whole` is None then
+                return
             self.walked[0] += file.tell() - before
             before = file.tell()
             yield block
 
-    def _read(
-        self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
-    ) -> Iterator[Messages]:
-        from bilprov.captures.storage.messages import put_in_order, stored_parts
-        from bilprov.captures.storage.survey import Survey
 
-        if self.surveys is not None:
-            survey = Survey(file, contents.size)
-            self.surveys.append(survey)
-            for block in put_in_order(survey.blocks(), contents, order):
-                if survey.damaged:  # `whole` is None then
-                    break
-                yield block
-            return
-        if self.indexes:
-            _check_size(file.fileno(), contents.size)
-        yield from stored_parts(file, contents, order, not self.indexes, place)
-        if self.indexes:
-            _check_size(file.fileno(), contents.size)
-
-
-Read: TypeAlias = "Callable[[BufferedReader, Contents], Iterator[Item]]"
-
-
-def _read_volume(volume: Volume, read: Read[Item]) -> Iterator[Item]:
+def _read_volume(
+    volume: Volume, read: Callable[[BufferedReader, Contents], Iterator[Item]]
+) -> Iterator[Item]:
     """Yield what `read` yields of a volume. Raises CaptureError as `Capture.events` does."""
+    with _opened(volume.path) as file:
+        _check_size(file, volume.contents)
+        yield from read(file, volume.contents)
+        _check_size(file, volume.contents)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[BufferedReader[Any]]:
+    """Open a file that is read from front to end. Raises CaptureError where that fails."""
     try:
-        with _read_ahead(volume.path) as file:
-            yield from read(file, volume.contents)
+        with BufferedReader(FileIO(path), _READ_AHEAD) as file:
+            yield file
     except Damaged as error:
         raise CaptureError(
-            f"{printable(volume.path)} changed while it was read ({error}): open it again"
+            f"{printable(path)} changed while it was read ({error}): open it again"
         ) from error
-    except OSError as error:
-        raise _unreadable(volume.path, error) from error
+    except FileNotFoundError as error:
+        raise CaptureError(f"{printable(path)} does not exist: name an MCAP file") from error
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise CaptureError(
+            f"{printable(path)} cannot be read ({printable(why)}): name a readable MCAP file"
+        ) from error
 
 
-def _read_ahead(path: Path) -> BufferedReader:
-    """Open a file that is read from front to end."""
-    return BufferedReader(FileIO(path), _READ_AHEAD)
+def _size_of(file: BufferedReader) -> int:
+    return os.fstat(file.fileno()).st_size
 
 
-def _check_size(descriptor: int, size: int) -> None:
-    if os.fstat(descriptor).st_size != size:
+def _check_size(file: BufferedReader, contents: Contents) -> None:
+    """Raise Damaged if a file that was opened by its index has changed since."""
+    if contents.index and _size_of(file) != contents.size:
         raise Damaged("it has another size")
 
 
 def _resumes(message: Stored) -> bool:
     if message.channel != topics.BY_VALUE[Checkpoint].channel:
         return False
-    try:
-        return bool(msgspec.json.decode(message.data, type=Checkpoint).resumes)
-    except JSON_ERRORS:
-        return False
+    value = decoded(message.data, Checkpoint)
+    return value is not None and bool(value.resumes)
 
 
 def _left_out(contents: Contents) -> int:
@@ -383,13 +369,11 @@ def open_front(path: str | Path) -> Capture:
     A front can only give its `batches`, once, and in doing so is surveyed: `whole` is all that
     there is to know. Raises CaptureError as `open_capture` does.
     """
-    try:
+    with suppress(CaptureError):
         front = open_capture(path, front=True)
-    except CaptureError:
-        return open_capture(path)
-    if any(volume.contents.damage for volume in front.volumes):
-        return open_capture(path)
-    return with_changes(front, surveys=[])
+        if not any(volume.contents.damage for volume in front.volumes):
+            return with_changes(front, surveys=[])
+    return open_capture(path)
 
 
 def open_capture(path: str | Path, *, front: bool = False) -> Capture:
@@ -407,10 +391,11 @@ def open_capture(path: str | Path, *, front: bool = False) -> Capture:
     for number, part in (parts or {1: path}).items():
         # What killed the program may have come before the newest part had a whole front.
         may_be_cut = len(parts) > 1 and number == max(parts)
-        if may_be_cut and _is_empty(part):
+        if may_be_cut and part.is_file() and not part.stat().st_size:
             continue
         contents = _surveyed(part, front)
-        if not (may_be_cut and _is_hardly_begun(contents)):
+        begun = contents.start or not contents.unfinished or any(contents.counts.values())
+        if begun or not may_be_cut:
             _check_topics(part, contents)
             held.append((number, part, contents))
     return _capture_of(path, volumes_of(path, held), cut_short=len(held) < len(parts))
@@ -426,16 +411,12 @@ def appended(capture: Capture) -> Capture | None:
     volume = capture.volumes[0]
     start = end = volume.contents.regions[-1][1]
     finished = False
-    try:
-        with volume.path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            source = RecordFile(file, size)
-            for found in source.walk(start, size):
-                if isinstance(found, Lost):
-                    break
-                end, finished = found.end, found.opcode == Opcode.FOOTER
-    except OSError as error:
-        raise _unreadable(volume.path, error) from error
+    with _opened(volume.path) as file:
+        size = _size_of(file)
+        for found in RecordFile(file, size).walk(start, size):
+            if isinstance(found, Lost):
+                break
+            end, finished = found.end, found.opcode == Opcode.FOOTER
     if end == start:
         return None
     # Its messages are counted on from those before, which a capture by itself would miss.
@@ -451,17 +432,14 @@ def open_indexed(path: str | Path) -> Capture | None:
     its index does not fit: then `open_capture` opens it or says what is wrong. Raises nothing.
     """
     path = Path(path)
-    parts = kept_parts(path) or {1: path}
-    indexes = [_index_of(file) for file in parts.values()]
-    fitting = tuple(index for index in indexes if index is not None)
-    if len(fitting) < len(parts):
-        return None
-    held = [
-        (number, file, index.contents)
-        for (number, file), index in zip(parts.items(), fitting, strict=True)
-    ]
+    held: list[tuple[int, Path, Contents]] = []
+    for number, file in (kept_parts(path) or {1: path}).items():
+        contents = _indexed(file)
+        if contents is None:
+            return None
+        held.append((number, file, contents))
     try:
-        return _capture_of(path, volumes_of(path, held), fitting)
+        return _capture_of(path, volumes_of(path, held))
     except CaptureError:
         return None
 
@@ -482,42 +460,29 @@ def open_verified(path: str | Path) -> Capture:
 
 def _is_unchanged(capture: Capture) -> bool:
     """Whether the checksums over all data of a capture's files are right."""
-    try:
-        for volume, index in zip(capture.volumes, capture.indexes, strict=True):
-            with volume.path.open("rb") as file:
-                if not index.covers(file):
-                    return False
-    except OSError as error:
-        raise _unreadable(capture.path, error) from error
+    for volume in capture.volumes:
+        with _opened(volume.path) as file:
+            if not (volume.contents.index and volume.contents.index.covers(file)):
+                return False
     return True
 
 
-def _index_of(path: Path) -> Index | None:
-    """The index of a file with traffic that says when it began; None if there is none."""
+def _indexed(path: Path) -> Contents | None:
+    """The contents of a file as its index tells them; None if there is none."""
     from bilprov.captures.storage.index import read_index
 
     try:
         if not path.is_file():
             return None
         with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            index = read_index(file, size) if file.read(len(MAGIC)) == MAGIC else None
+            return read_index(file, _size_of(file))
     except (OSError, ValueError):
         return None
-    if index is None or not {topics.HOST_RAW, topics.DEVICE_RAW} & index.contents.counts.keys():
-        return None
-    return index if stated_start(index.contents) is not None else None
 
 
-def _capture_of(
-    path: Path,
-    volumes: tuple[Volume, ...],
-    indexes: tuple[Index, ...] = (),
-    *,
-    cut_short: bool = False,
-) -> Capture:
+def _capture_of(path: Path, volumes: tuple[Volume, ...], *, cut_short: bool = False) -> Capture:
     contents = volumes[0].contents if volumes[0].path == path else merged(volumes)
-    start = start_of(contents)
+    start = contents.start
     first, last = (start + since(start, time) for time in (contents.first, contents.last))
     contents = with_changes(contents, first=first, last=last)
     return Capture(
@@ -533,49 +498,24 @@ def _capture_of(
         damage=contents.damage,
         contents=contents,
         volumes=volumes,
-        indexes=indexes,
     )
-
-
-def _is_empty(path: Path) -> bool:
-    try:
-        return path.is_file() and not path.stat().st_size
-    except OSError:
-        return False
-
-
-def _is_hardly_begun(contents: Contents) -> bool:
-    return contents.unfinished and not contents.starts and not any(contents.counts.values())
 
 
 def _surveyed(path: Path, front: bool) -> Contents:
     from bilprov.captures.storage.survey import Survey
 
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            kind = "a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file"
+    with suppress(OSError, ValueError):  # to open it tells why
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):
+            kind = "a folder" if stat.S_ISDIR(mode) else "not a regular file"
             raise CaptureError(f"{printable(path)} is {kind}: name an MCAP file")
-        with _read_ahead(path) as file:
-            size = os.fstat(file.fileno()).st_size
-            damage = _magic_damage(path, file, size)
-            survey = Survey(file, size, damage)
-            for _ in survey.blocks():
-                if front:
-                    break
-            return survey.contents()
-    except (OSError, ValueError) as error:
-        raise _unreadable(path, error) from error
-
-
-def _unreadable(path: Path, error: OSError | ValueError) -> CaptureError:
-    """The error that says why a capture cannot be read."""
-    if isinstance(error, FileNotFoundError):
-        return CaptureError(f"{printable(path)} does not exist: name an MCAP file")
-    why = error.strerror if isinstance(error, OSError) else error
-    return CaptureError(
-        f"{printable(path)} cannot be read ({printable(why)}): name a readable MCAP file"
-    )
+    with _opened(path) as file:
+        size = _size_of(file)
+        survey = Survey(file, size, _magic_damage(path, file, size))
+        for _ in survey.blocks():
+            if front:
+                break
+        return survey.contents()
 
 
 def _magic_damage(path: Path, file: BufferedReader, size: int) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, TypeAlias
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from bilprov.captures.schemas import (
     Resumption,
 )
 from bilprov.captures.storage.blocks import BLOCK_BYTES, BLOCK_MESSAGES, Messages
-from bilprov.captures.storage.records import JSON_ERRORS
+from bilprov.captures.storage.records import decoded
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import LONGEST, since
 
@@ -134,17 +133,11 @@ def _recorded_block(
             yield chunks.part(done, before)
             done = before
         data = block.content[block.start[row] : block.end[row]]
-        yield from _decoded(data, kinds[names[int(block.channel[row])]], int(t[row]))
+        value = decoded(data, kinds[names[int(block.channel[row])]])
+        if value is not None:
+            yield replace(value, t=int(t[row]))
     if done < len(chunks):
         yield chunks.part(done, len(chunks)) if done else chunks
-
-
-def _decoded(data: bytes, kind: _Kind, t: int) -> Iterator[Recorded]:
-    try:
-        value = msgspec.json.decode(data, type=kind)
-    except JSON_ERRORS:
-        return
-    yield replace(value, t=t)
 
 
 def _safe(value: Recorded | Events) -> Recorded | Events:

@@ -307,7 +307,7 @@ def opened_at(
     one it is opened again, as a whole. `timeout` is as in `capture_timeout`. A checkpoint that does
     not fit this protocol or these settings is not used. Raises CaptureError as `open_capture` does.
     """
-    if capture.indexes:
+    if capture.indexed:
         opened = _from_checkpoint(capture, protocol, start, timeout)
         if opened is not None:
             return opened

@@ -1,4 +1,4 @@
-"""Reads the index at the end of a finished capture of bilprov, in place of walking its data.
+"""What a capture file holds, and how its index at the end tells it without a walk over its data.
 
 What does not fit means that there is no index: the summary's checksum, the order and the places of
 its chunks, its channels. Its counts and times are believed, since its checksum is right.
@@ -17,10 +17,10 @@ from mcap.opcode import Opcode
 from mcap.records import Header, Metadata
 
 from bilprov.captures import topics
-from bilprov.captures.storage.messages import Contents
 from bilprov.captures.storage.records import DATA_END_BYTES, MAGIC, OWN_LIBRARY, Damaged
 from bilprov.captures.storage.recovery import RecordFile, parsed, read_footer
 from bilprov.captures.text import printable
+from bilprov.captures.wall_clock import stated_number
 
 SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
 
@@ -45,17 +45,16 @@ _MAP_ITEM = struct.Struct(
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """The contents of a file as its index tells them, without bytes by topic; and its chunks.
+    """The index of a file: `entries` are the offsets of its chunks' entries in the `summary`.
 
     `data_end` is the offset after the last chunk and attachment; `data_crc` is the checksum of all
     before, 0 if there is none.
     """
 
-    contents: Contents
     data_end: int
     data_crc: int
     summary: bytes = field(repr=False)
-    entries: list[int] = field(repr=False)  # the offset of each chunk's entry in the summary
+    entries: list[int] = field(repr=False)
 
     def covers(self, file: BufferedReader) -> bool:
         """Whether the checksum over all data, which older kits did not write, is right."""
@@ -82,10 +81,43 @@ class Index:
                 yield offset
 
 
-def read_index(file: BufferedReader, size: int) -> Index | None:
-    """Read the index of an open file of `size` bytes, whose magic at the start was checked before.
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """The results of a survey. Times are `log_time` in ns, 0 if there is no message.
 
-    None if the file is foreign or unfinished, has no index, or has one that does not fit.
+    `size` is the file's size in bytes; `regions` are its ranges of complete records, as the first
+    byte and the byte after the last. `own` is true if bilprov recorded the file, so that the order
+    in the file is the order of events; `in_order` is true if the messages of another program's file
+    stand in order of time; `counted` is true if no other program rewrote it since, so
+    that a jump of `sequence` is a loss. `start` is the wall clock (ns) from which times count: the
+    best protected one that the file states, else that of the first message. `channels` maps channel
+    ids to topic and encoding; `counts` and `sizes` are messages and bytes by topic. `index` is that
+    of a file that was opened by it.
+    """
+
+    size: int
+    library: str
+    metadata: dict[str, str]
+    start: int
+    channels: dict[int, tuple[str, str]]
+    first: int
+    last: int
+    counts: dict[str, int]
+    regions: tuple[tuple[int, int], ...]
+    sizes: dict[str, int] = field(default_factory=dict)
+    own: bool = True
+    in_order: bool = True
+    counted: bool = True
+    unfinished: bool = False
+    damage: tuple[str, ...] = ()
+    index: Index | None = None
+
+
+def read_index(file: BufferedReader, size: int) -> Contents | None:
+    """The contents of an open file of `size` bytes as its index tells them, without bytes by topic.
+
+    None if the file is foreign or unfinished, does not say when it began, has no raw topic or no
+    index, or one that does not fit.
     """
     try:
         return _read_index(file, size)
@@ -93,7 +125,9 @@ def read_index(file: BufferedReader, size: int) -> Index | None:
         return None
 
 
-def _read_index(file: BufferedReader, size: int) -> Index:
+def _read_index(file: BufferedReader, size: int) -> Contents:
+    if file.read(len(MAGIC)) != MAGIC:
+        raise Damaged("the first bytes are damaged")
     source = RecordFile(file, size)
     source.own = True
     header = source.record(len(MAGIC))
@@ -133,21 +167,29 @@ def _read_index(file: BufferedReader, size: int) -> Index:
         elif opcode not in _PASSED:
             raise Damaged("what stands there is no record of a summary")
         at += 9 + length
-    if at != end or reached > data_end or stated is None:
+    topics_held = {topic for topic, _ in table.values()}
+    started = stated_number(start)
+    if (
+        at != end
+        or reached > data_end
+        or stated is None
+        or started is None
+        or topics_held.isdisjoint({topics.HOST_RAW, topics.DEVICE_RAW})
+    ):
         raise Damaged("the index does not fit")
     counts = stated.channel_message_counts
-    contents = Contents(
+    return Contents(
         size=size,
         library=printable(library),
         metadata=metadata,
-        starts=() if start is None else (start,),
+        start=started,
         channels=table,
         first=stated.message_start_time,
         last=stated.message_end_time,
         counts={topic: counts.get(channel, 0) for channel, (topic, _) in table.items()},
         regions=((len(MAGIC), size),),
+        index=Index(data_end, data_crc, summary, entries),
     )
-    return Index(contents, data_end, data_crc, summary, entries)
 
 
 def _end(file: BufferedReader, size: int) -> tuple[int, bytes, int]:

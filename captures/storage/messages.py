@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from io import BufferedReader
 from itertools import pairwise
 from typing import NamedTuple
@@ -16,42 +16,15 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment
 
-from bilprov.captures.storage.blocks import Messages, Piece, Stored, blocks_of, message_starts
-from bilprov.captures.storage.records import MESSAGE_BYTES, Damaged
+from bilprov.captures import topics
+from bilprov.captures.schemas import Checkpoint
+from bilprov.captures.storage.blocks import Messages, Piece, blocks_of, message_starts
+from bilprov.captures.storage.index import Contents
+from bilprov.captures.storage.records import MESSAGE_BYTES, Damaged, decoded
 from bilprov.captures.storage.recovery import SKIPPED, Lost, RecordFile
 
 _WITH_MESSAGES = {Opcode.CHUNK, Opcode.MESSAGE}
 _TOO_LONG = "a message that is too long is left out here"
-
-
-@dataclass(frozen=True, slots=True)
-class Contents:
-    """The results of a survey. Times are `log_time` in ns, 0 if there is no message.
-
-    `size` is the file's size in bytes; `regions` are its ranges of complete records, as the first
-    byte and the byte after the last. `own` is true if bilprov recorded the file, so that the order
-    in the file is the order of events; `in_order` is true if the messages of another program's file
-    stand in order of time; `counted` is true if no other program rewrote it since, so
-    that a jump of `sequence` is a loss. `starts` are the file's statements of its start (digits,
-    ns), the best protected one first. `channels` maps channel ids to topic and encoding; `counts`
-    and `sizes` are messages and bytes by topic.
-    """
-
-    size: int
-    library: str
-    metadata: dict[str, str]
-    starts: tuple[str, ...]
-    channels: dict[int, tuple[str, str]]
-    first: int
-    last: int
-    counts: dict[str, int]
-    regions: tuple[tuple[int, int], ...]
-    sizes: dict[str, int] = field(default_factory=dict)
-    own: bool = True
-    in_order: bool = True
-    counted: bool = True
-    unfinished: bool = False
-    damage: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -67,17 +40,17 @@ class Order:
 
 
 def stored_parts(
-    file: BufferedReader, contents: Contents, order: Order, surveyed: bool, place: Place | None
+    file: BufferedReader, contents: Contents, order: Order, place: Place | None
 ) -> Iterator[Messages]:
     """Yield the messages of an open file: of our own files in file order, of others by time.
 
-    Those of an own file that was not `surveyed` begin after a `place`, None for the start; a
+    Those of a file that was opened by its index begin after a `place`, None for the start; a
     damaged part of it is left out, as a survey would do. Raises Damaged if the file has changed
     since the survey.
     """
     if place is not None:
         order.expected = place.sequence + 1
-    yield from put_in_order(blocks_of(_pieces(file, contents, place, surveyed)), contents, order)
+    yield from put_in_order(blocks_of(_pieces(file, contents, place)), contents, order)
 
 
 def put_in_order(
@@ -115,13 +88,17 @@ class Place(NamedTuple):
     sequence: int
 
 
-def messages_before(
-    file: BufferedReader, contents: Contents, chunks: Iterable[int], channel: int
-) -> Iterator[tuple[Stored, Place]]:
-    """Yield the messages on a channel of the chunks at some offsets; of each the last one first."""
+def checkpoints_before(
+    file: BufferedReader, contents: Contents, time: int
+) -> Iterator[tuple[int, Checkpoint, Place]]:
+    """Yield the checkpoints in chunks that begin before a log time (ns), the last one first.
+
+    Each comes with the log time and the place of its message.
+    """
     source = RecordFile(file, contents.size)
     source.own = True
-    for offset in chunks:
+    channel = topics.BY_VALUE[Checkpoint].channel
+    for offset in contents.index.chunks_before(time, channel) if contents.index else ():
         try:
             found = source.record(offset)
             starts, _ = message_starts(found.content)
@@ -130,9 +107,10 @@ def messages_before(
         if found.opcode == Opcode.CHUNK:
             block = Messages.at(found.content, starts)
             block = block.rows(block.channel == channel)
-            places = [Place(offset, end, 0) for end in block.end.tolist()]
-            for message, place in reversed(list(zip(block.single(), places, strict=True))):
-                yield message, place._replace(sequence=message.sequence)
+            for message, end in reversed([*zip(block.single(), block.end.tolist(), strict=True)]):
+                value = decoded(message.data, Checkpoint)
+                if value is not None:
+                    yield message.log_time, value, Place(offset, end, message.sequence)
 
 
 def _in_file_order(blocks: Iterator[Messages], counted: bool, order: Order) -> Iterator[Messages]:
@@ -175,9 +153,8 @@ def _in_file_order(blocks: Iterator[Messages], counted: bool, order: Order) -> I
         order.expected = None
 
 
-def _pieces(
-    file: BufferedReader, contents: Contents, place: Place | None, surveyed: bool
-) -> Iterator[Piece]:
+def _pieces(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[Piece]:
+    surveyed = contents.index is None
     source = RecordFile(file, contents.size)
     # A survey has checked each record of the regions, which only must still be complete.
     source.own = not surveyed

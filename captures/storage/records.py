@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 from mcap.opcode import Opcode
@@ -29,6 +29,17 @@ DESCRIPTIONS: Final = 4096  # records of a chunk that are no messages: schemas a
 
 JSON_ERRORS: Final = (msgspec.MsgspecError, ValueError, RecursionError)
 """Exceptions for JSON that cannot be decoded; deep nesting raises RecursionError."""
+
+
+Value = TypeVar("Value")
+
+
+def decoded(data: bytes, kind: type[Value]) -> Value | None:
+    """The value of this type that JSON holds, None if it does not."""
+    try:
+        return msgspec.json.decode(data, type=kind)
+    except JSON_ERRORS:
+        return None
 
 
 class Damaged(Exception):

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from bilprov.captures import topics
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, blocks_of
-from bilprov.captures.storage.messages import Contents
+from bilprov.captures.storage.index import Contents
 from bilprov.captures.storage.records import MAGIC, CutOff
 from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile, read_footer
 from bilprov.captures.text import printable
+from bilprov.captures.wall_clock import stated_number
 
 DAMAGE_NOTES: Final = 20  # sentences about damage; further damaged places are only counted
 
@@ -101,6 +102,8 @@ class Survey:
             self._notes.append(f"{self._more_notes} further places are damaged")
         own = self._records.own
         first, earliest, last = self._times or (0, 0, 0)
+        first = first if own else earliest
+        stated = (start for start in map(stated_number, self._starts()) if start is not None)
         return Contents(
             size=self._size,
             regions=tuple(self._regions),
@@ -109,9 +112,9 @@ class Survey:
             counted=self._library.startswith(records.OWN_LIBRARY),
             library=printable(self._library),
             metadata=self._metadata or {},
-            starts=tuple(self._starts()),
+            start=next(stated, first),
             channels=channels,
-            first=first if own else earliest,
+            first=first,
             last=last,
             counts=_by_topic(self._counts, channels),
             sizes=_by_topic(self._sizes, channels),

@@ -274,7 +274,7 @@ def test_a_verified_capture_hides_no_damage(path: Path, pytestconfig: pytest.Con
             return str(error)
 
     data = path.read_bytes()
-    assert open_verified(path).indexes
+    assert open_verified(path).indexed
     for at in range(0, len(data), 17 if pytestconfig.getoption("--whole") else 331):
         path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         assert told(open_verified) == told(open_capture)
