@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,8 +86,7 @@ def check(options: CheckOptions) -> int:
     from bilprov.analyzer.doctor.finding import of_capture
 
     findings = Findings(as_json=options.style == "json")
-    findings.begin(str(options.path))
-    findings.show(of_capture(options.path))
+    findings.show(str(options.path), of_capture(options.path))
     return findings.end([str(options.path)])
 
 
@@ -161,9 +161,9 @@ def repair(options: CopyOptions) -> None:
     Decoded topics are left out: bilprov capture decode writes them. Ctrl-C leaves no OUT."""
     from bilprov.analyzer.edit.cut import edited_metadata
 
-    capture, protocol = _opened(options)
-    about = edited_metadata(capture, protocol, f"repair {printable(options.path.name)}")
-    _note_size(options.new, _copied(options, capture, protocol, about), str(options.path))
+    did = f"repair {printable(options.path.name)}"
+    capture, copy = _copied(options, partial(edited_metadata, edit=did))
+    _note_size(options.new, copy, str(options.path))
     if capture.left_out or not capture.damage:
         note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
 
@@ -228,8 +228,7 @@ def decode(options: DecodeOptions) -> None:
     """
     from bilprov.analyzer.edit.cut import decoded_metadata
 
-    capture, protocol = _opened(options, half_duplex=options.half_duplex)
-    _copied(options, capture, protocol, decoded_metadata(capture, protocol), decoded=True)
+    _copied(options, decoded_metadata, decoded=True, half_duplex=options.half_duplex)
     note(f"{options.path} is in {options.new}, with everything decoded from it")
 
 
@@ -282,30 +281,24 @@ def diff(options: DiffOptions) -> int:
     return comparison.exit
 
 
-def _opened(options: CopyOptions, *, half_duplex: bool = False) -> tuple[Capture, Protocol]:
-    (capture,), protocol = opened_captures([options.path], copied=True, half_duplex=half_duplex)
-    return capture, protocol
-
-
 def _copied(
     options: CopyOptions,
-    capture: Capture,
-    protocol: Protocol,
-    metadata: Mapping[str, str],
+    metadata: Callable[[Capture, Protocol], Mapping[str, str]],
     *,
     decoded: bool = False,
-) -> Copy:
-    """Write a whole capture anew."""
+    half_duplex: bool = False,
+) -> tuple[Capture, Copy]:
+    """Write a whole capture again, with what `metadata` makes of it."""
     from bilprov.analyzer.edit.cut import write_window
     from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.replay.capture_decoding import opened_whole
 
-    opened = opened_whole(capture, protocol)
+    (capture,), protocol = opened_captures([options.path], copied=True, half_duplex=half_duplex)
     # To write each frame takes long, however few bytes there are.
     shown = {"least": 0} if decoded else {}
-    with _copying(options, [capture], metadata, protocol, **shown) as copy:
-        write_window(opened, Window(), copy, decoded=decoded)
-    return copy
+    with _copying(options, [capture], metadata(capture, protocol), protocol, **shown) as copy:
+        write_window(opened_whole(capture, protocol), Window(), copy, decoded=decoded)
+    return capture, copy
 
 
 def _note_size(new: Path, copy: Copy, of: str) -> None:
@@ -322,11 +315,14 @@ def _copying(
 ) -> Iterator[Copy]:
     """Give the new capture, which is written while `reading` shows the progress as `shown` says."""
     from bilprov.analyzer.edit.cut import new_capture
+    from bilprov.captures.topics import TOPICS
 
     inputs = [str(capture.path) for capture in captures]
     require_writable([("OUT", str(options.new))], inputs, force=options.force, regular=True)
+    known = {topic.name for topic in TOPICS}
     for capture in captures:
-        note_each(left_out(capture))
+        if others := [topic for topic in capture.contents.counts if topic not in known]:
+            note(f"left out, since they are not bilprov's topics: {', '.join(others)}")
     with (
         reading(captures, **shown) as progress,
         new_capture(
@@ -334,12 +330,3 @@ def _copying(
         ) as copy,
     ):
         yield copy
-
-
-def left_out(capture: Capture) -> Iterator[str]:
-    """A sentence about the topics that are not copied, where there are some."""
-    from bilprov.captures.topics import TOPICS
-
-    known = {topic.name for topic in TOPICS}
-    if others := [topic for topic in capture.contents.counts if topic not in known]:
-        yield f"left out, since they are not bilprov's topics: {', '.join(others)}"

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
-from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, note, only_for_ports
+from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, note, only_for_ports, refused
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.taps.relay import PTY, ImpairedDirection, Noise, join, open_end
 from bilprov.analyzer.transport.machine import same_line
@@ -70,12 +70,10 @@ def line(options: ImpairedOptions) -> int:
     a, b = options.a, options.b
     if a == b == PTY:
         only_for_ports(LINE, PTY)
-    try:
-        if a != PTY and same_line(a, b):  # to open it twice would only report that it is in use
-            raise ValueError(f"both ends are {b}; a line joins two, so give another one")
+    if a != PTY and same_line(a, b):  # to open it twice would only report that it is in use
+        raise click.UsageError(f"both ends are {b}; a line joins two, so give another one")
+    with refused(click.UsageError):
         noise = Noise(options.flip, options.drop, options.double)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from error
     opened = options.line.settings(protocol_in_use())
     held = {"delay": round(options.delay * MS), "jitter": round(options.jitter * MS)}
     there, back = (

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import click
 
 from bilprov.analyzer.cli.command import flag, option
-from bilprov.analyzer.files import real_path, why_not_writable, write_whole
+from bilprov.analyzer.files import real_path, whole_file, why_not_writable
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.text import escape_json
 from bilprov.spec.errors import UserError
@@ -45,39 +47,38 @@ def require_writable(
     inputs = [*inputs, *([context.obj] if context and context.obj else [])]
     inputs += [str(part) for one in inputs for part in kept_parts(Path(one)).values()]
     taken: dict[Path, str] = {}
-    on_standard_output = ""
     for name, path in outputs:
-        if path == STANDARD_OUTPUT and regular:
-            raise click.UsageError(f"{name} - is standard output, not a regular file: name one")
-        if path == STANDARD_OUTPUT:
-            if on_standard_output:
-                raise click.UsageError(
-                    f"{on_standard_output} and {name} both go to standard output: "
-                    "name a file for one of them"
-                )
-            on_standard_output = name
-            continue
         file = Path(path)
-        why_not = why_not_writable(file)
-        if why_not:
-            raise click.UsageError(f"{name} {path} cannot be written: {why_not}")
+        if path == STANDARD_OUTPUT:
+            if regular:
+                raise click.UsageError(f"{name} - is standard output, not a regular file: name one")
+            if other := taken.get(file):
+                raise click.UsageError(
+                    f"{other} and {name} both go to standard output: name a file for one of them"
+                )
+            taken[file] = name
+            continue
+        parts = kept_parts(file) if regular else {}
         lost = next((f"the input {one}" for one in inputs if _same(file, Path(one))), None)
         lost = lost or taken.get(real_path(file))
-        if lost:
-            raise click.UsageError(f"{name} {path} would overwrite {lost}: name another file")
-        if regular and (parts := kept_parts(file)):
+        if why_not := why_not_writable(file):
+            wrong = f"cannot be written: {why_not}"
+        elif lost:
+            wrong = f"would overwrite {lost}: name another file"
+        elif parts:
             first = next(iter(parts.values()))
-            raise click.UsageError(
-                f"{name} {path} is the name of a recording in parts, {first} and so on, which it "
-                "would hide: name another file"
+            wrong = (
+                f"is the name of a recording in parts, {first} and so on, which it would hide: "
+                "name another file"
             )
-        if regular and file.exists() and not file.is_file():
-            raise click.UsageError(f"{name} {path} is not a regular file: name another one")
-        if not force and file.is_file():
-            raise click.UsageError(
-                f"{name} {path} exists: name another file, or give --force to overwrite it"
-            )
-        taken[real_path(file)] = name
+        elif regular and file.exists() and not file.is_file():
+            wrong = "is not a regular file: name another one"
+        elif not force and file.is_file():
+            wrong = "exists: name another file, or give --force to overwrite it"
+        else:
+            taken[real_path(file)] = name
+            continue
+        raise click.UsageError(f"{name} {path} {wrong}")
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -88,19 +89,28 @@ def _same(one: Path, other: Path) -> bool:
         return real_path(one) == real_path(other)
 
 
-def write_output(path: str, data: bytes) -> None:
-    """Write bytes to a file, complete or not at all, or to standard output as they are.
+@contextmanager
+def opened_file(path: str, *, replace: bool = True) -> Iterator[BinaryIO]:
+    """Open a file, which is there only if the block ends well, or standard output.
 
     Raises UserError, in one sentence, if it cannot be written.
     """
     if path == STANDARD_OUTPUT:
-        click.echo(data, nl=False)
+        yield sys.stdout.buffer
+        sys.stdout.buffer.flush()
         return
     try:
-        write_whole(Path(path), data)
+        with whole_file(Path(path), replace=replace) as file:
+            yield file
     except OSError as error:
         why = error.strerror or "it cannot be written"
         raise UserError(f"{path} cannot be written: {why}") from error
+
+
+def write_output(path: str, data: bytes) -> None:
+    """Write bytes as `opened_file` does."""
+    with opened_file(path) as file:
+        file.write(data)
 
 
 def json_object(value: Any) -> bytes:

@@ -12,9 +12,9 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
-from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, text_format_option
+from bilprov.analyzer.cli.options import LINE, Finite, LineOptions, refused, text_format_option
 from bilprov.analyzer.cli.settings import PortName
-from bilprov.analyzer.output.console import show, show_json, table
+from bilprov.analyzer.output.console import heading, show, show_json, table
 from bilprov.captures.text import escape_controls, printable
 
 if TYPE_CHECKING:
@@ -53,7 +53,13 @@ def ports(options: PortsOptions) -> int:
     """
     names, as_json = options.names, options.style == "json"
     if not names:
-        _list(as_json=as_json)
+        from bilprov.analyzer.transport.machine import list_ports
+
+        listed = list_ports()
+        if as_json:
+            show_json([asdict(port) for port in listed])
+        else:
+            show(*drawn(listed))
         return 0
     from bilprov.analyzer.doctor.examination import of_line, of_system
     from bilprov.analyzer.doctor.finding import usable
@@ -65,39 +71,18 @@ def ports(options: PortsOptions) -> int:
     if len(names) > 2:
         raise click.UsageError("give one PORT, or two that are the host's tap and the device's")
     if len(names) > 1:
-        try:
+        with refused(click.UsageError):
             require_two_lines(*names)
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
     findings = Findings(as_json=as_json)
     for name in names:
-        findings.begin(name)
-        findings.show(of_system(name))
+        findings.show(name, of_system(name))
     if usable(findings.found):
-        if len(names) > 1:
-            findings.begin("both taps")
         with Stopper() as stopper:
-            findings.show(of_line(protocol, names, settings, options.seconds, stopper))
+            heard = of_line(protocol, names, settings, options.seconds, stopper)
+            findings.show("both taps" if len(names) > 1 else names[0], heard)
         if stopper.stopped:  # by a signal: no verdict was reached
             raise KeyboardInterrupt
     return findings.end(names)
-
-
-def _list(*, as_json: bool) -> None:
-    """List the ports of this machine."""
-    from bilprov.analyzer.transport.machine import list_ports
-
-    found = list_ports()
-    if as_json:
-        show_json([asdict(port) for port in found])
-    elif found:
-        show(*drawn(found))
-    else:
-        click.echo(
-            "No serial port here. Plug the robot or its USB adapter in and try again, give the "
-            "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
-            "bilprov simulate"
-        )
 
 
 _BY_ID = "/dev/serial/by-id"
@@ -107,6 +92,13 @@ def drawn(found: Sequence[PortInfo]) -> Iterator[RenderableType]:
     """Yield the tables: each port with its driver and holders, its device, its lasting name."""
     from rich.text import Text
 
+    if not found:
+        yield Text(
+            "No serial port here. Plug the robot or its USB adapter in and try again, give the "
+            "path of a pty or a URL like socket://HOST:PORT, or try without a robot: "
+            "bilprov simulate"
+        )
+        return
     yield table(
         ("", "port", "usb", "driver", "latency", "held by"),
         [
@@ -122,14 +114,14 @@ def drawn(found: Sequence[PortInfo]) -> Iterator[RenderableType]:
         ],
         right="latency",
     )
-    for heading, told in (
+    for column, told in (
         ("device", [(port.path, _device(port)) for port in found]),
         (f"name in {_BY_ID}, which stays", [(port.path, Path(port.by_id).name) for port in found]),
     ):
         rows = [(printable(path), printable(said)) for path, said in told if said]
         if rows:
             yield Text()
-            yield table(("port", heading), rows)
+            yield table(("port", column), rows)
 
 
 def _device(port: PortInfo) -> str:
@@ -141,46 +133,38 @@ class Findings:
     """Shows findings as they come, or all of them as JSON at the end."""
 
     def __init__(self, *, as_json: bool) -> None:
+        from bilprov.analyzer.doctor import finding
+
         self.found: list[Finding] = []
-        self._ports: list[str] = []
+        self._doctor = finding
+        self._sections: list[str] = []  # of each of those found
         self._as_json = as_json
         self._section = ""
 
-    def begin(self, section: str) -> None:
-        """Begin the findings of a port, or of what is heard on both."""
-        self._section = section
-        if not self._as_json:
-            from bilprov.analyzer.doctor.finding import title
-            from bilprov.analyzer.output.console import heading
-
-            show(heading(title(section)))
-
-    def show(self, findings: Iterable[Finding]) -> None:
-        """Take findings, and show each at once."""
+    def show(self, section: str, findings: Iterable[Finding]) -> None:
+        """Take the findings of a port, or of what is heard on both, and show each at once."""
+        if not self._as_json and section != self._section:
+            self._section = section
+            show(heading(self._doctor.title(section)))
         for finding in findings:
             self.found.append(finding)
-            self._ports.append(self._section)
+            self._sections.append(section)
             if not self._as_json:
-                from bilprov.analyzer.doctor.finding import INDENT, drawn
-
-                show(drawn(finding))
+                show(self._doctor.drawn(finding))
                 if finding.command:  # by itself: it must stay on one line to be copied
-                    click.secho(" " * INDENT + escape_controls(finding.command), bold=True)
+                    indent = " " * self._doctor.INDENT
+                    click.secho(indent + escape_controls(finding.command), bold=True)
                 sys.stdout.flush()  # listening takes its time
 
     def end(self, names: Sequence[str]) -> int:
         """Show whether the ports, or the files, can be used, and return the exit code."""
-        from bilprov.analyzer.doctor.finding import usable
-
-        code = 0 if usable(self.found) else 2
+        code = 0 if self._doctor.usable(self.found) else 2
         if self._as_json:
             found = [
                 {"about": section} | asdict(finding)
-                for section, finding in zip(self._ports, self.found, strict=True)
+                for section, finding in zip(self._sections, self.found, strict=True)
             ]
             show_json({"ports": list(names), "usable": not code, "exit": code, "findings": found})
         else:
-            from bilprov.analyzer.doctor.finding import conclusion
-
-            show(conclusion(names, self.found))
+            show(self._doctor.conclusion(names, self.found))
         return code

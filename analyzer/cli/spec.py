@@ -122,7 +122,7 @@ def readings(options: ReadingsOptions) -> None:
     For each point: the default, and other readings' verdicts.
     """
     from bilprov.analyzer.cli.typed_input import meant
-    from bilprov.analyzer.output.protocol import drawn_readings, readings_json
+    from bilprov.analyzer.output.protocol import drawn_readings, reading_json
     from bilprov.spec.readings import READINGS
 
     _require_document(protocol_in_use(), "readings")
@@ -134,7 +134,12 @@ def readings(options: ReadingsOptions) -> None:
                 f"there is no reading {name!r}{hint}; see bilprov spec readings"
             )
     chosen = [known[name.lower()] for name in options.ids] or list(READINGS)
-    show_as(options.style, lambda: readings_json(chosen), lambda: drawn_readings(chosen))
+    keys = ("id", "clause", "point", "quote", "default")
+    show_as(
+        options.style,
+        lambda: [reading_json(reading, *keys) for reading in chosen],
+        lambda: drawn_readings(chosen),
+    )
 
 
 @command(FormatOption)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import click
 import msgspec
@@ -24,18 +23,16 @@ from bilprov.analyzer.cli.output_files import (
     force_option,
     json_object,
     json_option,
+    opened_file,
     require_writable,
     write_output,
 )
 from bilprov.analyzer.cli.reading import note_captures, opened_captures, opened_fronts, reading
-from bilprov.spec.errors import UserError
 
 if TYPE_CHECKING:
     from bilprov.analyzer.totals.totals import Totals
     from bilprov.captures.reader import Capture
     from bilprov.spec.protocol import Protocol
-
-_Counted: TypeAlias = "tuple[Protocol, list[tuple[Capture, Totals]]]"
 
 
 class StatsOptions(msgspec.Struct, frozen=True):
@@ -69,7 +66,7 @@ def stats(options: StatsOptions) -> None:
     json_file = options.json_file
     outputs = [] if json_file is None else [("--json", json_file)]
     require_writable(outputs, inputs=options.files, force=options.force)
-    protocol, counted = _counted_at_once(options) or _counted(options)
+    protocol, counted = _counted(options)
     each, together = [], Totals(protocol)
     for capture, totals in counted:
         together.merge(totals)
@@ -81,29 +78,24 @@ def stats(options: StatsOptions) -> None:
         show(*drawn(found, moves=protocol.at_rest is not None))
 
 
-def _counted_at_once(options: StatsOptions) -> _Counted | None:
-    """Count the captures while they are surveyed; None if all must be known of one before."""
+def _counted(options: StatsOptions) -> tuple[Protocol, list[tuple[Capture, Totals]]]:
+    """Count captures while they are surveyed; afterwards, if all of one must be known before."""
     from bilprov.analyzer.replay.capture_decoding import capture_settings
 
-    if options.half_duplex:
-        return None
-    fronts, protocol = opened_fronts(options.files)
-    found = _totals(options, fronts, protocol)
-    captures = []
-    for front in fronts:
-        whole = front.whole()
-        if whole is None or capture_settings(whole, protocol) != capture_settings(front, protocol):
-            return None
-        captures.append(whole)
-    note_captures(captures, protocol)
-    return protocol, list(zip(captures, found, strict=True))
-
-
-def _counted(options: StatsOptions) -> _Counted:
-    """Count the captures after they are surveyed."""
+    if not options.half_duplex:
+        fronts, protocol = opened_fronts(options.files)
+        found = _totals(options, fronts, protocol)
+        wholes = [(front, front.whole()) for front in fronts]
+        captures = [
+            whole
+            for front, whole in wholes
+            if whole and capture_settings(whole, protocol) == capture_settings(front, protocol)
+        ]
+        if len(captures) == len(fronts):
+            note_captures(captures, protocol)
+            return protocol, list(zip(captures, found, strict=True))
     captures, protocol = opened_captures(options.files, half_duplex=options.half_duplex)
-    found = _totals(options, captures, protocol)
-    return protocol, list(zip(captures, found, strict=True))
+    return protocol, list(zip(captures, _totals(options, captures, protocol), strict=True))
 
 
 def _totals(options: StatsOptions, captures: Sequence[Capture], protocol: Protocol) -> list[Totals]:
@@ -217,10 +209,10 @@ def export(options: ExportOptions) -> None:
     test = compiled(options.expression, protocol)
     require_begun(capture, window.first)
     started = test and test.started(capture.start)
-    with (
-        _opened(output, [path], options.force, text=style in TEXTS) as stream,
-        reading([capture]) as progress,
-    ):
+    if output == STANDARD_OUTPUT and style not in TEXTS and sys.stdout.isatty():
+        raise click.UsageError("-o - is a terminal, and this is not text: name a file")
+    require_writable([("-o", output)], [path], force=options.force)
+    with opened_file(output, replace=options.force) as stream, reading([capture]) as progress:
         chosen = rows.Chosen(capture, protocol, started, window, progress, chosen_rows)
         if style == "pcapng":
             pcapng.write_pcapng(chosen, stream)
@@ -228,26 +220,3 @@ def export(options: ExportOptions) -> None:
             rows.write_parquet(chosen, stream)
         else:
             rows.write_text(chosen, stream, cast(Literal["csv", "jsonl"], style))
-
-
-@contextmanager
-def _opened(output: str, inputs: list[str], force: bool, *, text: bool) -> Iterator[BinaryIO]:
-    """Open the file OUT, which is there only if the block ends well; or standard output.
-
-    Raises UsageError, in one sentence, if it may not be written, and UserError if it cannot be.
-    """
-    from bilprov.analyzer.files import whole_file
-
-    if output == STANDARD_OUTPUT:
-        if not text and sys.stdout.isatty():
-            raise click.UsageError("-o - is a terminal, and this is not text: name a file")
-        yield sys.stdout.buffer
-        sys.stdout.buffer.flush()
-        return
-    require_writable([("-o", output)], inputs, force=force)
-    try:
-        with whole_file(Path(output), replace=force) as stream:
-            yield stream
-    except OSError as error:
-        why = error.strerror or error
-        raise UserError(f"{output} cannot be written: {why}") from error

@@ -41,8 +41,8 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.output.capture_stats import grammar_json, spread_json
-from bilprov.analyzer.output.console import facts, heading, table
+from bilprov.analyzer.output.capture_stats import spread_json
+from bilprov.analyzer.output.console import facts, heading, parts_of, table
 from bilprov.analyzer.replay.capture_decoding import Progress, heard, opened_whole
 from bilprov.analyzer.replay.comparison import Exchange, Exchanges
 from bilprov.analyzer.totals.totals import Spread, Totals
@@ -242,7 +242,7 @@ SHOWN = 20  # differences on a screen
 def as_json(comparison: Comparison, protocol: Protocol, paths: tuple[str, str]) -> dict[str, Any]:
     """The comparison as one object; the module's docstring explains the keys."""
     return {
-        "grammar": grammar_json(protocol),
+        "grammar": parts_of(protocol, "name", "version", "sha256"),
         "a": paths[0],
         "b": paths[1],
         "exit": comparison.exit,

@@ -49,6 +49,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from bilprov.analyzer.output.console import parts_of
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.reader import Capture
 from bilprov.spec.protocol import Protocol
@@ -68,16 +69,11 @@ def stats_of(
     """The statistics of captures; `together` are the totals of all of them."""
     duration = sum(file["counts"]["duration"] for file in files)
     return {
-        "grammar": grammar_json(protocol),
+        "grammar": parts_of(protocol, "name", "version", "sha256"),
         "filter": expression,
         "files": files,
         "total": _counts(together, duration, _mean_load(files, duration)),
     }
-
-
-def grammar_json(protocol: Protocol) -> Json:
-    """The grammar by which bytes were decoded."""
-    return {name: getattr(protocol, name) for name in ("name", "version", "sha256")}
 
 
 def file_stats(capture: Capture, totals: Totals, line: LineSettings) -> Json:

@@ -77,6 +77,11 @@ def show_as(
         show(*parts())
 
 
+def parts_of(value: Any, *names: str) -> dict[str, Any]:
+    """The attributes of a value with these names, for JSON."""
+    return {name: getattr(value, name) for name in names}
+
+
 def heading(text: str, words: str = "", style: str = "not bold") -> Text:
     """A bold title for a table or a block, and the words behind it in their style."""
     return _safe(text, "bold").append(f"  {words}" if words else "", style)

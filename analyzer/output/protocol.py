@@ -10,21 +10,21 @@ from msgspec.structs import asdict
 from rich.console import RenderableType
 from rich.text import Text
 
-from bilprov.analyzer.output.console import facts, heading, table
+from bilprov.analyzer.output.console import facts, heading, parts_of, table
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.text import quantity
 from bilprov.spec.checks import CheckFunction, Fletcher, Sum, Xor
 from bilprov.spec.codec import judge, spaced
-from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.data import DataSpec
 from bilprov.spec.explain import Finding
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
-from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
-from bilprov.spec.readings import ERRATA, EXAMPLES, READINGS, Reading
+from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.readings import ERRATA, EXAMPLES, Reading
 from bilprov.spec.state import Changed, Effect, From, times, value_words
 
 
-def layouts_of(protocol: Protocol) -> Mapping[str, Layout]:
+def _layouts(protocol: Protocol) -> Mapping[str, Layout]:
     """The layouts of a protocol by what they lay out: request, answer, errors."""
     named = {"request": protocol.layout, "answer": protocol.reply}
     if protocol.acknowledgement != protocol.reply:
@@ -35,32 +35,19 @@ def layouts_of(protocol: Protocol) -> Mapping[str, Layout]:
     }
 
 
-def drawn_layouts(protocol: Protocol) -> Iterator[RenderableType]:
-    """Yield a table of the parts of each layout."""
-    for name, layout in layouts_of(protocol).items():
-        yield Text()
-        yield heading(f"{name.capitalize()} ({protocol.clauses.header})")
-        yield table(("part", "bytes", "meaning"), list(_rows(layout)))
-
-
-def _rows(layout: Layout) -> Iterator[tuple[str, str, str]]:
-    for part in _in_order(layout):
-        yield _row(layout, part) if part else ("data", "..", "the fields of the instruction")
-
-
-def _in_order(layout: Layout) -> list[Part | None]:
-    """The parts of a layout, and None for the place of its data."""
+def _parts(layout: Layout) -> Iterator[tuple[str, str, str, Part | None]]:
+    """The parts of a layout, each with its size and meaning in words; the data are no Part."""
     parts: list[Part | None] = [*layout.parts]
     if layout.has_data:
         parts.insert(sum(part.offset >= 0 for part in layout.parts), None)
-    return parts
-
-
-def _row(layout: Layout, part: Part) -> tuple[str, str, str]:
-    size = quantity(part.width, "bit") if part.width else str(part.size)
-    if part.size > 1 and part.role != "constant" and part.number.order == "little":
-        size += ", low first"
-    return part.name, size, "; ".join(filter(None, (part.prose, _meaning(layout, part))))
+    for part in parts:
+        if part is None:
+            yield "data", "..", "the fields of the instruction", None
+            continue
+        size = quantity(part.width, "bit") if part.width else str(part.size)
+        if part.size > 1 and part.role != "constant" and part.number.order == "little":
+            size += ", low first"
+        yield part.name, size, "; ".join(filter(None, (part.prose, _meaning(layout, part)))), part
 
 
 def _meaning(layout: Layout, part: Part) -> str:
@@ -70,29 +57,22 @@ def _meaning(layout: Layout, part: Part) -> str:
     if part.same:
         return f"as in the request{f', plus {part.plus}' if part.plus else ''}"
     if part.role == "address":
-        return f"{part.low} to {part.high}" + (
-            f", {part.broadcast} is all" if part.broadcast is not None else ""
-        )
+        broadcast = "" if part.broadcast is None else f", {part.broadcast} is all"
+        return f"{part.low} to {part.high}{broadcast}"
     if part.role == "length":
-        return "the data bytes" + (f" and {part.also} more" if part.also else "")
+        return f"the data bytes{f' and {part.also} more' if part.also else ''}"
     if part.role == "code":
         return "one of the responses"
-    if part.role == "check" and layout.check:
-        before = "the request's covered bytes and " if layout.check.asked else ""
-        return f"{check_in_words(layout.check.function)} of {before}{_covered(layout)}"
-    return ""
-
-
-def _covered(layout: Layout) -> str:
-    """The parts that the check counts, in words."""
-    assert layout.check is not None
-    last = "data" if layout.has_data else ""
+    if part.role != "check" or not layout.check:
+        return ""
+    before = "the request's covered bytes and " if layout.check.asked else ""
     names = [p.name for p in layout.parts if layout.check.first <= p.offset < layout.head]
-    first, last = names[0] if names else last, last or names[-1]
-    return first if first == last else f"{first} to {last}"
+    names += ["data"] if layout.has_data else []
+    covered = " to ".join(dict.fromkeys([names[0], names[-1]]))
+    return f"{_check(layout.check.function)} of {before}{covered}"
 
 
-def check_in_words(function: CheckFunction) -> str:
+def _check(function: CheckFunction) -> str:
     """A check in words, like `CRC-16, polynomial 8005, start ffff, reflected`."""
     if isinstance(function, Sum):
         return f"{function.bits}-bit sum{('', ', inverted,', ', negative,')[function.complement]}"
@@ -108,28 +88,14 @@ def check_in_words(function: CheckFunction) -> str:
     return said + (f", combined with {function.xorout:0{digits}x})" if function.xorout else ")")
 
 
-def layout_json(layout: Layout) -> list[dict[str, Any]]:
-    """The parts of a layout in order for machines; the data are a part without a size."""
-    rows: list[dict[str, Any]] = []
-    for part in _in_order(layout):
-        if part is None:
-            rows.append({"part": "data"})
-            continue
-        kind = {"part": part.name, "kind": part.role, "bytes": part.size, "bits": part.width}
-        rows.append({**kind, "meaning": _row(layout, part)[2]})
-    return rows
-
-
-def data_in_words(data: DataSpec) -> str:
+def _data(data: DataSpec) -> str:
     """The fields of data with what they allow; a constant stands as its bytes."""
-    return " ".join(map(_field_in_words, data.fields))
-
-
-def _field_in_words(part: FieldSpec) -> str:
-    if part.constant is not None:
-        return part.constant.hex(" ")
-    flags = f" ({' '.join(name for name, _ in part.flags)})" if part.flags else ""
-    return f"{part.name}={part.allowed_in_short}{flags}"
+    words = []
+    for part in data.fields:
+        flags = f" ({' '.join(name for name, _ in part.flags)})" if part.flags else ""
+        allowed = f"{part.name}={part.allowed_in_short}{flags}"
+        words.append(allowed if part.constant is None else part.constant.hex(" "))
+    return " ".join(words)
 
 
 def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
@@ -137,7 +103,13 @@ def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
     yield heading(f"{protocol.name} {protocol.version}")
     yield Text(protocol.document, style="dim")
     yield Text(f"grammar {protocol.origin}, sha256 {protocol.sha256}", style="dim")
-    yield from _header(protocol) if protocol.plain else drawn_layouts(protocol)
+    if protocol.plain:
+        yield from _titled(f"Header, one byte ({protocol.clauses.header})")
+        bits = [(str(part.width), part.name, part.prose) for part in protocol.layout.parts]
+        yield table(("bits", "name", "meaning"), bits, right="bits")
+    for name, layout in {} if protocol.plain else _layouts(protocol).items():
+        yield from _titled(f"{name.capitalize()} ({protocol.clauses.header})")
+        yield table(("part", "bytes", "meaning"), [row[:3] for row in _parts(layout)])
     yield from _titled(f"Instructions ({protocol.clauses.instructions})")
     yield _instructions(protocol)
     if protocol.plain and protocol.unused_ids:
@@ -161,12 +133,6 @@ def drawn_protocol(protocol: Protocol) -> Iterator[RenderableType]:
     yield facts(_defaults(protocol))
 
 
-def _header(protocol: Protocol) -> Iterator[RenderableType]:
-    yield from _titled(f"Header, one byte ({protocol.clauses.header})")
-    rows = [(str(part.width), part.name, part.prose) for part in protocol.layout.parts]
-    yield table(("bits", "name", "meaning"), rows, right="bits")
-
-
 def _titled(text: str) -> Iterator[RenderableType]:
     yield Text()
     yield heading(text)
@@ -176,12 +142,12 @@ def _instructions(protocol: Protocol) -> RenderableType:
     """The instructions with their data: in the car's family with the frame, else the answer."""
     rows: list[tuple[str, ...]] = []
     for spec in protocol.instructions:
-        told, data = (spec.name, spec.document), data_in_words(spec)
+        told, data = (spec.name, spec.document), _data(spec)
         if protocol.plain:
             header = f"{protocol.header_bytes[spec.id, spec.length]:02x}"
             rows.append((str(spec.id), *told, header + " .." * spec.length, data, spec.prose))
         else:
-            answer = "none" if spec.answer is None else data_in_words(spec.answer)
+            answer = "none" if spec.answer is None else _data(spec.answer)
             rows.append((str(spec.id), *told, data, answer, spec.prose))
     more = ("frame", "data") if protocol.plain else ("data", "answer")
     columns: tuple[str, ...] = ("id", "name", "document", *more, "meaning")
@@ -191,26 +157,17 @@ def _instructions(protocol: Protocol) -> RenderableType:
 
 
 def _effect_rows(protocol: Protocol) -> Iterator[tuple[str, str]]:
-    for spec in protocol.instructions:
-        yield spec.name, _effect(spec.effect)
-    yield "a faulty instruction", _effect(protocol.on_fault)
-    start = _power_on(protocol)
+    effects = {spec.name: spec.effect for spec in protocol.instructions}
+    for name, effect in (effects | {"a faulty instruction": protocol.on_fault}).items():
+        words = [
+            f"{variable} = {times(value.factor)}{value.field}"
+            if isinstance(value, From)
+            else f"{variable} = {value_words(value)}"
+            for variable, value in effect.assignments
+        ]
+        yield name, ", ".join(words) or "nothing changes"
+    start = parts_of(protocol.power_on, *protocol.variables)
     yield "power-on", ", ".join(f"{name} = {value}" for name, value in start.items())
-
-
-def _power_on(protocol: Protocol) -> dict[str, Any]:
-    """The value of each variable at power-on."""
-    return {name: getattr(protocol.power_on, name) for name in protocol.variables}
-
-
-def _effect(effect: Effect) -> str:
-    words = [
-        f"{variable} = {times(value.factor)}{value.field}"
-        if isinstance(value, From)
-        else f"{variable} = {value_words(value)}"
-        for variable, value in effect.assignments
-    ]
-    return ", ".join(words) or "nothing changes"
 
 
 def _defaults(protocol: Protocol) -> Iterator[tuple[str, str]]:
@@ -230,9 +187,7 @@ def grammars_json(protocols: Sequence[Protocol]) -> list[dict[str, Any]]:
     """The kit's grammars for machines."""
     return [
         {
-            "name": protocol.name,
-            "version": protocol.version,
-            "document": protocol.document,
+            **parts_of(protocol, "name", "version", "document"),
             "line": asdict(protocol.line),
             "sha256": protocol.sha256,
         }
@@ -243,16 +198,20 @@ def grammars_json(protocols: Sequence[Protocol]) -> list[dict[str, Any]]:
 def protocol_json(protocol: Protocol) -> dict[str, Any]:
     """The whole protocol for machines."""
     return {
-        "name": protocol.name,
-        "version": protocol.version,
-        "document": protocol.document,
-        "grammar": {"origin": protocol.origin, "sha256": protocol.sha256},
+        **parts_of(protocol, "name", "version", "document"),
+        "grammar": parts_of(protocol, "origin", "sha256"),
         **_frames_json(protocol),
         "instructions": [_instruction_json(protocol, spec) for spec in protocol.instructions],
         "unused_ids": list(protocol.unused_ids),
-        "responses": [_response_json(response) for response in protocol.responses],
+        "responses": [
+            {
+                **parts_of(response, "code", "name", "document", "prose"),
+                "outcome": ", ".join(outcome.value for outcome in response.outcomes),
+            }
+            for response in protocol.responses
+        ],
         "on_fault": _effect_json(protocol.on_fault),
-        "power_on": _power_on(protocol),
+        "power_on": parts_of(protocol.power_on, *protocol.variables),
         "timing_ms": asdict(protocol.timing),
         "line": asdict(protocol.line),
         "clauses": asdict(protocol.clauses),
@@ -265,10 +224,19 @@ def _frames_json(protocol: Protocol) -> dict[str, Any]:
         parts = protocol.layout.parts
         bits = [{"name": one.name, "bits": one.width, "meaning": one.prose} for one in parts]
         return {"header": bits}
-    layouts = {name: layout_json(layout) for name, layout in layouts_of(protocol).items()}
+    layouts = {
+        name: [
+            {"part": part.name, "kind": part.role, "bytes": part.size, "bits": part.width}
+            | {"meaning": meaning}
+            if part
+            else {"part": name}
+            for name, _, meaning, part in _parts(layout)
+        ]
+        for name, layout in _layouts(protocol).items()
+    }
     registers = {
         memory: [
-            {"place": at, "name": one.name, "prose": one.prose, "allowed": one.allowed_in_short}
+            {"place": at, **parts_of(one, "name", "prose"), "allowed": one.allowed_in_short}
             for at, one in cells.items()
         ]
         for memory, cells in protocol.registers.items()
@@ -277,13 +245,13 @@ def _frames_json(protocol: Protocol) -> dict[str, Any]:
 
 
 def _instruction_json(protocol: Protocol, spec: InstructionSpec) -> dict[str, Any]:
-    about = {name: getattr(spec, name) for name in ("id", "name", "document", "prose")}
+    about = parts_of(spec, "id", "name", "document", "prose")
     if protocol.plain:
         shown = ("name", "prose", "offset", "size", "low", "high", "bits")
         about |= {
             "length": spec.length,
             "header": f"{protocol.header_bytes[spec.id, spec.length]:02x}",
-            "fields": [{name: getattr(field, name) for name in shown} for field in spec.fields],
+            "fields": [parts_of(field, *shown) for field in spec.fields],
         }
     else:
         about["fields"] = _fields_json(spec)
@@ -294,9 +262,7 @@ def _instruction_json(protocol: Protocol, spec: InstructionSpec) -> dict[str, An
 def _fields_json(data: DataSpec) -> list[dict[str, Any]]:
     return [
         {
-            "name": part.name,
-            "prose": part.prose,
-            "offset": part.offset,
+            **parts_of(part, "name", "prose", "offset"),
             "size": None if part is data.fields[-1] and data.counted else part.size,
             "allowed": part.constant.hex() if part.constant else part.allowed_in_short,
         }
@@ -307,13 +273,13 @@ def _fields_json(data: DataSpec) -> list[dict[str, Any]]:
 def _effect_json(effect: Effect) -> dict[str, Any]:
     def told(value: Any) -> Any:
         if isinstance(value, From):
-            return {"field": value.field, "factor": value.factor}
+            return parts_of(value, "field", "factor")
         return asdict(value) if isinstance(value, Changed) else value
 
     return {variable: told(value) for variable, value in effect.assignments}
 
 
-def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[RenderableType]:
+def drawn_readings(readings: Sequence[Reading]) -> Iterator[RenderableType]:
     """Yield each reading in full: the point, the document's words, our default, other choices."""
     for index, reading in enumerate(readings):
         if index:
@@ -329,17 +295,10 @@ def drawn_readings(readings: Sequence[Reading] = READINGS) -> Iterator[Renderabl
         )
 
 
-def readings_json(readings: Sequence[Reading]) -> list[dict[str, Any]]:
-    """The readings as JSON objects; `others` are pairs of choice and verdict."""
-    return [
-        reading_json(reading, "id", "clause", "point", "quote", "default") for reading in readings
-    ]
-
-
 def reading_json(reading: Reading, *keys: str) -> dict[str, Any]:
     """These parts of a reading, and its other choices with their verdicts."""
     others = [{"choice": choice, "verdict": verdict} for choice, verdict in reading.others]
-    return {key: getattr(reading, key) for key in keys} | {"others": others}
+    return parts_of(reading, *keys) | {"others": others}
 
 
 def drawn_errata(protocol: Protocol, findings: Sequence[Finding]) -> Iterator[RenderableType]:
@@ -349,30 +308,24 @@ def drawn_errata(protocol: Protocol, findings: Sequence[Finding]) -> Iterator[Re
         f"{len(findings)} contradict{'s' if len(findings) == 1 else ''} its own tables"
     )
     for finding in findings:
-        name = finding.erratum.id if finding.erratum else "new"
-        meant = judge(protocol, finding.meant)
+        example, erratum, meant = finding.example, finding.erratum, finding.meant
         yield Text()
-        title = Text(name, style="bold red")
-        title.append(
-            f"  example {finding.example.section}, line {finding.example.line}: "
-            f"{finding.example.bits}",
-            style="not bold default",
-        )
-        yield title
+        words = f"example {example.section}, line {example.line}: {example.bits}"
+        yield heading(erratum.id if erratum else "new", words)
         yield facts(
             [
-                ("document", f'"{finding.example.comment}"'),
+                ("document", f'"{example.comment}"'),
                 ("found", finding.reason),
-                ("nearest", f"{spaced(finding.meant)}  {meant.describe()}"),
-                ("correction", finding.erratum.correction if finding.erratum else ""),
+                ("nearest", f"{spaced(meant)}  {judge(protocol, meant).describe()}"),
+                ("correction", erratum.correction if erratum else ""),
             ]
         )
     found = [finding.erratum for finding in findings]
-    rest = [erratum for erratum in ERRATA if erratum not in found]
     yield from _titled("Not found by running the examples")
-    for erratum in rest:
-        yield heading(erratum.id, f"{erratum.clause}; it takes {erratum.shows} to see it")
-        yield facts([("document", f'"{erratum.quote}"'), ("correction", erratum.correction)])
+    for erratum in ERRATA:
+        if erratum not in found:
+            yield heading(erratum.id, f"{erratum.clause}; it takes {erratum.shows} to see it")
+            yield facts([("document", f'"{erratum.quote}"'), ("correction", erratum.correction)])
 
 
 def errata_json(findings: Sequence[Finding]) -> dict[str, Any]:
@@ -391,9 +344,3 @@ def errata_json(findings: Sequence[Finding]) -> dict[str, Any]:
         ],
         "all": [dataclasses.asdict(erratum) for erratum in ERRATA],
     }
-
-
-def _response_json(response: ResponseSpec) -> dict[str, Any]:
-    values = asdict(response)
-    del values["outcomes"]
-    return {**values, "outcome": ", ".join(outcome.value for outcome in response.outcomes)}

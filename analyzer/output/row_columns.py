@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import lru_cache
+from itertools import chain
 from operator import attrgetter
 from typing import Any, TypeAlias, TypeVar
 
@@ -108,7 +109,7 @@ def _clock(second: int, utc: bool) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its name, what it says, and how a list shows it.
+    """One column: its name, and how a list shows it.
 
     `value` gets it from a row and `text` makes it readable for people. `width` is how many
     characters usual values take; numbers stand to the `right`.
@@ -117,7 +118,6 @@ class Column:
     name: str
     heading: str
     width: int
-    says: str
     value: Callable[[JsonLine], Value]
     text: _Text = lambda value: _plain(value)
     right: bool = False
@@ -182,11 +182,10 @@ def _about_frames(protocol: Protocol) -> tuple[Column, Column, Column]:
         found = data_of(line)
         return None if found is None else found.hex(" ")
 
-    said = "the data bytes that its header announces" if protocol.plain else "its data bytes"
     return (
-        Column("id", "id", 3, "the instruction's ID", identity, right=True),
-        Column("len", "len", 3, said, length, right=True),
-        Column("data", "data", 8, "an instruction's bytes behind its header", data),
+        Column("id", "id", 3, identity, right=True),
+        Column("len", "len", 3, length, right=True),
+        Column("data", "data", 8, data),
     )
 
 
@@ -198,59 +197,45 @@ def _described(line: JsonLine) -> str | None:
     return " ".join(f"{name}={value}" for name, value in line.fields.items()) or None
 
 
-def _state_words(line: JsonLine) -> str:
-    return line.state.described
-
-
 def _time(line: JsonLine) -> Value:
     return f"{line.t:.6f}"  # `cells` writes it in the chosen style
 
 
 def _key(
-    name: str, heading: str, width: int, says: str, text: _Text = _plain, *, right: bool = False
+    name: str, heading: str, width: int, text: _Text = _plain, *, right: bool = False
 ) -> Column:
-    """The column of a key of the JSON lines."""
-    return Column(name, heading, width, says, attrgetter(name), text, right)
+    """The column of a key of the JSON lines, empty where a line lacks it."""
 
+    def value(line: JsonLine) -> Value:
+        found: Value | UnsetType = key(line)
+        return None if found is UNSET else found
 
-def _states(protocol: Protocol) -> Iterator[Column]:
-    """The columns of the predicted state."""
-    for name, spec in protocol.variables.items():
-        width = max(map(len, spec.words), default=len(name))
-        yield _key(f"state.{name}", name, width, "predicted", right=not spec.words)
-    if protocol.at_rest:
-        yield _key("state.moving", "moving", len("moving"), "predicted")
+    key = attrgetter(name)
+    return Column(name, heading, width, value, text, right)
 
 
 COLUMNS: Mapping[str, Column] = {
     column.name: column
     for column in (
-        Column("time", "time", 12, "the time in the style of --time", _time, right=True),
-        _key("t", "t", 12, "seconds since the start", _seconds, right=True),
-        Column("t_ns", "t ns", 15, "the same in ns", lambda r: nanoseconds(r.t), right=True),
-        _key("direction", "from", 6, "host or device"),
-        _key("kind", "kind", 11, "instruction, response, ..."),
-        _key("hex", "hex", 11, "the bytes"),
-        Column("bytes", "bytes", 11, "the same; in Parquet the bytes themselves", lambda r: r.hex),
-        _key("name", "name", 13, "of the instruction or response"),
-        Column("fields", "fields", 14, "the instruction's fields and values", _described),
-        _key("judgement", "judgement", 13, "the expected response"),
-        Column("response", "response", 13, "the response's name", _response),
-        _key(
-            *("latency", "latency", 12, "seconds from the instruction to its answer"),
-            _milliseconds,
-            right=True,
-        ),
-        Column("latency_ns", "latency ns", 10, "the same in ns", _latency_ns, right=True),
-        Column("state", "state", 26, "the predicted state in words", _state_words),
-        _key("sequence", "number", 8, "the instruction's, from 0", right=True),
-        _key(
-            *("answers", "answers", 8, "the number of the instruction that is answered"),
-            right=True,
-        ),
-        _key("agrees", "agrees", 6, "whether the answer is as expected"),
-        Column("faults", "faults", 20, "the kinds of faults", lambda r: "; ".join(r.faults)),
-        _key("reason", "reason", 40, "why, in words"),
+        Column("time", "time", 12, _time, right=True),
+        _key("t", "t", 12, _seconds, right=True),
+        Column("t_ns", "t ns", 15, lambda line: nanoseconds(line.t), right=True),
+        _key("direction", "from", 6),
+        _key("kind", "kind", 11),
+        _key("hex", "hex", 11),
+        Column("bytes", "bytes", 11, attrgetter("hex")),  # in Parquet the bytes themselves
+        _key("name", "name", 13),
+        Column("fields", "fields", 14, _described),
+        _key("judgement", "judgement", 13),
+        Column("response", "response", 13, _response),
+        _key("latency", "latency", 12, _milliseconds, right=True),
+        Column("latency_ns", "latency ns", 10, _latency_ns, right=True),
+        Column("state", "state", 26, attrgetter("state.described")),
+        _key("sequence", "number", 8, right=True),
+        _key("answers", "answers", 8, right=True),
+        _key("agrees", "agrees", 6),
+        Column("faults", "faults", 20, lambda line: "; ".join(line.faults)),
+        _key("reason", "reason", 40),
     )
 }
 """The columns of every grammar but `id`, `len`, `data`, the fields and the variables of the state.
@@ -262,35 +247,29 @@ TIME = COLUMNS["time"]
 def columns_of(protocol: Protocol) -> dict[str, Column]:
     """All columns of a grammar by the names under which they can be asked for."""
     identity, length, data = _about_frames(protocol)
-    fields = {f"fields.{column.name}": column for column in _fields(protocol)}
-    common = list(COLUMNS.items())
-    common.insert(list(COLUMNS).index("bytes") + 1, ("data", data))
-    at = [name for name, _ in common].index("state") + 1
-    states = [(column.name, column) for column in _states(protocol)]
-    return {
-        **{column.name: column for column in fields.values()},
-        **dict([*common[:at], *states, *common[at:]]),
-        **{column.name: column for column in (identity, length, *own_columns(protocol))},
-        **{name: replace(column, name=name) for name, column in fields.items()},
-    }
+    fields = _fields(protocol)
+    columns = list(COLUMNS.values())
+    columns.insert(columns.index(COLUMNS["bytes"]) + 1, data)
+    at = columns.index(COLUMNS["state"]) + 1
+    for name, spec in protocol.variables.items():
+        width = max(map(len, spec.words), default=len(name))
+        columns.insert(at, _key(f"state.{name}", name, width, right=not spec.words))
+        at += 1
+    if protocol.at_rest:
+        columns.insert(at, _key("state.moving", "moving", len("moving")))
+    columns = [*fields, *columns, identity, length, *own_columns(protocol)]
+    columns += [replace(column, name=f"fields.{column.name}") for column in fields]
+    return {column.name: column for column in columns}
 
 
 def own_columns(protocol: Protocol) -> Iterator[Column]:
     """The columns of keys that the lines of some grammars have."""
-
-    def key(name: str, heading: str, width: int, says: str, *, right: bool = False) -> Column:
-        def value(line: JsonLine) -> Value:
-            found: Value | UnsetType = getattr(line, name)
-            return None if found is UNSET else found
-
-        return Column(name, heading, width, says, value, right=right)
-
     if not protocol.plain:
-        yield key("outcome", "outcome", 12, "how the instruction is judged")
+        yield _key("outcome", "outcome", 12)
     if protocol.layout.part("address"):
-        yield key("address", "to", 4, "who is meant, or who answers", right=True)
+        yield _key("address", "to", 4, right=True)
     if not protocol.plain:
-        yield key("uncertain", "uncertain", 9, "whether it may not be one frame")
+        yield _key("uncertain", "uncertain", 9)
 
 
 def bytes_fields(protocol: Protocol) -> frozenset[str]:
@@ -302,9 +281,9 @@ def bytes_fields(protocol: Protocol) -> frozenset[str]:
 
 def _fields(protocol: Protocol) -> list[Column]:
     """A column for each field of the instructions and answers; fields of one name share one."""
-    answered = [spec.answer.fields for spec in protocol.instructions if spec.answer]
     parts = [part for spec in protocol.instructions for part in spec.fields]
-    parts += [part for fields in answered for part in fields]
+    answered = [spec.answer.fields for spec in protocol.instructions if spec.answer]
+    parts += chain.from_iterable(answered)
     names = dict.fromkeys(part.name for part in parts if part.constant is None)
     names |= dict.fromkeys(protocol.named_registers)
     several = bytes_fields(protocol)
@@ -316,9 +295,7 @@ def _fields(protocol: Protocol) -> list[Column]:
                 return found
             return " ".join(map(str, found)) if isinstance(found, list) else str(found)
 
-        says = "a field of instructions or answers" if answered else "a field of instructions"
-        width = max(5, len(name))
-        return Column(name, name, width, says, value, right=name not in several)
+        return Column(name, name, max(5, len(name)), value, right=name not in several)
 
     return [field(name) for name in names]
 
@@ -338,17 +315,13 @@ def chosen_columns(names: str, known: Mapping[str, Column]) -> tuple[Column, ...
     for name in (word.strip() for word in names.split(",")):
         column = known.get(name) or by_lower.get(name.lower())
         if column is None:
-            raise ColumnError(_no_column(name, known))
+            close = near(name, known)
+            hint = f", did you mean {close}?" if close else f"; there are {', '.join(known)}"
+            raise ColumnError(f"there is no column {printable(name)!r}{hint}")
         if column.name in chosen:
             raise ColumnError(f"the column {column.name} is named twice")
         chosen[column.name] = column
     return tuple(chosen.values())
-
-
-def _no_column(name: str, known: Mapping[str, Column]) -> str:
-    close = near(name, known)
-    hint = f", did you mean {close}?" if close else f"; there are {', '.join(known)}"
-    return f"there is no column {printable(name)!r}{hint}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,7 +346,6 @@ class ColumnLines:
         self._columns = columns
         self._times = times
         self._colour = colour
-        self._widths = [times.width if column is TIME else column.width for column in columns]
 
     def text(self, records: Iterable[Record]) -> str:
         """The lines of the records, each with its newline."""
@@ -382,19 +354,15 @@ class ColumnLines:
         )
 
     def _line(self, record: Record, line: JsonLine) -> str:
-        cells = (self._cell(line, column) for column in self._columns)
-        padded = (
-            cell.rjust(width) if column.right else cell.ljust(width)
-            for cell, width, column in zip(cells, self._widths, self._columns, strict=True)
-        )
-        text = "  ".join(padded).rstrip()
-        severity = severity_of(record)
+        cells = []
+        for column in self._columns:
+            if column is TIME:  # which makes the row the one before the next, for `delta`
+                cells.append(self._times.padded(nanoseconds(line.t)))
+                continue
+            cell = column.text(column.value(line))
+            cells.append(cell.rjust(column.width) if column.right else cell.ljust(column.width))
+        text, severity = "  ".join(cells).rstrip(), severity_of(record)
         return f"{painted(text, severity) if self._colour and severity else text}\n"
-
-    def _cell(self, line: JsonLine, column: Column) -> str:
-        if column is TIME:  # which makes the row the one before the next, as `delta` needs it
-            return self._times.shown(nanoseconds(line.t))
-        return column.text(column.value(line))
 
 
 _FRONT = ("t", "direction", "kind", "hex", "name")

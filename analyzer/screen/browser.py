@@ -16,6 +16,7 @@ from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
 from textual.driver import Driver
 from textual.events import Event, Key, Paste
+from textual.screen import Screen
 from textual.scrollbar import ScrollBar, ScrollBarRender
 from textual.widgets import Input, Static
 from textual.worker import Worker, get_current_worker
@@ -85,6 +86,7 @@ class Browser(App[str | None]):
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (_SIDE_FROM, "-wide"), (160, "-huge")]  # noqa: RUF012
     VERTICAL_BREAKPOINTS = [(0, "-low"), (14, "-short"), (20, "-usual"), (30, "-high")]  # noqa: RUF012
     CSS_PATH = "browser.tcss"
+    SCREENS: ClassVar[dict[str, Callable[[], Screen[Any]]]] = {"help": Help}
     BINDINGS: ClassVar[list[BindingType]] = [*BINDINGS]
 
     def __init__(
@@ -109,10 +111,8 @@ class Browser(App[str | None]):
         self._coming: tuple[str, View] | None = None
         self._playing: Callable[[], int] | None = None  # the time (ns) that has come
         self._typed = ""  # the digits before a key
-        self._figures_at = 0.0
         self._shown: tuple[object, ...] = ()
         self._drawn_at, self._used_at = 0.0, time.thread_time()
-        self._written: dict[Static, Text] = {}
         self.frames = FrameList(feed.recording, told.rows, told.start_wall)
         self.fields = FieldTree(feed.recording.protocol)
         self.prompt = Prompt(self._left_prompt)
@@ -142,14 +142,13 @@ class Browser(App[str | None]):
         else:  # a line, which waits for nobody
             self.feed.start()
         self.set_interval(DRAW_EVERY, self.tick)
+        self.set_interval(_FIGURES_EVERY, self._show_figures)
+        self.call_after_refresh(self._show_figures)
         if self.told.test is not None:
             self._filter(self.told.expression, self.told.test)
         self.tick()
-        self.call_after_refresh(self._begun)
-
-    def _begun(self) -> None:
-        """Draw the next rows as soon as they come, however long the first layout took."""
-        self._drawn_at = -math.inf
+        # Draw the next rows as soon as they come, however long the first layout took.
+        self.call_after_refresh(setattr, self, "_drawn_at", -math.inf)
 
     @property
     def failure(self) -> Exception | None:
@@ -171,9 +170,6 @@ class Browser(App[str | None]):
         self._play()
         if self._now() != self._shown and self._may_draw():
             self.show_rows()
-        if time.monotonic() >= self._figures_at and self.figures.size.width:
-            self._figures_at = time.monotonic() + _FIGURES_EVERY
-            self._show_figures()
         self._show_bars()
 
     def show_rows(self) -> None:
@@ -270,9 +266,10 @@ class Browser(App[str | None]):
         self._write(self.car, Text("\n", no_wrap=True).join(lines))
 
     def _show_figures(self) -> None:
-        totals, live = self._recording.totals, self.feed.rates
-        lines = figures(totals, live, self.told.line.byte_time, self.figures.size.width)
-        self._write(self.figures, Text("\n", no_wrap=True).join(lines))
+        if width := self.figures.size.width:
+            totals, live = self._recording.totals, self.feed.rates
+            lines = figures(totals, live, self.told.line.byte_time, width)
+            self._write(self.figures, Text("\n", no_wrap=True).join(lines))
 
     def _show_bars(self) -> None:
         """Write the line above the panes, and the one below them."""
@@ -288,12 +285,11 @@ class Browser(App[str | None]):
 
     def _write(self, pane: Static, text: Text) -> None:
         """Write a text into a pane, where it is another one than before: drawing takes time."""
-        before = self._written.get(pane)
+        before = pane.content
         if before != text:
-            self._written[pane] = text
             # What has as many lines as before needs no new layout of the whole screen.
-            taller = before is None or before.plain.count("\n") != text.plain.count("\n")
-            pane.update(text, layout=taller)
+            lines = before.plain.count("\n") if isinstance(before, Text) else -1
+            pane.update(text, layout=lines != text.plain.count("\n"))
 
     def _say(self, sentence: str) -> None:
         self.said = sentence
@@ -484,10 +480,6 @@ class Browser(App[str | None]):
                 Question(f"write {rows} to", hint, rows_file, write), "rows.csv", replaced=True
             )
 
-    def action_keys(self) -> None:
-        """Show the help."""
-        self.push_screen(Help())
-
     def action_go_back(self) -> None:
         """Go back from where one is, or stop what takes long."""
         self.said = self.feed.notice = ""
@@ -511,10 +503,6 @@ class Browser(App[str | None]):
         label = f"Save the capture of {quantity(rows, 'row')} as"
         hint = "Enter saves it and leaves, Ctrl-C discards it, Esc goes back"
         self._ask(Question(label, hint, new_file, self.exit), new_name(), replaced=True)
-
-    def action_end(self) -> None:
-        """Quit without a question, as Ctrl-C does everywhere."""
-        self.exit(None)
 
 
 def _caught_up(view: View, recording: Recording) -> str:

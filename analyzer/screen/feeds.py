@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -26,7 +24,7 @@ from bilprov.analyzer.replay.capture_decoding import (
 )
 from bilprov.analyzer.replay.recorder import Recorder, Spool
 from bilprov.analyzer.screen.recording import Recording
-from bilprov.captures.reader import Capture, appended
+from bilprov.captures.reader import appended
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
@@ -37,7 +35,6 @@ DRAW_EVERY = 0.1  # s
 MOST_MEMORY = 300 << 20  # bytes of packed rows; a live session keeps no more
 _STILL = 60  # s since a capture was last written to, after which nobody is taken to write it
 _LAG = 2_000_000_000  # ns after which a writer has written what came
-_SWITCH = 0.00005  # s after which a thread yields to the reader of a line (Python: 5 ms)
 
 
 Result = TypeVar("Result")
@@ -130,23 +127,19 @@ def capture_feed(
             rows.show(batch)
 
     whole = count is None and window.after is None
-    live = whole and _is_written(opened.capture)
+    capture = opened.capture
+    age = time.time() - capture.volumes[0].path.stat().st_mtime
+    live = whole and capture.unfinished and not capture.in_parts and age < _STILL
     # There is one line for it, so the file's name stands without its folder.
-    named = replace(opened.capture, path=Path(opened.capture.path.name))
+    named = replace(capture, path=Path(capture.path.name))
     notice = "; ".join(said_about(named, protocol, is_written=live))
     feed = Feed(Recording(protocol), read, stays=True, live=live, notice=notice)
     rows = (AllShown if count is None else Shown)(ScreenOutput(feed), test, count, window)
-    length = max(1, opened.capture.contents.last - opened.capture.start)
+    length = max(1, capture.contents.last - capture.start)
     parts = event_batches(opened.batches(), unheard, window)
     for events in islice(parts, 1):
         take(events)  # here and now, so that the first page is there when the screen is
     return feed
-
-
-def _is_written(capture: Capture) -> bool:
-    """Whether a capture is probably still being written."""
-    age = time.time() - capture.volumes[0].path.stat().st_mtime
-    return capture.unfinished and not capture.in_parts and age < _STILL
 
 
 def _followed(opened: Opened, stopped: Event) -> Iterator[Batch]:
@@ -215,14 +208,3 @@ class AllShown(Shown):
             batch = Records(batch.records(inside))
         self.output.show(batch)
         return batch
-
-
-@contextmanager
-def reader_first() -> Iterator[None]:
-    """Let threads take turns quickly in the block, so that the reader of a line never waits."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before)

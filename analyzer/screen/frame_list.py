@@ -23,10 +23,10 @@ from bilprov.analyzer.screen.signs import CUT, NEITHER, TO_DEVICE, TO_HOST, Look
 from bilprov.captures.text import printable
 from bilprov.spec.fields import Outcome
 
-NO = Column("no", "no", 6, "the number of the row", lambda r: "", right=True)
-DELTA = Column("delta", "+ms", 8, "ms since the row above", lambda r: "", right=True)
-ARROW = Column("arrow", "", 1, "to the device, or from it", lambda r: "")
-WHAT = Column("what", "what", 36, "the frame or the answer in words", lambda r: "")
+NO = Column("no", "no", 6, lambda line: "", right=True)  # of the row
+DELTA = Column("delta", "+ms", 8, lambda line: "", right=True)  # since the row above
+ARROW = Column("arrow", "", 1, lambda line: "")  # to the device, or from it
+WHAT = Column("what", "what", 36, lambda line: "")  # the frame or the answer in words
 BYTES = replace(COLUMNS["hex"], heading="bytes")
 OWN = {column.name: column for column in (NO, TIME, DELTA, ARROW, BYTES, WHAT)}
 """The usual columns."""

@@ -32,9 +32,9 @@ BINDINGS = [
     _key("colon", "go", ":", "go to a row (120), or to a time (12.5s, 14:03:20)", "go to"),
     _key("x", "export", "x", "write the rows that are shown, as CSV or JSON lines", "export"),
     _key("y", "copy", "y", "copy the frame as a `bilprov send` line", "copy"),
-    _key("question_mark,f1", "keys", "?", "this help", "help"),
+    _key("question_mark,f1", "push_screen('help')", "?", "this help", "help"),
     _key("q", "leave", "q", "leave", "quit"),
-    Binding("ctrl+c,ctrl+q", "end", show=False, priority=True),
+    Binding("ctrl+c,ctrl+q", "quit", show=False, priority=True),
     Binding("ctrl+z", "suspend_process", show=False, priority=True),
     Binding("escape", "go_back", show=False),
 ]

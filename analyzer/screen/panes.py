@@ -77,11 +77,11 @@ _COLOURS = {"R": "red", "G": "green", "B": "blue"}
 
 def picture(protocol: Protocol, state: State) -> list[Text]:
     """The rows of the picture, at most 26 columns wide."""
-    if protocol.wheels:
-        return [*_car(protocol, protocol.wheels, state), *_bits(protocol, state)][:ROWS]
-    return [_variable(spec, getattr(state, spec.name)) for spec in protocol.variables.values()][
-        :ROWS
-    ]
+    rows = _car(protocol, protocol.wheels, state) if protocol.wheels else []
+    for spec in protocol.variables.values():
+        if spec.bits or not protocol.wheels:
+            rows.append(_variable(spec, getattr(state, spec.name)))
+    return rows[:ROWS]
 
 
 def _car(protocol: Protocol, car: Wheels, state: State) -> list[Text]:
@@ -89,26 +89,20 @@ def _car(protocol: Protocol, car: Wheels, state: State) -> list[Text]:
     left, right = car.wheels(state, full)
     style = "bold" if state.moving else "dim"
     motion = getattr(state, car.by)
-    sign = _SIGNS[car.turns[motion]] if motion in car.turns else "■"
-    axle = (_turning(left), _turning(right))
+    directed = motion in car.turns
+    axle = ["▲" if speed > 0 else "▼" if speed else "▪" for speed in (left, right)]
+    stands = ", speed 0" if directed and not state.moving else ""
     return [
         Text("┌───────┐".join(axle).center(WIDTH)),
-        Text.assemble("        │   ", (sign, style), "   │"),
+        Text.assemble(
+            "        │   ", (_SIGNS[car.turns[motion]] if directed else "■", style), "   │"
+        ),
         Text("└───────┘".join(axle).center(WIDTH)),
-        Text(_caption(motion, state.moving, motion in car.turns).center(WIDTH), style),
+        Text(f"{motion.replace('_', ' ')}{stands}".center(WIDTH), style),
         Text(f"wheels {left:+d} {right:+d}".center(WIDTH), "dim"),
         _speed(protocol, car, getattr(state, car.speed)),
         _steering(full, getattr(state, car.steering)),
     ]
-
-
-def _turning(speed: int) -> str:
-    return "▲" if speed > 0 else "▼" if speed else "▪"
-
-
-def _caption(motion: str, moving: bool, directed: bool) -> str:
-    words = motion.replace("_", " ")
-    return words if moving or not directed else f"{words}, speed 0"
 
 
 def _speed(protocol: Protocol, car: Wheels, speed: int) -> Text:
@@ -125,12 +119,6 @@ def _steering(full: int, steering: int) -> Text:
     track[half] = "┼"
     track[place] = "●"
     return Text.assemble(("steer ", "dim"), "".join(track), f" {steering:+d}")
-
-
-def _bits(protocol: Protocol, state: State) -> list[Text]:
-    """A row for each variable of bits."""
-    specs = [spec for spec in protocol.variables.values() if spec.bits]
-    return [_variable(spec, getattr(state, spec.name)) for spec in specs]
 
 
 def _variable(spec: VariableSpec, value: int | str | None) -> Text:
@@ -183,7 +171,13 @@ def status_line(doing: str, feed: Feed[Any], said: str, width: int) -> Text:
 
     `doing` is what takes long, and `said` answers the last key; both are "" for nothing.
     """
-    told = _told(doing, feed, said)
+    said = said or feed.notice
+    if feed.let_go and not said:
+        said = "no room for all rows: the oldest were dropped"
+    if doing:
+        told = Text(f"{doing}, Esc stops it", "bold")
+    else:
+        told = Text(printable(feed.said), "bold red") if feed.said else Text(said, "bold")
     if told:
         fits = width - told.cell_len >= len(_LEAST)
         return _spread(told, Text(_LEAST if fits else "", "dim"), width)
@@ -196,17 +190,6 @@ def status_line(doing: str, feed: Feed[Any], said: str, width: int) -> Text:
             line.append_text(shown)
     line.truncate(width, overflow="crop")
     return line
-
-
-def _told(doing: str, feed: Feed[Any], said: str) -> Text:
-    if doing:
-        return Text(f"{doing}, Esc stops it", "bold")
-    if feed.said:
-        return Text(printable(feed.said), "bold red")
-    said = said or feed.notice
-    if feed.let_go and not said:
-        said = "no room for all rows: the oldest were dropped"
-    return Text(said, "bold")
 
 
 def _spread(left: Text, right: Text, width: int) -> Text:

@@ -36,14 +36,6 @@ class Question(NamedTuple):
     given: Callable[[Any], None]
     completions: Callable[[str, int], list[Completion]] = lambda text, at: []
 
-    def refusal(self, text: str) -> str:
-        """Why a text will not do, "" if it will."""
-        try:
-            self.read(text)
-        except ValueError as error:
-            return error.sentence if isinstance(error, FilterError) else str(error)
-        return ""
-
 
 class _Line(Input):
     """One line of text: Tab completes the word before the cursor, Enter gives it.
@@ -120,35 +112,35 @@ class Prompt(Vertical):
             self._tell(event.value)
 
     def _submit(self) -> None:
-        question, text = self._question, self.line.value.strip()
+        question = self._question
         assert question is not None
-        wrong = question.refusal(text)
-        if wrong:
-            self._refuse(wrong)
+        try:
+            value = question.read(self.line.value.strip())
+        except ValueError as error:
+            self._refuse(error)
         else:
             self.leave()
-            question.given(question.read(text))
+            question.given(value)
 
     def _tell(self, text: str) -> None:
         """Say what may come next, or what the text lacks."""
         question = self._question
         assert question is not None
-        if not text.strip():
-            self._under.update(Text(question.hint, "dim"))
-            return
-        offered = question.completions(text, self.line.cursor_position)
-        wrong = question.refusal(text.strip())
-        words = printable("  ".join(one.text for one in offered))
+        offered = question.completions(text, self.line.cursor_position) if text.strip() else []
+        words = "  ".join(one.text for one in offered)
         if len(offered) == 1:
-            words = printable(": ".join(filter(None, (offered[0].text, offered[0].says))))
-        if any(len(one.text) > len(text) - one.start > 0 for one in offered):  # a word goes on
-            self._under.update(Text(words, "dim", no_wrap=True))
-        elif wrong:
-            self._refuse(wrong)
-        else:
-            self._under.update(Text(question.hint, "dim"))
+            words = ": ".join(filter(None, (offered[0].text, offered[0].says)))
+        if not any(len(one.text) > len(text) - one.start > 0 for one in offered):
+            words = question.hint  # no word goes on
+        self._under.update(Text(printable(words), "dim", no_wrap=True))
+        if text.strip() and words == question.hint:
+            try:
+                question.read(text.strip())
+            except ValueError as error:
+                self._refuse(error)
 
-    def _refuse(self, wrong: str) -> None:
+    def _refuse(self, error: ValueError) -> None:
+        wrong = error.sentence if isinstance(error, FilterError) else str(error)
         self._under.update(Text(printable(wrong), "red", no_wrap=True))
 
 

@@ -12,8 +12,10 @@ from textual.drivers.linux_driver import LinuxDriver
 
 from bilprov.analyzer.output.console import NARROW
 from bilprov.analyzer.screen.browser import Browser, Told
-from bilprov.analyzer.screen.feeds import Feed, reader_first
+from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.transport.signals import Stopper
+
+_SWITCH = 0.00005  # s after which a thread yields to the reader of a line (Python: 5 ms)
 
 
 class TerminalDriver(LinuxDriver):
@@ -69,8 +71,12 @@ def shown(feed: Feed[Any], told: Told, stopper: Stopper) -> str | None:
     for name in ("COLUMNS", "LINES"):  # Textual believes them, and they do not change
         os.environ.pop(name, None)
     browser = Browser(feed, told, lambda: stopper.stopped, TerminalDriver)
-    with reader_first():
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH)
+    try:
         kept = browser.run()
+    finally:
+        sys.setswitchinterval(before)
     if browser.failure and not stopper.stopped:
         raise browser.failure
     feed.stop()
