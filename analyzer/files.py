@@ -123,35 +123,29 @@ def replaced_whole(file: Path, *, force: bool) -> Iterator[Path]:
             if file.exists():
                 part.chmod(stat.S_IMODE(file.stat().st_mode))
             part.replace(file)
-        elif not _linked(part, file):
-            part.rename(file)
-        _sync_folder(file.parent)
+        else:
+            _name_anew(part, file)
+        with suppress(OSError):  # its name too, where the file system can do that
+            folder = os.open(file.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
     finally:
         with suppress(OSError):
             part.unlink()
 
 
-def _sync_folder(folder: Path) -> None:
-    """Have the names in a folder on the disk, where its file system can do that."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
-def _linked(part: Path, file: Path) -> bool:
-    """Give a file a second name, which must be new; false where the file system knows no links."""
+def _name_anew(part: Path, file: Path) -> None:
+    """Give a file a second name. Raises FileExistsError where another one has it."""
     try:
         os.link(part, file)
     except FileExistsError:
         raise
-    except OSError:
+    except OSError:  # the file system knows no links
         if file.exists():
             raise FileExistsError(errno.EEXIST, "it exists", str(file)) from None
-        return False
-    return True
+        part.rename(file)
 
 
 LONGEST_TEXT = 1 << 18

@@ -196,9 +196,8 @@ class WindowOptions(msgspec.Struct, frozen=True):
 
         if self.start is not None and self.end is not None and self.end <= self.start:
             raise click.UsageError(f"--end {self.end:g} is not after --start {self.start:g}")
-        ends = [] if self.end is None else [self.end]
-        if duration is not None:
-            ends.append((self.start or 0) + duration)
+        lasting = None if duration is None else (self.start or 0) + duration
+        ends = [end for end in (self.end, lasting) if end is not None]
         bounds = (self.start, min(ends, default=None))
         return Window(*(None if s is None else round(s * 1e9) for s in bounds))
 

@@ -64,9 +64,8 @@ def drawn(stats: Json, *, moves: bool) -> Iterator[RenderableType]:
         yield from _part(printable(file["path"]), file["counts"], file, moves=moves)
     if len(stats["files"]) > 1:
         yield Text()
-        yield from _part(
-            f"{len(stats['files'])} captures together", stats["total"], None, moves=moves
-        )
+        together = f"{len(stats['files'])} captures together"
+        yield from _part(together, stats["total"], None, moves=moves)
 
 
 def _part(title: str, counts: Json, file: Json | None, *, moves: bool) -> Iterator[RenderableType]:
@@ -91,17 +90,15 @@ def _about(counts: Json, file: Json | None, *, moves: bool) -> Iterator[tuple[st
         load = f"host {_share(counts['load']['host'])}, device {_share(counts['load']['device'])}"
         yield "line", f"{line}load: {load}"
     if counts["frames"]:
-        rate = (
-            f"{counts['frames'] / counts['duration']:,.0f} a second, " if counts["duration"] else ""
-        )
+        seconds = counts["duration"]
+        rate = f"{counts['frames'] / seconds:,.0f} a second, " if seconds else ""
         yield "frames", f"{rate}{counts['peak']:,} in the busiest second"
     if counts["agreeing"] or counts["disagreeing"]:
         yield "answers", f"{counts['agreeing']:,} as expected, {counts['disagreeing']:,} not"
     if counts["latency"]:
         median, p95, p99, longest = _percentiles(counts["latency"])
         least = _ms(counts["latency"]["min"])
-        said = f"min {least} ms, median {median}, 95 % {p95}, 99 % {p99}, max {longest}"
-        yield "latency", said
+        yield "latency", f"min {least} ms, median {median}, 95 % {p95}, 99 % {p99}, max {longest}"
 
 
 def _frames(counts: Json) -> str:
@@ -115,18 +112,13 @@ def _frames(counts: Json) -> str:
 
 def _rates(counts: Json, rates: Json) -> Iterator[RenderableType]:
     """How much there was a second, from the first second to the last."""
-    series = {
-        "frames": rates["frames"],
-        "anomalies": rates["faults"],
-        "host bytes": rates["host_bytes"],
-        "device bytes": rates["device_bytes"],
-    }
+    names = ("frames", "anomalies", "host bytes", "device bytes")
     rows = []
-    for name, amounts in series.items():
-        mean = sum(amounts) / counts["duration"] if counts["duration"] else 0
-        peak = _number(max(amounts) / rates["step"])
+    for name, key in zip(names, ("frames", "faults", "host_bytes", "device_bytes"), strict=True):
+        mean = sum(rates[key]) / counts["duration"] if counts["duration"] else 0
+        peak = _number(max(rates[key]) / rates["step"])
         if peak != "0":
-            rows.append((name, spark(amounts, _SPARK), _number(mean), peak))
+            rows.append((name, spark(rates[key], _SPARK), _number(mean), peak))
     yield Text()
     yield table(("a second", "from begin to end", "mean", "peak"), rows, right="mean peak")
 
@@ -183,9 +175,8 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[Re
         yield table(columns, rows, right=" ".join(columns[1:]))
 
 
-def _percentiles(latency: Json) -> tuple[str, str, str, str]:
-    median, p95, p99 = _ms(latency["median"]), _ms(latency["p95"]), _ms(latency["p99"])
-    return median, p95, p99, _ms(latency["max"])
+def _percentiles(latency: Json) -> list[str]:
+    return [_ms(latency[name]) for name in ("median", "p95", "p99", "max")]
 
 
 def _ms(seconds: float) -> str:

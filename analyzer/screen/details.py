@@ -20,7 +20,7 @@ from textual.widgets import Tree
 from textual.widgets.tree import TreeNode
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
-from bilprov.analyzer.screen.signs import FOLDED, ORDINARY, UNFOLDED, Look, look_of
+from bilprov.analyzer.screen.keys import FOLDED, ORDINARY, UNFOLDED, Look, look_of
 from bilprov.captures.text import escape_controls
 from bilprov.spec.codec import spaced
 from bilprov.spec.explain import BitGroup, explain, explain_reply

@@ -19,7 +19,6 @@ from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, TimeStyle
 from bilprov.analyzer.output.text_lines import hex_width
 from bilprov.analyzer.screen.recording import Recording, View
-from bilprov.analyzer.screen.signs import CUT, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
 from bilprov.captures.text import printable
 from bilprov.spec.fields import Outcome
 

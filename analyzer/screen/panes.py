@@ -10,8 +10,7 @@ from bilprov.analyzer.output.statistics import Rates
 from bilprov.analyzer.output.stats_tables import FEWEST, spark
 from bilprov.analyzer.screen.feeds import Feed
 from bilprov.analyzer.screen.frame_list import FrameList
-from bilprov.analyzer.screen.keys import BINDINGS
-from bilprov.analyzer.screen.signs import DEVICE_FAULT, HOST_FAULT, LINE_FAULT, RECORDS
+from bilprov.analyzer.screen.keys import BINDINGS, DEVICE_FAULT, HOST_FAULT, LINE_FAULT, RECORDS
 from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.text import printable, quantity
 from bilprov.spec.motion import Wheels

@@ -18,9 +18,8 @@ from bilprov.analyzer.output.console import NARROW
 from bilprov.analyzer.output.row_columns import RowStyle, chosen_columns, columns_of
 from bilprov.analyzer.screen.browser import Browser
 from bilprov.analyzer.screen.feeds import Feed
-from bilprov.analyzer.screen.keys import BINDINGS, MOVES
+from bilprov.analyzer.screen.keys import BINDINGS, LOOKS, MOVES
 from bilprov.analyzer.screen.prompt import row_of
-from bilprov.analyzer.screen.signs import LOOKS
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol, load
