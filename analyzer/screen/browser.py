@@ -113,7 +113,7 @@ class Browser(App[str | None]):
         self._typed = ""  # the digits before a key
         self._shown: tuple[object, ...] = ()
         self._drawn_at, self._used_at = 0.0, time.thread_time()
-        self.frames = FrameList(feed.recording, told.rows, told.start_wall)
+        self.frames = FrameList(feed.recording, told.rows, told.start_wall, self._chosen)
         self.fields = FieldTree(feed.recording.protocol)
         self.prompt = Prompt(self._left_prompt)
         names = ("head", "status", "car", "figures")
@@ -339,7 +339,7 @@ class Browser(App[str | None]):
         self.prompt.line.replace(line, *self.prompt.line.selection)
         return True
 
-    def on_frame_list_chosen(self) -> None:
+    def _chosen(self) -> None:
         """Show the row that was chosen by hand; a capture is played from there on."""
         self.said = ""
         self.follows = self.follows and self.frames.cursor >= self.frames.count - 1
@@ -347,11 +347,12 @@ class Browser(App[str | None]):
         self._show_row()
         self._show_bars()
 
-    def on_frame_list_entered(self) -> None:
+    def action_fields(self) -> None:
         """Go from a frame to its fields, which are shown alone where there is no room."""
-        self.screen.add_class("zoomed")
-        self.screen.set_focus(self.fields)
-        self.on_tree_node_highlighted()
+        if self.frames.record is not None:
+            self.screen.add_class("zoomed")
+            self.screen.set_focus(self.fields)
+            self.on_tree_node_highlighted()
 
     def on_tree_node_highlighted(self) -> None:
         """Mark the bytes of the field in the list."""
@@ -410,9 +411,9 @@ class Browser(App[str | None]):
         self._ask(Question("go to :", f"{REFUSAL}; Esc goes back", row, self._go_to))
 
     def _go_to(self, row: int) -> None:
-        self.frames.go_to(row)
+        self.frames.choose(self.frames.view.position(row))
         self.follows = False
-        self.on_frame_list_chosen()
+        self._chosen()
 
     def action_pause(self) -> None:
         """Hold the view of a line still, or go on; play a capture, or stop."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import ClassVar
 
@@ -10,7 +10,6 @@ from rich.text import Text
 from textual import events
 from textual.binding import Binding, BindingType
 from textual.geometry import Size
-from textual.message import Message
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
@@ -18,6 +17,7 @@ from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, TimeStyle
 from bilprov.analyzer.output.text_lines import hex_width
+from bilprov.analyzer.screen.keys import CUT, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
 from bilprov.analyzer.screen.recording import Recording, View
 from bilprov.captures.text import printable
 from bilprov.spec.fields import Outcome
@@ -46,6 +46,7 @@ class FrameList(ScrollView, can_focus=True):
 
     `held` is how many rows the recording had when the view was paused, None where it is not.
     Times count from `reference` (ns). `repeat` is the number typed before a key, None for none.
+    `by_hand` is called when the choice was moved by hand.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {"chosen"}
@@ -58,17 +59,13 @@ class FrameList(ScrollView, can_focus=True):
         Binding("ctrl+d", "page(0.5)", show=False),
         Binding("home", "go_to_number(1)", show=False),
         Binding("end", "go_to_number(0)", show=False),
-        Binding("enter,right", "enter", show=False),
     ]
 
-    class Chosen(Message):
-        """The choice was moved by hand."""
-
-    class Entered(Message):
-        """Enter was pressed on the chosen row."""
-
-    def __init__(self, recording: Recording, style: RowStyle, start_wall: int) -> None:
+    def __init__(
+        self, recording: Recording, style: RowStyle, start_wall: int, by_hand: Callable[[], object]
+    ) -> None:
         super().__init__(id="frames")
+        self._by_hand = by_hand
         self.view = View(recording)
         self.cursor = 0
         self.held: int | None = None
@@ -84,7 +81,7 @@ class FrameList(ScrollView, can_focus=True):
         self._bytes_width = hex_width(recording.protocol)
         self._longest = 0  # bytes of the longest row that was drawn
         self._first = 0  # the first row of the view when it was last drawn
-        self._lines: dict[int, Text] = {}
+        self._lines: list[Text] = []
 
     @property
     def count(self) -> int:
@@ -138,15 +135,11 @@ class FrameList(ScrollView, can_focus=True):
         self._lines.clear()
         self.refresh()
 
-    def go_to(self, row: int) -> None:
-        """Choose a row of the recording, or the next one of the view."""
-        self.choose(self.view.position(row))
-
     def look_at(self, view: View) -> None:
         """Show another view, with the same row chosen if it has it."""
         row = self.row
         self.view = view
-        self.go_to(row or 0)
+        self.choose(view.position(row or 0))
 
     def action_move(self, rows: int) -> None:
         """Move the choice by some rows."""
@@ -164,14 +157,9 @@ class FrameList(ScrollView, can_focus=True):
         number = self.repeat or number
         self._choose_by_hand(self.view.position(number - 1) if number else self.count - 1)
 
-    def action_enter(self) -> None:
-        """Tell that Enter was pressed."""
-        if self.count > self._first:
-            self.post_message(self.Entered())
-
     def _choose_by_hand(self, position: int) -> None:
         self.choose(position)
-        self.post_message(self.Chosen())
+        self._by_hand()
 
     def on_resize(self) -> None:
         """Keep the chosen row on the screen."""
@@ -184,7 +172,7 @@ class FrameList(ScrollView, can_focus=True):
         inside = min(max(self.cursor, self.top), self.top + self.room - 1)
         if inside != self.cursor:
             self.cursor = inside
-            self.post_message(self.Chosen())
+            self._by_hand()
 
     def on_click(self, event: events.Click) -> None:
         """Choose the row under the mouse."""
@@ -196,13 +184,11 @@ class FrameList(ScrollView, can_focus=True):
 
     def render_line(self, y: int) -> Strip:
         """One line of the screen: the heading, then rows."""
-        width = self.scrollable_content_region.width
-        position = self.top + y - 1
-        if not self._lines and self.count > self.top:
-            stop = min(self.top + self.room, self.count)
-            self._lines = dict(enumerate(self._rows(self.top, stop, width), self.top))
-        line = self._heading(width) if y == 0 else self._lines.get(position, Text())
-        if y and position == self.cursor and line:
+        width, top = self.scrollable_content_region.width, self.top
+        if not self._lines:
+            self._lines = list(self.lines(top, min(top + self.room, self.count), width))
+        line = self._lines[y] if y < len(self._lines) else Text()
+        if y and top + y - 1 == self.cursor and line:
             line = self._chosen(line, width)
         line.truncate(width, overflow="crop", pad=True)
         return Strip(line.render(self.app.console, end="")).adjust_cell_length(width)
@@ -218,16 +204,14 @@ class FrameList(ScrollView, can_focus=True):
             at += room + 1
         return chosen
 
-    def _heading(self, width: int) -> Text:
+    def lines(self, first: int, stop: int, width: int) -> Iterator[Text]:
+        """The heading, then the rows at the positions from `first` to before `stop`."""
         names = {TIME: _HEADINGS.get(self.time_style, "since row" if self.reference else "time")}
         cells = [
-            self._padded(names.get(column, column.heading), room, column.right)
+            _padded(names.get(column, column.heading), column, room)
             for column, room in self._widths(width)
         ]
-        return Text.assemble((" " * _FRONT + " ".join(cells), "dim"))
-
-    def _rows(self, first: int, stop: int, width: int) -> Iterator[Text]:
-        """The lines of the rows at the positions from `first` to before `stop`."""
+        yield Text.assemble((" " * _FRONT + " ".join(cells), "dim"))
         before = first > self._first  # the row before the first is what its delta counts from
         rows = self.view.rows(first - before, stop)
         records = self._recording.records(rows)
@@ -257,33 +241,28 @@ class FrameList(ScrollView, can_focus=True):
             fitting.append((column, min(room, left)))
             left -= min(room, left) + 1
         if fitting and left >= 0:
-            column, room = fitting[-1]
-            fitting[-1] = column, room + left + 1
+            fitting[-1] = fitting[-1][0], fitting[-1][1] + left + 1
         return fitting
 
     def _room(self, column: Column) -> int:
         if column is NO:
             return max(column.width, len(str(self._recording.rows)))
-        return self._time_width if column is TIME else column.width
-
-    @property
-    def _time_width(self) -> int:
+        if column is not TIME:
+            return column.width
         return 10 if self.time_style is TimeStyle.RELATIVE else _WHEN.stop - _WHEN.start
 
     def _line(self, row: int, record: Record, previous: int, width: int) -> Text:
-        look = look_of(record)
+        look, line = look_of(record), json_line(record)
         text = Text(no_wrap=True)
         text.append(f"{look.sign} ", look.style)
-        own, line = self._own(row, record, previous), json_line(record)
+        own = self._own(row, record, previous)
         for column, room in self._widths(width):
+            cell = own.get(column.name, column.text(column.value(line)) if line else "")
+            dim = column.name in own and column.name != BYTES.name
             if column is WHAT:
                 text.append_text(self._what(record, look, room))
-            elif column.name in own:
-                style = look.style if column.name == BYTES.name else "dim"
-                text.append(self._padded(own[column.name], room, column.right), style)
             else:
-                cell = column.text(column.value(line)) if line else ""
-                text.append(self._padded(cell, room, column.right), look.style)
+                text.append(_padded(cell, column, room), "dim" if dim else look.style)
             text.append(" ")
         text.right_crop()
         return text
@@ -294,10 +273,8 @@ class FrameList(ScrollView, can_focus=True):
             time = f"{(record.t - self.reference) / 1e9:.4f}"
         else:
             time = Times(self.time_style, self._start_wall).text(record.t)[_WHEN]
-        arrow, data = NEITHER, ""
-        if isinstance(record, HostRecord | DeviceRecord):
-            arrow = TO_DEVICE if isinstance(record, HostRecord) else TO_HOST
-            data = record.hex
+        arrow = {HostRecord: TO_DEVICE, DeviceRecord: TO_HOST}.get(type(record), NEITHER)
+        data = record.hex if isinstance(record, HostRecord | DeviceRecord) else ""
         delta = (record.t - previous) / 1e6
         cells = (str(row + 1), time, f"{delta:.{int(abs(delta) < 1e6)}f}", arrow, data)
         return dict(zip(OWN, cells, strict=False))
@@ -319,9 +296,11 @@ class FrameList(ScrollView, can_focus=True):
         text.pad_right(room - text.cell_len)
         return text
 
-    def _padded(self, text: str, room: int, right: bool) -> str:
-        cut = text if len(text) <= room else text[: max(0, room - 1)] + CUT
-        return cut.rjust(room) if right else cut.ljust(room)
+
+def _padded(text: str, column: Column, room: int) -> str:
+    """The text of a cell in so many columns."""
+    cut = text if len(text) <= room else text[: max(0, room - 1)] + CUT
+    return cut.rjust(room) if column.right else cut.ljust(room)
 
 
 def words_of(record: Record) -> tuple[str, str]:

@@ -84,6 +84,7 @@ BINDINGS = [
     Binding("ctrl+c,ctrl+q", "quit", show=False, priority=True),
     Binding("ctrl+z", "suspend_process", show=False, priority=True),
     Binding("escape", "go_back", show=False),
+    Binding("enter,right", "fields", show=False),
 ]
 """Keys that no pane takes for itself; the actions are those of the `Browser`."""
 

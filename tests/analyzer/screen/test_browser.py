@@ -192,7 +192,7 @@ def test_each_row_has_the_sign_and_the_colour_of_whose_fault_it_is(protocol: Pro
     screen = browser(protocol, decoded(protocol, [*talk, Line(90 * MS, "overrun", "host")]))
 
     async def steps(screen: Browser, pilot: Pilot[Any]) -> None:
-        rows = list(screen.frames._rows(0, screen.frames.count, 90))
+        _, *rows = screen.frames.lines(0, screen.frames.count, 90)
         assert "".join(row.plain[0] for row in rows) == "  !-!x x x~"
         styles = {look.sign: look.style for look in LOOKS}
         for row in rows:
