@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from itertools import chain
 from pathlib import Path
 
+from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import SKEW, Session
 from bilprov.analyzer.decode.stream import StreamDecoder
@@ -84,13 +84,12 @@ def decode(
     reported as cut short.
     """
     decoder = StreamDecoder(given_protocol(protocol), heard=frozenset({direction}))
-    events = [Chunk(0, direction, data[at : at + PIECE]) for at in range(0, len(data), PIECE)]
-    batches = chain.from_iterable(decoder.feed([event]) for event in events)
-    records: list[HostRecord | DeviceRecord] = []
-    for batch in chain(batches, decoder.finish()):
-        # One direction alone has neither line events nor missing answers.
-        records += batch.records()  # type: ignore[arg-type]
-    return records
+    batches: list[Batch] = []
+    for at in range(0, len(data), PIECE):
+        batches += decoder.feed([Chunk(0, direction, data[at : at + PIECE])])
+    batches += decoder.finish()
+    # One direction alone has neither line events nor missing answers.
+    return [record for batch in batches for record in batch.records()]  # type: ignore[misc]
 
 
 def read_capture(path: str | Path, protocol: Grammar | None = None) -> Iterator[Record]:

@@ -276,6 +276,7 @@ def test_an_unknown_name_of_the_library_is_an_attribute_error() -> None:
 def test_the_library_decodes_encodes_and_explains() -> None:
     (record,) = bilprov.decode(b"\x81\x05")
     assert record.value.fields == {"rgb": 5}
+    assert [one.words for one in bilprov.decode(b"\x00\x81")] == ["Stop", "LED, 0 of 1 data byte"]
     (answer,) = bilprov.decode(b"\x02", "device")
     assert answer.value.name == "BAD_DATA"
     assert bilprov.encode("LED", {"rgb": 5}) == b"\x81\x05"

@@ -20,6 +20,7 @@ from bilprov.analyzer.cli.options import (
     half_duplex_option,
     note,
     note_each,
+    output_option,
     text_format_option,
 )
 from bilprov.analyzer.cli.output_files import (
@@ -174,9 +175,7 @@ class JoinOptions(msgspec.Struct, frozen=True):
     paths: tuple[Path, ...] = argument(
         metavar="FILE.mcap...", nargs=-1, required=True, type=click.Path(path_type=Path)
     )
-    new: Path = option(
-        "-o",
-        "--output",
+    new: Path = output_option(
         metavar="OUT.mcap",
         required=True,
         type=click.Path(path_type=Path),

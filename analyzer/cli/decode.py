@@ -37,7 +37,7 @@ from bilprov.analyzer.cli.typed_input import (
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.output.console import show_as
-from bilprov.analyzer.output.outputs import Shown, stream_output
+from bilprov.analyzer.output.outputs import Shown, opened_output
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
@@ -96,7 +96,7 @@ def decode(options: DecodeOptions) -> None:
     else:
         protocol, start = protocol_in_use(), 0
     test = compiled(options.expression, protocol)
-    out = stream_output(options.style, protocol)
+    out = opened_output(options.style, protocol)
     if kind == "bytes":
         with refused():
             requests = requests_typed(protocol, options.request, sender)

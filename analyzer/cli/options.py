@@ -15,6 +15,7 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import asked_here, flag, group, option, refuse
+from bilprov.analyzer.cli.settings import PortName
 from bilprov.spec.errors import one_line
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ bytes judgement faulty faults reason t t_ns time state.motion (speed, steering, 
 
 
 # Options of several commands that are one field each.
+port_option = partial(option, metavar="PORT", type=PortName())
+output_option = partial(option, "-o", "--output")
 sender_option = partial(
     option,
     "--from",
@@ -217,8 +220,8 @@ class ShownOptions(msgspec.Struct, frozen=True):
         "Judge the device by the traffic; coverage and violations are shown at the end.", "--judge"
     )
 
-    def style(self, in_lines: str = "") -> Format:
-        """The format that was chosen; `in_lines` is an option that does not go with the screen.
+    def style(self, *, in_lines: bool = False) -> Format:
+        """The format that was chosen; not the screen where it is to be `in_lines`.
 
         Raises UsageError where a screen is asked for and cannot be.
         """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import chain
 from typing import TYPE_CHECKING
 
 import click
@@ -24,11 +23,11 @@ from bilprov.analyzer.cli.options import (
     note_each,
     note_suspension,
     only_reading_option,
+    port_option,
     require_reading,
     timeout_option,
 )
 from bilprov.analyzer.cli.reading import protocol_of, split
-from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import Anomaly, FaultRecord, HostRecord, Record, Severity
 from bilprov.analyzer.decode.session import BOTH
@@ -76,11 +75,8 @@ class ReplayOptions(msgspec.Struct, frozen=True):
         type=Finite(0, min_open=True),
         help="End after S seconds of the recording, counted from --start.",
     )
-    port: str | None = option(
-        "--to",
-        metavar="PORT",
-        type=PortName(),
-        help="Also send the host's bytes to a device there and compare its answers.",
+    port: str | None = port_option(
+        "--to", help="Also send the host's bytes to a device there and compare its answers."
     )
     half_duplex: bool = half_duplex_option()
     yes: bool = flag("With --to: the device may move, do not ask.")
@@ -88,11 +84,6 @@ class ReplayOptions(msgspec.Struct, frozen=True):
     max_drive: float = max_drive_option()
     line: SendingLineOptions = group(SendingLineOptions)
     truncation_timeout: float | None = timeout_option()
-
-    @property
-    def in_lines(self) -> str:
-        """The option that does not go with the screen, "" for none."""
-        return "--to" if self.port is not None else "--judge" if self.shown.judged else ""
 
 
 @command(ReplayOptions, only_with={"port": ("yes", "only_reading", "max_drive", *SENDING_LINE)})
@@ -133,12 +124,13 @@ class _Replay:
     def __init__(self, options: ReplayOptions) -> None:
         self.options = options
         self.window = options.span.window(options.duration)
-        self.style = options.shown.style(options.in_lines)
+        in_lines = options.port is not None or options.shown.judged
+        self.style = options.shown.style(in_lines=in_lines)
         timeout = options.truncation_timeout
         self.timeout = None if timeout is None else round(timeout * MS)
         # All of it is verified for what is compared or judged. For the screen the index is enough,
         # so that the first rows are there at once.
-        seeks = self.window.first is not None and not options.in_lines
+        seeks = self.window.first is not None and not in_lines
         opened = open_quickly if seeks or self.style == "live" else open_verified
         capture = opened(options.path)
         self.protocol = protocol_of(capture)
@@ -179,7 +171,10 @@ class _Replay:
             if self.options.rate or judge:
                 self.play(pipeline, stopper)
             else:
-                self.show(shown, stopper)
+                for batch in self.opened.decoded(window=self.window, largest=TEXT_BATCH):
+                    if stopper.stopped or shown.full:
+                        break
+                    shown.show(batch)
         if judge is None:
             return 0
         from bilprov.analyzer.output.findings import tell_findings
@@ -192,18 +187,22 @@ class _Replay:
             raise click.UsageError(f"{self.options.path} holds no bytes of the host to send")
         if self.options.only_reading:
             require_reading(self.protocol, self.frames())
-        if not self.options.yes:  # what it does is in the whole capture
-            words = effect_words(self.protocol, self.frames())
-            does = "move" if self.protocol.wheels else "do"
-            what = f"the device at {port} will {does} as recorded in {self.options.path}"
-            confirm_effect(self.protocol, what, words, yes=False)
+        words = "" if self.options.yes else effect_words(self.protocol, self.frames())
+        does = "move" if self.protocol.wheels else "do"
+        what = f"the device at {port} will {does} as recorded in {self.options.path}"
+        confirm_effect(self.protocol, what, words, yes=self.options.yes)
 
     def frames(self) -> Iterator[bytes]:
         """The frames that the host sent in the window, those that are cut short among them."""
         decoder = capture_decoder(self.capture, self.protocol, self.timeout)
-        inside = ([event] for event in self.capture.events() if self.window.has(event.t))
-        parts = chain.from_iterable(map(decoder.feed, inside))
-        for record in _records(chain(parts, decoder.finish())):
+
+        def batches() -> Iterator[Batch]:
+            for event in self.capture.events():
+                if self.window.has(event.t):
+                    yield from decoder.feed([event])
+            yield from decoder.finish()
+
+        for record in _records(batches()):
             if isinstance(record, HostRecord) and record.judgement:
                 yield record.data
 
@@ -230,13 +229,6 @@ class _Replay:
             finally:
                 feed.stop()
             feed.join()
-
-    def show(self, shown: Shown, stopper: Stopper) -> None:
-        """Show what is decoded of the window, as fast as it goes."""
-        for batch in self.opened.decoded(window=self.window, largest=TEXT_BATCH):
-            if stopper.stopped or shown.full:
-                return
-            shown.show(batch)
 
     def play(self, pipeline: Pipeline, stopper: Stopper) -> None:
         """Show the events at their times, and judge the device by them where there is a judge."""
@@ -325,13 +317,13 @@ class _Replay:
         for difference in found:
             about = difference.instruction
             frame = None if about is None else sent[about].frame
-            t = frame.t if frame else 0
-            fault = Anomaly(t, "difference", Severity.ERROR, difference.reason, about)
+            t, error = frame.t if frame else 0, Severity.ERROR
+            fault = Anomaly(t, "difference", error, difference.reason, about)
             pipeline.shown.output.show(Records([FaultRecord(fault, self.protocol.power_on)]))
         count = quantity(len(sent), "instruction")
         note(f"{count} sent, {quantity(len(found), 'difference')}")
         return 1 if found else 0
 
 
-def _records(parts: Iterable[Batch]) -> Iterator[Record]:
-    return (record for part in parts for record in part.records())
+def _records(batches: Iterable[Batch]) -> Iterator[Record]:
+    return (record for batch in batches for record in batch.records())

@@ -25,6 +25,7 @@ from bilprov.analyzer.cli.options import (
     note_each,
     note_hindrances,
     only_for_ports,
+    port_option,
     refused,
     timeout_option,
 )
@@ -72,15 +73,11 @@ class SniffOptions(msgspec.Struct, frozen=True):
 
     host: str | None = argument(required=False, type=PortName())
     device: str | None = argument(required=False, type=PortName())
-    bridge: str | None = option(
-        metavar="PORT",
-        type=PortName(),
-        help="Sit between host and device, at a pty whose name is printed.",
+    bridge: str | None = port_option(
+        help="Sit between host and device, at a pty whose name is printed."
     )
-    half_duplex: str | None = option(
-        metavar="PORT",
-        type=PortName(),
-        help="Listen to one wire that has both directions, as RS-485 and servo buses.",
+    half_duplex: str | None = port_option(
+        help="Listen to one wire that has both directions, as RS-485 and servo buses."
     )
     path: str | None = option(
         "-w", "--write", metavar="FILE.mcap", help="Log into a new capture file."

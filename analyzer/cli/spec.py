@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import argument, command, group, option, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, group, protocol_in_use
 from bilprov.analyzer.cli.options import (
     half_duplex_option,
     note,
     note_each,
     only_for_bytes,
+    output_option,
     sender_option,
     text_format_option,
 )
 from bilprov.analyzer.cli.output_files import (
-    STANDARD_OUTPUT,
     force_option,
     require_writable,
     write_output,
@@ -54,12 +54,8 @@ class ReadingsOptions(msgspec.Struct, frozen=True):
 class EmitOption(msgspec.Struct, frozen=True):
     """Where the grammar is written."""
 
-    output: str = option(
-        "-o",
-        "--output",
-        metavar="FILE",
-        default=STANDARD_OUTPUT,
-        help="The file to write; standard output if left out.",
+    output: str = output_option(
+        metavar="FILE", default="-", help="The file to write; standard output if left out."
     )
 
     def write(self, text: str) -> None:

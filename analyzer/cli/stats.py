@@ -17,6 +17,7 @@ from bilprov.analyzer.cli.options import (
     compiled,
     filter_option,
     half_duplex_option,
+    output_option,
 )
 from bilprov.analyzer.cli.output_files import (
     STANDARD_OUTPUT,
@@ -166,11 +167,8 @@ class ExportOptions(msgspec.Struct, frozen=True):
         type=click.Choice(list(FORMATS)),
         help=f"What is written: {', '.join(FORMATS)}. Without it the ending of OUT's name decides.",
     )
-    output: str = option(
-        *("-o", "--output"),
-        metavar="OUT",
-        required=True,
-        help="The file to write; - is standard output.",
+    output: str = output_option(
+        metavar="OUT", required=True, help="The file to write; - is standard output."
     )
     expression: str | None = filter_option()
     span: WindowOptions = group(WindowOptions)

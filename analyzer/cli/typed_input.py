@@ -5,6 +5,7 @@ Recorded bytes are JSON lines like `{"t": 0.5, "dir": "host", "hex": "5556"}`, o
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 PAUSE = "pause="
 SEPARATOR = ";"
 """Stands between instructions on a typed line; elsewhere it may only separate bytes."""
-_NOTHING = "no values"
 _LONGEST_PAUSE = 60_000  # ms
 
 
@@ -56,14 +56,20 @@ def bytes_or_pause(protocol: Protocol, item: str, others: Iterable[str] = ()) ->
             )
         return pause / 1000
     name, *words = item.split() or [""]
-    names = [spec.name for spec in protocol.instructions]
-    if name.lower() in map(str.lower, names):
+    specs = _by_name(protocol)
+    if name.lower() in specs:
         return encoded(protocol, name, words)
     try:
         return bytes_from_hex(item)
     except ValueError as error:
-        guess = meant(name, [*names, *others])
-        raise ValueError(f"{error}, or an instruction{guess or ': ' + ', '.join(names)}") from error
+        names = [spec.name for spec in specs.values()]
+        guess = meant(name, [*names, *others]) or f": {', '.join(names)}"
+        raise ValueError(f"{error}, or an instruction{guess}") from error
+
+
+def _by_name(protocol: Protocol) -> dict[str, InstructionSpec]:
+    """The instructions by their names in lower case."""
+    return {spec.name.lower(): spec for spec in protocol.instructions}
 
 
 def requests_typed(protocol: Protocol, text: str | None, sender: str) -> tuple[Judgement, ...]:
@@ -78,7 +84,7 @@ def requests_typed(protocol: Protocol, text: str | None, sender: str) -> tuple[J
     from bilprov.spec.explain import requests_of
 
     name, *words = text.split() or [""]
-    named = name.lower() in (spec.name.lower() for spec in protocol.instructions)
+    named = name.lower() in _by_name(protocol)
     asked = encoded(protocol, name, words) if named else bytes_from_hex(text)
     return requests_of(protocol, asked)
 
@@ -90,9 +96,10 @@ def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:
     address of the frame. Numbers are decimal, 0x hex or 0b binary, several have commas between
     them; bytes are hex. Raises ValueError, in one sentence, for anything that is not allowed.
     """
-    spec = next((s for s in protocol.instructions if s.name.lower() == name.lower()), None)
+    specs = _by_name(protocol)
+    spec = specs.get(name.lower())
     if spec is None:
-        names = [s.name for s in protocol.instructions]
+        names = [spec.name for spec in specs.values()]
         raise ValueError(
             f"there is no instruction {name!r}{meant(name, names)}; there are {', '.join(names)}"
         )
@@ -101,23 +108,21 @@ def encoded(protocol: Protocol, name: str, words: Sequence[str]) -> bytes:
 
 def _values(protocol: Protocol, spec: InstructionSpec, words: Sequence[str]) -> dict[str, Any]:
     """The values of the fields and of the other parts of a frame, each as it was typed."""
-    fields = [part for part in spec.fields if part.constant is None]
+    fields = {part.name.lower(): part for part in spec.fields if part.constant is None}
     parts = {part.name.lower(): part for part in free_parts(protocol)}
-    takes = _takes(protocol, spec) or _NOTHING
+    besides = [f"{part.name}={part.low}..{part.high}" for part in parts.values()]
+    takes = " ".join(filter(None, [fields_in_words(spec), *besides])) or "no values"
     bare = [word for word in words if "=" not in word]
     if len(bare) > len(fields):
         raise ValueError(f"{spec.name} takes {takes}; got {' '.join(words)}")
+    pairs = list(zip(fields, bare, strict=False))
+    pairs += [(name, word) for name, equals, word in (w.partition("=") for w in words) if equals]
     values: dict[str, Any] = {}
-    for name, word in [
-        *((part.name, word) for part, word in zip(fields, bare, strict=False)),
-        *((word.split("=", 1)[0], word.split("=", 1)[1]) for word in words if "=" in word),
-    ]:
-        part = next((p for p in fields if p.name.lower() == name.lower()), None)
-        part = part or protocol.named_registers.get(name)
-        other = parts.get(name.lower())
-        owner = part or other
+    for name, word in pairs:
+        field = fields.get(name.lower()) or protocol.named_registers.get(name)
+        owner = field or parts.get(name.lower())
         if owner is None:
-            known = [*(p.name for p in fields), *(p.name for p in parts.values())]
+            known = [*(p.name for p in fields.values()), *(p.name for p in parts.values())]
             raise ValueError(
                 f"{spec.name} has no field {name!r}{meant(name, known)}; it takes {takes}"
             )
@@ -126,8 +131,10 @@ def _values(protocol: Protocol, spec: InstructionSpec, words: Sequence[str]) -> 
             raise ValueError(f"{where} is given twice")
         if word in protocol.named_registers:
             values[owner.name] = word
-            continue
-        values[owner.name] = _value(where, part, word) if part else _number(where, word, owner)
+        else:
+            values[owner.name] = (
+                _value(where, field, word) if field else _number(where, word, owner)
+            )
     return values
 
 
@@ -158,12 +165,6 @@ def _number(name: str, word: str, part: FieldSpec | Part) -> int:
     raise ValueError(f"{name} is {word!r}, which is not a number; allowed are {allowed}")
 
 
-def _takes(protocol: Protocol, spec: InstructionSpec) -> str:
-    """What an instruction takes, in words: its fields, then the parts of a frame besides."""
-    parts = [f"{part.name}={part.low}..{part.high}" for part in free_parts(protocol)]
-    return " ".join([*filter(None, [fields_in_words(spec)]), *parts])
-
-
 def fields_in_words(spec: InstructionSpec) -> str:
     """The fields of an instruction with what they allow, like `rgb=0..7` and `values=HEX`."""
     return " ".join(
@@ -183,20 +184,15 @@ def file_or_bytes(words: Sequence[str]) -> Path | bytes:
     Raises ClickException, in one sentence, for neither.
     """
     path = Path(words[0])
-    if len(words) == 1 and (kept_parts(path) or _is_file(path)):
+    # Those of Path raise where it is too long for a name; then it may be hex.
+    is_file = os.path.exists(path) and not os.path.isdir(path)  # noqa: PTH110, PTH112
+    if len(words) == 1 and (is_file or kept_parts(path)):
         return path
     try:
         return bytes_from_hex(" ".join(words))
     except ValueError as error:
         files = "there is no such file, and " if len(words) == 1 else ""
         raise click.ClickException(f"{files}{error}") from None
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.exists() and not path.is_dir()
-    except (OSError, ValueError):  # too long for a name, or with a zero byte: no file, maybe hex
-        return False
 
 
 _BETWEEN = re.compile(r"[\s,:;-]+")
@@ -240,14 +236,6 @@ class RecordedBytes(msgspec.Struct):
     hex: str
     dir: Direction | None = None
     direction: Direction | None = None
-
-    @property
-    def sender(self) -> Direction:
-        """Who sent the bytes. Raises ValueError where the line does not tell it."""
-        found = self.dir or self.direction
-        if found is None:
-            raise ValueError("dir is missing, allowed are host and device")
-        return found
 
 
 def are_json_lines(path: Path) -> bool:
@@ -304,8 +292,10 @@ def decoded_chunks(
 def _chunk(path: Path, number: int, line: str) -> Chunk:
     try:
         row = from_json(line.encode(), RecordedBytes)
-        data = bytes.fromhex(row.hex)
-        return Chunk(round(row.t * 1e9), row.sender if data else "host", data)
+        data, sender = bytes.fromhex(row.hex), row.dir or row.direction
+        if data and sender is None:
+            raise ValueError("dir is missing, allowed are host and device")
+        return Chunk(round(row.t * 1e9), sender or "host", data)
     except (ValueError, OverflowError) as error:
         raise click.ClickException(
             f"line {number} of {printable(str(path))} cannot be read: {error}; write "

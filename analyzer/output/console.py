@@ -25,18 +25,12 @@ def show(*parts: RenderableType) -> None:
     from rich.console import Console
 
     console = Console(highlight=False, markup=False, emoji=False)
-    if console.is_terminal:
+    if not console.is_terminal:
+        console.width = _PIPE_WIDTH
+    with console.capture() as captured:
         for part in parts:
             console.print(part)
-        return
-    plain = Console(
-        highlight=False, markup=False, emoji=False, color_system=None, width=_PIPE_WIDTH
-    )
-    with plain.capture() as captured:
-        for part in parts:
-            plain.print(part)
-    lines = captured.get().split("\n")
-    sys.stdout.write("\n".join(line.rstrip() for line in lines))
+    sys.stdout.write("\n".join(line.rstrip() for line in captured.get().split("\n")))
 
 
 NARROW = "bilprov-narrow"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from bilprov.analyzer.output.console import facts, heading
+from bilprov.analyzer.output.console import facts, heading, parts_of
 from bilprov.analyzer.output.protocol import reading_json
 from bilprov.spec.codec import spaced
 from bilprov.spec.data import plain_values
@@ -19,6 +19,7 @@ from bilprov.spec.explain import BitGroup, Explanation, FrameExplanation, Respon
 
 _COLOURS = ("cyan", "magenta", "green", "yellow", "blue")
 _FAULT = "bold red"
+_READING = ("id", "clause", "point", "default")
 
 
 def drawn(explanation: Explanation) -> Iterator[RenderableType]:
@@ -46,10 +47,10 @@ def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
     yield "why", judgement.reason
     yield "clause", judgement.clause
     yield frame.device, frame.action
-    sets = ", ".join(f"{name} becomes {value}" for name, value in frame.changes)
+    state = [f"{name} becomes {value}" for name, value in frame.changes]
     stay = "stays as it was" if len(frame.keeps) == 1 else "stay as they were"
-    kept = f"{', '.join(frame.keeps)} {stay}" if frame.keeps else ""
-    yield "state", "; ".join(part for part in (sets, kept) if part)
+    kept = [f"{', '.join(frame.keeps)} {stay}"] if frame.keeps else []
+    yield "state", "; ".join(filter(None, (", ".join(state), *kept)))
     for reading in frame.readings:
         told = [
             f"{reading.id}, {reading.clause}: {reading.point}",
@@ -128,19 +129,16 @@ def _frame_json(frame: FrameExplanation) -> dict[str, Any]:
         "code": judgement.response.code,
         "reason": judgement.reason,
         "clause": judgement.clause,
-        "bits": _groups_json(frame.groups),
+        "bits": [parts_of(group, *group.__slots__) for group in frame.groups],
         "answer": frame.answer,
         "action": frame.action,
         "stops": frame.stops,
         "changes": dict(frame.changes),
         "keeps": list(frame.keeps),
         "readings": [
-            reading_json(reading, "id", "clause", "point", "default") for reading in frame.readings
+            reading_json(one, "id", "clause", "point", "default") for one in frame.readings
         ],
-        "errata": [
-            {"id": erratum.id, "clause": erratum.clause, "correction": erratum.correction}
-            for erratum in frame.errata
-        ],
+        "errata": [parts_of(erratum, "id", "clause", "correction") for erratum in frame.errata],
         "nearest": meant
         and {
             "hex": spaced(meant.frame),
@@ -160,9 +158,5 @@ def _response_json(response: ResponseExplanation) -> dict[str, Any]:
         "document": known.document if known else None,
         "meaning": response.meaning,
         "clause": response.clause,
-        "bits": _groups_json(response.groups),
+        "bits": [parts_of(group, *group.__slots__) for group in response.groups],
     }
-
-
-def _groups_json(groups: Iterable[BitGroup]) -> list[dict[str, Any]]:
-    return [{name: getattr(group, name) for name in group.__slots__} for group in groups]

@@ -78,48 +78,35 @@ def write_out(text: str) -> None:
     sys.stdout.flush()
 
 
-def stream_output(
-    style: Literal["lines", "jsonl"],
-    protocol: spec.Protocol,
-    write: Callable[[str], object] = write_out,
-    time: Callable[[int], str] | None = None,
-) -> StreamOutput:
-    """The output to standard output as lines of text or as JSON lines.
-
-    Lines of text have colours on a terminal only, unless NO_COLOR is set; `time` writes their
-    times (ns since the start), if it is not in seconds.
-    """
-    if style == "jsonl":
-        return StreamOutput(write, json_text)
-    colour, width = _wants_colour(sys.stdout), hex_width(protocol)
-    return StreamOutput(write, LineRenderer(colour=colour, time=time, width=width).text)
-
-
 def opened_output(
     style: Literal["lines", "jsonl", "csv"],
     protocol: spec.Protocol,
-    rows: RowStyle,
-    start_wall: int,
+    rows: RowStyle | None = None,
+    start_wall: int = 0,
     write: Callable[[str], object] = write_out,
 ) -> StreamOutput:
     """The output of the format `style` to standard output.
 
-    `start_wall` is the wall clock (ns since 1970) at the recording's start.
+    Lines of text have colours on a terminal only, unless NO_COLOR is set. `rows` is what was asked
+    for of each; `start_wall` is the wall clock (ns since 1970) at the recording's start.
     """
-    times = rows.times(start_wall)
-    if style == "csv":
-        from bilprov.analyzer.output.row_columns import CsvText, usual_columns
+    if style == "jsonl":
+        return StreamOutput(write, json_text)
+    colour, time = _wants_colour(sys.stdout), None
+    if rows is not None:
+        from bilprov.analyzer.output.row_columns import ColumnLines, CsvText, usual_columns
 
-        columns = rows.columns or usual_columns(protocol, time=rows.time is not None)
-        form = CsvText(columns, times)
-        write(form.header)
-        return StreamOutput(write, form.text)
-    if style == "lines" and rows.columns:
-        from bilprov.analyzer.output.row_columns import ColumnLines
-
-        colour = _wants_colour(sys.stdout)
-        return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour).text)
-    return stream_output(style, protocol, write, times.padded if rows.time else None)
+        times = rows.times(start_wall)
+        if style == "csv":
+            usual = usual_columns(protocol, time=rows.time is not None)
+            form = CsvText(rows.columns or usual, times)
+            write(form.header)
+            return StreamOutput(write, form.text)
+        if rows.columns:
+            return StreamOutput(write, ColumnLines(rows.columns, times, colour=colour).text)
+        time = times.padded if rows.time else None
+    width = hex_width(protocol)
+    return StreamOutput(write, LineRenderer(colour=colour, time=time, width=width).text)
 
 
 def has_terminal() -> bool:

@@ -25,7 +25,7 @@ from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.export.rows import NoPyarrow, write_parquet, write_text
 from bilprov.analyzer.filters.filter import compile_filter
-from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window, json_text, stream_output
+from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window, json_text, opened_output
 from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.capture_decoding import (
@@ -70,7 +70,7 @@ def sniffed(capture: Capture, protocol: Protocol) -> str:
 def replayed(capture: Capture, protocol: Protocol) -> list[tuple[str, str, str]]:
     """Time, arrow, and what begins with the bytes, of the text lines of `replay` for frames."""
     text: list[str] = []
-    output = stream_output("lines", protocol, text.append)
+    output = opened_output("lines", protocol, write=text.append)
     for part in opened_whole(capture, protocol).decoded():
         output.show(part)
     lines = re.findall(r"^ *(-?[\d.]+) ([→←]|->|<-) (.*)$", "".join(text), re.M)

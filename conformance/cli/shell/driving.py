@@ -17,7 +17,7 @@ from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR, bytes_or_pause, f
 from bilprov.analyzer.client.probes import Probe
 from bilprov.analyzer.decode.records import DeviceRecord, Record
 from bilprov.analyzer.output.console import facts, heading, show
-from bilprov.analyzer.output.outputs import stream_output, write_out
+from bilprov.analyzer.output.outputs import opened_output, write_out
 from bilprov.analyzer.replay.comparison import FLOOD, FLOOD_WORDS, AnswerCheck
 from bilprov.analyzer.replay.target import Target
 from bilprov.analyzer.transport.port import Port
@@ -127,7 +127,7 @@ class Driving(Closing):
             "exit": (self._quit, "does the same"),
         }
         self._stopper = stopper
-        self._output = stream_output(options.style, protocol)
+        self._output = opened_output(options.style, protocol)
         self._probe = probe
         self._unasked = 0  # bytes that answer no instruction, since the line began
         self._abandoned = False  # the rest of the line

@@ -16,7 +16,7 @@ from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
 from bilprov.analyzer.decode.records import HostRecord, Record
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.output.outputs import stream_output, write_out
+from bilprov.analyzer.output.outputs import opened_output, write_out
 from bilprov.analyzer.replay.comparison import (
     FLOOD_WORDS,
     UNANSWERED_STOPS,
@@ -68,7 +68,7 @@ def send_items(
                 f"--expect names {len(expected)} and {planned} should be answered: name one for "
                 f"each instruction, {_NO_ANSWER} where no answer should come"
             )
-    output, run, check = stream_output(style, protocol), Exchanges(), AnswerCheck()
+    output, run, check = opened_output(style, protocol), Exchanges(), AnswerCheck()
     opened = _opened(port, settings, wait=wait)
     if opened is None:
         note("stopped before the port appeared: nothing was sent")
