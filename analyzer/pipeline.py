@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import add
 from typing import TYPE_CHECKING
 
+from bilprov.analyzer.decode.batch import Counts
 from bilprov.analyzer.decode.checkpoint import encoded_or_none
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
@@ -14,7 +16,6 @@ if TYPE_CHECKING:
     from bilprov.analyzer.decode.batch import Batch
     from bilprov.analyzer.monitor.passive_judge import PassiveJudge
     from bilprov.analyzer.output.outputs import Shown
-    from bilprov.analyzer.output.statistics import Statistics
     from bilprov.analyzer.replay.recorder import Recorder
 
 BATCH = 100_000_000  # ns; the screen is not drawn more often than that
@@ -23,21 +24,21 @@ MOST_BYTES = 1 << 14  # that wait to be decoded: so many take a millisecond, and
 
 @dataclass(slots=True)
 class Pipeline:
-    """Connects a decoder to its recorder, statistics, output (in `shown`) and passive judge.
+    """Connects a decoder to its recorder, output (in `shown`) and passive judge.
 
     The raw bytes are written to the capture at once. Decoding may wait for `patience` (ns), up to
     16 KiB: much is decoded faster at once than in pieces. On a line that is `busy` it waits for
     0.1 s at least. The judge gets the records in the window of `shown`, whether they pass its
-    filter or not.
+    filter or not. `counts` are of all that was decoded.
     """
 
     decoder: StreamDecoder
-    statistics: Statistics
     shown: Shown
     recorder: Recorder | None = None
     judge: PassiveJudge | None = None
     patience: int = 0
     busy: bool = False
+    counts: Counts = Counts(0, 0, 0)
     _pending: list[Chunk | Line] = field(default_factory=list)
     _bytes: int = 0
 
@@ -102,7 +103,6 @@ class Pipeline:
         events, self._pending, self._bytes = self._pending, [], 0
         if not events:
             return []
-        self.statistics.events(events)
         return self._handled(self.decoder.feed(events), events[-1].t)
 
     def _save(self, now: int) -> None:
@@ -119,5 +119,5 @@ class Pipeline:
                     if self.shown.window.has(record.t):
                         self.judge.record(record)
             self.shown.show(batch)
-            self.statistics.batch(batch, now)
+            self.counts = Counts(*map(add, self.counts, batch.counts))
         return batches

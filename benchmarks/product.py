@@ -17,7 +17,6 @@ from benchmarks.commands import bilprov_words
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Output, Shown
-from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
 from bilprov.analyzer.transport.line_settings import line_settings, timeout_in_ns
@@ -82,10 +81,9 @@ def decoded_records(path: Path) -> tuple[float, bytes]:
 def sniffing(path: Path, protocol: Protocol) -> Iterator[Callable[[Chunk], object]]:
     """What `sniff -w` does with each chunk that was read; nothing is shown."""
     decoder = StreamDecoder(protocol, skew=0)
-    statistics = Statistics()
     with Recorder(path, time.time_ns(), metadata(protocol)) as recorder:
         shown = Shown(Output())
-        pipeline = Pipeline(decoder, statistics, shown, recorder, patience=BATCH)
+        pipeline = Pipeline(decoder, shown, recorder, patience=BATCH)
         pipeline.events([Line(0, "open")])
 
         def take(chunk: Chunk) -> None:

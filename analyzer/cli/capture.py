@@ -12,6 +12,17 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
+from bilprov.analyzer.cli.command_files import (
+    STANDARD_OUTPUT,
+    force_option,
+    json_object,
+    json_option,
+    opened_captures,
+    protocol_of,
+    reading,
+    require_writable,
+    write_output,
+)
 from bilprov.analyzer.cli.options import (
     Finite,
     WindowOptions,
@@ -23,15 +34,6 @@ from bilprov.analyzer.cli.options import (
     output_option,
     text_format_option,
 )
-from bilprov.analyzer.cli.output_files import (
-    STANDARD_OUTPUT,
-    force_option,
-    json_object,
-    json_option,
-    require_writable,
-    write_output,
-)
-from bilprov.analyzer.cli.reading import opened_captures, protocol_of, reading
 from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:

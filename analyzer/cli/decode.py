@@ -14,6 +14,7 @@ import msgspec
 from msgspec.structs import replace
 
 from bilprov.analyzer.cli.command import argument, command, flag, option, protocol_in_use
+from bilprov.analyzer.cli.command_files import opened_captures
 from bilprov.analyzer.cli.options import (
     compiled,
     filter_option,
@@ -24,7 +25,6 @@ from bilprov.analyzer.cli.options import (
     sender_option,
     text_format_option,
 )
-from bilprov.analyzer.cli.reading import opened_captures
 from bilprov.analyzer.cli.typed_input import (
     are_json_lines,
     bytes_from_hex,

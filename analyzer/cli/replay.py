@@ -9,6 +9,7 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, flag, group, option
+from bilprov.analyzer.cli.command_files import protocol_of, split
 from bilprov.analyzer.cli.options import (
     SENDING_LINE,
     Finite,
@@ -27,12 +28,10 @@ from bilprov.analyzer.cli.options import (
     require_reading,
     timeout_option,
 )
-from bilprov.analyzer.cli.reading import protocol_of, split
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import Anomaly, FaultRecord, HostRecord, Record, Severity
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.outputs import Shown, opened_output
-from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import (
     TEXT_BATCH,
@@ -165,7 +164,7 @@ class _Replay:
         with Stopper() as stopper:
             output = opened_output(self.style, self.protocol, self.rows, self.capture.start)
             shown = Shown(output, self.test, self.options.shown.count, self.window)
-            pipeline = Pipeline(self.opened.decoder, Statistics(), shown, judge=judge)
+            pipeline = Pipeline(self.opened.decoder, shown, judge=judge)
             if self.options.port is not None:
                 return self.send_again(self.options.port, pipeline, stopper)
             if self.options.rate or judge:

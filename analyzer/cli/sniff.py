@@ -37,7 +37,6 @@ from bilprov.analyzer.grammar_file import not_carried
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.findings import tell_findings
 from bilprov.analyzer.output.outputs import Output, Shown, TextQueue, opened_output
-from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.recorder import (
     Recorder,
@@ -166,18 +165,17 @@ def sniff(options: SniffOptions) -> int:
                 note(str(error))
         if recorder:
             stack.enter_context(recorder)
-        statistics = Statistics()
         judge = None
         if options.shown.judged:
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
             note(source.served)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
-        decoder = StreamDecoder(protocol, **decoding)
+        chosen = Shown(Output(), test, options.shown.count)
+        pipeline = Pipeline(StreamDecoder(protocol, **decoding), chosen, recorder, judge, BATCH)
 
-        def listened(shown: Shown, patience: int, tell: Callable[[str], object]) -> str:
+        def listened(tell: Callable[[str], object]) -> str:
             """Listen to the end, and finish the capture; `tell` is told at once what is lost."""
-            pipeline = Pipeline(decoder, statistics, shown, recorder, judge, patience)
             pipeline.events([Line(0, "open", "", title)])
             lost = _listen(source, pipeline, stopper, options.duration, tell, wait=wait)
             pipeline.events(source.rest())
@@ -188,7 +186,7 @@ def sniff(options: SniffOptions) -> int:
             return lost
 
         if quiet:
-            lost = listened(Shown(Output(), test, options.shown.count), BATCH, say)
+            lost = listened(say)
         elif style == "live":
             from bilprov.analyzer.screen.browser import Told
             from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
@@ -196,14 +194,14 @@ def sniff(options: SniffOptions) -> int:
             from bilprov.analyzer.screen.terminal import shown
 
             def watched(feed: Feed[str]) -> str:
-                output = ScreenOutput(feed, statistics, recorder)
-                tell = partial(setattr, feed, "notice")
-                feed.said = listened(AllShown(output, test, options.shown.count), BATCH, tell)
+                feed.said = listened(partial(setattr, feed, "notice"))
                 feed.stays = source.ended and not wait
                 return feed.said
 
             feed = Feed(Recording(protocol), watched, stopper.stop, live=True)
             feed.keeps = isinstance(recorder, Spool)
+            output = ScreenOutput(feed, recorder)
+            pipeline.shown = AllShown(output, test, options.shown.count)
             expression = options.shown.expression or ""
             told = Told(title, source.start_wall, settings, rows, expression, test)
             try:
@@ -216,18 +214,16 @@ def sniff(options: SniffOptions) -> int:
                 kept = said_of_parts(recorder.keep(Path(name)))
         else:
             queue = stack.enter_context(TextQueue(sys.stdout))
-            output = opened_output(style, protocol, rows, source.start_wall, queue.write)
-            lost = listened(Shown(output, test, options.shown.count), 0, say)
+            chosen.output = opened_output(style, protocol, rows, source.start_wall, queue.write)
+            pipeline.patience = 0
+            lost = listened(say)
     failure = recorder.failure if path and recorder else ""
     if path and recorder and not failure:
         kept = said_of_parts(recorder.paths)
     if path or quiet or style == "live":
-        counts = (
-            quantity(statistics.instructions, "instruction"),
-            quantity(statistics.responses, "answer"),
-            quantity(statistics.faults, "fault"),
-        )
-        note(", ".join(counts) + (f" in {kept}" if kept else ""))
+        counts = zip(pipeline.counts, ("instruction", "answer", "fault"), strict=True)
+        words = ", ".join(quantity(count, noun) for count, noun in counts)
+        note(words + (f" in {kept}" if kept else ""))
     code = tell_findings(judge.finish(), style) if judge else 0
     if lost and kept:
         raise LinkError(f"{lost}; what was captured is kept in {kept}")

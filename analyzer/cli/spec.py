@@ -10,6 +10,11 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, protocol_in_use
+from bilprov.analyzer.cli.command_files import (
+    force_option,
+    require_writable,
+    write_output,
+)
 from bilprov.analyzer.cli.options import (
     half_duplex_option,
     note,
@@ -18,11 +23,6 @@ from bilprov.analyzer.cli.options import (
     output_option,
     sender_option,
     text_format_option,
-)
-from bilprov.analyzer.cli.output_files import (
-    force_option,
-    require_writable,
-    write_output,
 )
 from bilprov.analyzer.cli.typed_input import decoded_chunks, file_or_bytes, recorded_chunks
 from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share

@@ -11,6 +11,19 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, group, option, refuse
+from bilprov.analyzer.cli.command_files import (
+    STANDARD_OUTPUT,
+    force_option,
+    json_object,
+    json_option,
+    note_captures,
+    opened_captures,
+    opened_file,
+    opened_fronts,
+    reading,
+    require_writable,
+    write_output,
+)
 from bilprov.analyzer.cli.options import (
     RowOptions,
     WindowOptions,
@@ -19,16 +32,6 @@ from bilprov.analyzer.cli.options import (
     half_duplex_option,
     output_option,
 )
-from bilprov.analyzer.cli.output_files import (
-    STANDARD_OUTPUT,
-    force_option,
-    json_object,
-    json_option,
-    opened_file,
-    require_writable,
-    write_output,
-)
-from bilprov.analyzer.cli.reading import note_captures, opened_captures, opened_fronts, reading
 
 if TYPE_CHECKING:
     from bilprov.analyzer.totals.totals import Totals

@@ -161,22 +161,13 @@ class FieldTree(Tree[Detail]):
         """A line, which keeps its colours while another pane has the focus."""
         return super().render_label(node, base_style, style if self.has_focus else Style())
 
-    def refresh(
-        self,
-        *regions: Region,
-        repaint: bool = True,
-        layout: bool = False,
-        recompose: bool = False,
-    ) -> Self:
-        """Draw it anew, without a new layout of the whole screen: other lines change no size."""
-        return super().refresh(*regions, repaint=repaint, recompose=recompose)
+    def refresh(self, *regions: Region, **options: bool) -> Self:
+        """Draw it again, without a new layout of the whole screen: other lines change no size."""
+        return super().refresh(*regions, **options | {"layout": False})
 
     def watch_virtual_size(self, before: Size, after: Size) -> None:
-        """Have a new layout where a scroll bar comes or goes."""
-        if (before.height > self.size.height) != (after.height > self.size.height):
-            super().refresh(layout=True)
-        elif self.show_vertical_scrollbar:
-            self.vertical_scrollbar.window_virtual_size = after.height
+        """Draw the scroll bar again; a new layout is only where it comes or goes."""
+        self._scroll_update(after)
 
     def on_resize(self) -> None:
         """Wrap long lines anew."""

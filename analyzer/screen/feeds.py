@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import Output, Shown, Window
-from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.replay.capture_decoding import (
     WHOLE,
     Opened,
@@ -37,7 +36,16 @@ _STILL = 60  # s since a capture was last written to, after which nobody is take
 _LAG = 2_000_000_000  # ns after which a writer has written what came
 
 
+_RATED = 21  # moments at which is counted what the rates of the last two seconds are made from
+
 Result = TypeVar("Result")
+
+
+class Rates(NamedTuple):
+    """Frames per second, and bytes per second of host and device."""
+
+    frames: float
+    bytes: Sequence[float]
 
 
 @dataclass(eq=False)
@@ -164,10 +172,10 @@ class ScreenOutput(Output):
     """
 
     feed: Feed[Any]
-    statistics: Statistics | None = None
     recorder: Recorder | None = None
     most: int = MOST_MEMORY
     _next: float = 0.0
+    _counted: deque[tuple[int, ...]] = field(default_factory=lambda: deque([(0, 0, 0, 0)], _RATED))
 
     def show(self, batch: Batch) -> None:
         """Add a batch."""
@@ -179,7 +187,14 @@ class ScreenOutput(Output):
             return
         self._next = time.monotonic() + DRAW_EVERY
         feed = self.feed
-        feed.rates = self.statistics.rates(now) if self.statistics else None
+        totals = feed.recording.totals
+        self._counted.append((now, totals.frames, totals.host_bytes, totals.device_bytes))
+        steps = (
+            last - first for first, last in zip(self._counted[0], self._counted[-1], strict=True)
+        )
+        span, frames, *sides = steps
+        rates = [count * 1e9 / max(span, 1) for count in (frames, *sides)]
+        feed.rates = Rates(rates[0], rates[1:])
         gone, recorder = feed.recording.first, self.recorder
         if isinstance(recorder, Spool):
             feed.keeps = not recorder.failure

@@ -6,9 +6,8 @@ from typing import Any
 
 from rich.text import Text
 
-from bilprov.analyzer.output.statistics import Rates
 from bilprov.analyzer.output.stats_tables import FEWEST, spark
-from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.feeds import Feed, Rates
 from bilprov.analyzer.screen.frame_list import FrameList
 from bilprov.analyzer.screen.keys import BINDINGS, DEVICE_FAULT, HOST_FAULT, LINE_FAULT, RECORDS
 from bilprov.analyzer.totals.totals import Totals

@@ -9,8 +9,8 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import command, family_protocol, group, option
+from bilprov.analyzer.cli.command_files import STANDARD_OUTPUT, require_writable
 from bilprov.analyzer.cli.options import note_each
-from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT, require_writable
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.options import seed_option

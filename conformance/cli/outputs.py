@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from bilprov.analyzer.cli import output_files
+from bilprov.analyzer.cli import command_files
 from bilprov.analyzer.cli.command import option_each
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.conformance.report.html.page import as_html
@@ -68,7 +68,7 @@ def outputs_of(paths: Mapping[str, str]) -> list[Output]:
 
 def onto_standard_output(outputs: Iterable[Output]) -> bool:
     """Whether one of the outputs goes to standard output, where nothing else may then stand."""
-    return any(output.path == output_files.STANDARD_OUTPUT for output in outputs)
+    return any(output.path == command_files.STANDARD_OUTPUT for output in outputs)
 
 
 def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> None:
@@ -76,7 +76,7 @@ def require_writable(outputs: Iterable[Output], inputs: Iterable[str] = ()) -> N
 
     It is called before the robot moves. `inputs` are files that must not be overwritten.
     """
-    output_files.require_writable(((output.option, output.path) for output in outputs), inputs)
+    command_files.require_writable(((output.option, output.path) for output in outputs), inputs)
 
 
 def deliver(
@@ -103,11 +103,11 @@ def write_each(
     with signals or Stopper():
         for path, text in texts:
             data = text.encode(errors="backslashreplace")
-            if path == output_files.STANDARD_OUTPUT:
+            if path == command_files.STANDARD_OUTPUT:
                 onto_stdout.append(data)
                 continue
             try:
-                output_files.write_output(path, data)
+                command_files.write_output(path, data)
             except UserError as error:
                 failed.append(str(error))
     for data in onto_stdout:

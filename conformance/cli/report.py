@@ -7,8 +7,8 @@ import msgspec
 from msgspec import structs
 
 from bilprov.analyzer.cli.command import argument, command, flag, protocol_in_use
+from bilprov.analyzer.cli.command_files import STANDARD_OUTPUT
 from bilprov.analyzer.cli.options import note
-from bilprov.analyzer.cli.output_files import STANDARD_OUTPUT
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.conformance.cli.outputs import (
     SEVERAL,

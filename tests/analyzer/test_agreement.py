@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bilprov.analyzer.decode.batch import Batch, Records
+from bilprov.analyzer.decode.batch import Counts, Records
 from bilprov.analyzer.decode.json_lines import encode, json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import Session
@@ -26,7 +26,6 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.export.rows import NoPyarrow, write_parquet, write_text
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Shown, StreamOutput, Window, json_text, opened_output
-from bilprov.analyzer.output.statistics import Rates, Statistics
 from bilprov.analyzer.pipeline import BATCH, Pipeline
 from bilprov.analyzer.replay.capture_decoding import (
     Opened,
@@ -60,7 +59,7 @@ def sniffed(capture: Capture, protocol: Protocol) -> str:
     text: list[str] = []
     decoder = StreamDecoder(protocol, **capture_settings(capture, protocol))
     shown = Shown(StreamOutput(text.append, json_text))
-    pipeline = Pipeline(decoder, Statistics(), shown, patience=5 * MS)
+    pipeline = Pipeline(decoder, shown, patience=5 * MS)
     for event in capture.events():
         pipeline.events([event])
     pipeline.finish()
@@ -162,10 +161,6 @@ def test_all_agree_on_random_captures(
 
 # -- the pipeline: what is recorded, decoded, counted and shown does not depend on the batches -----
 
-
-Counts = tuple[int, int, int, Rates]
-"""Instructions, responses, faults, and the rates at the end."""
-
 FILTERS = [None, "faulty", "direction == device and not agrees", "state.moving or latency > 0.001"]
 
 
@@ -183,10 +178,8 @@ def shown(
     text: list[str] = []
     test = None if expression is None else compile_filter(expression, protocol)
     output = StreamOutput(text.append, json_text)
-    statistics = Statistics()
     pipeline = Pipeline(
         StreamDecoder(protocol),
-        statistics,
         Shown(output, test, count, window or Window()),
         patience=patience,
     )
@@ -198,14 +191,14 @@ def shown(
         pipeline.advance(now)
         at, turn = at + len(batch), turn + 1
     pipeline.finish()
-    return "".join(text), _counts(statistics, now)
+    return "".join(text), pipeline.counts
 
 
 @pytest.mark.parametrize("busy", [False, True])
 def test_a_busy_line_is_decoded_ten_times_a_second(protocol: Protocol, busy: bool) -> None:
     text: list[str] = []
     shown = Shown(StreamOutput(text.append, json_text))
-    pipeline = Pipeline(StreamDecoder(protocol), Statistics(), shown)
+    pipeline = Pipeline(StreamDecoder(protocol), shown)
     pipeline.busy = busy
     first, answer = conversation([(b"\0", b"\0")], latency=50 * MS)
     pipeline.events([first])
@@ -250,7 +243,7 @@ def test_what_is_shown_and_counted_does_not_depend_on_the_batches(
     text, counts = shown(protocol, events, batches, patience, **more)
     expected, one_by_one = shown(protocol, events, [1], 0, **more)
     assert text == expected
-    assert counts[:3] == one_by_one[:3]  # a rate counts frames when they are decoded
+    assert counts == one_by_one
 
 
 @pytest.mark.slow
@@ -261,28 +254,13 @@ def test_batches_are_counted_as_their_records_are(
 ) -> None:
     events = played(protocol, acts)
     _, counts = shown(protocol, events, batches)
-    session, statistics = Session(protocol), Statistics()
-    for event in events:
-        _count(statistics, event, Records(session.feed(event)))
-    statistics.batch(Records(session.finish()), 0)
+    session = Session(protocol)
+    records = [record for event in events for record in session.feed(event)]
 
-    assert counts[:3] == _counts(statistics, 0)[:3]
+    assert counts == Records(records + session.finish()).counts
 
 
-def test_statistics_count_what_passed(protocol: Protocol) -> None:
-    session, statistics = Session(protocol), Statistics()
-    for event in conversation([(b"\x11\xff", b"\0"), (b"\x81\x09", b"\0"), (b"\x20", b"\0")]):
-        _count(statistics, event, Records(session.feed(event)))
+def test_what_passed_is_counted(protocol: Protocol) -> None:
+    events = conversation([(b"\x11\xff", b"\0"), (b"\x81\x09", b"\0"), (b"\x20", b"\0")])
 
-    assert (statistics.instructions, statistics.responses, statistics.faults) == (3, 3, 2)
-    assert statistics.rates(200 * MS) == Rates(3 / 0.25, (5 / 0.25, 3 / 0.25))
-
-
-def _count(statistics: Statistics, event: Event, batch: Batch) -> None:
-    statistics.events([event])
-    statistics.batch(batch, event.t)
-
-
-def _counts(statistics: Statistics, now: int) -> Counts:
-    counts = statistics.instructions, statistics.responses, statistics.faults
-    return *counts, statistics.rates(now)
+    assert shown(protocol, events, [1])[1] == (3, 3, 2)

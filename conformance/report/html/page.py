@@ -13,8 +13,7 @@ from typing import Any
 
 from msgspec import structs
 
-from bilprov.analyzer.html.markup import Safe, bar, filled, joined, json_block, tag, text
-from bilprov.analyzer.html.page import html_page
+from bilprov.analyzer.html.markup import Safe, bar, filled, html_page, joined, json_block, tag, text
 from bilprov.captures.text import quantity
 from bilprov.conformance.oracle.choices import default_of
 from bilprov.conformance.oracle.verdicts import Cause, Verdict, WireEvent

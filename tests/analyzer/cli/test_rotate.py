@@ -13,7 +13,6 @@ import pytest
 
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Output, Shown
-from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.recorder import Recorder, Rotation
 from bilprov.analyzer.transport.port import open_port, open_pty
@@ -169,7 +168,7 @@ def both(tmp_path_factory: pytest.TempPathFactory, protocol: Protocol) -> tuple[
     for folder, rotation in ((one, None), (several, Rotation(age=400 * MS))):
         decoder = StreamDecoder(protocol, timeout=50 * MS, skew=0)
         with Recorder(folder / NAME, START, metadata, rotation) as recorder:
-            pipeline = Pipeline(decoder, Statistics(), Shown(Output()), recorder)
+            pipeline = Pipeline(decoder, Shown(Output()), recorder)
             for event in talk.events:
                 pipeline.events([event])
             pipeline.finish()

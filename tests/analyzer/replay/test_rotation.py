@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.output.outputs import Output, Shown
-from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import opened_at, said_about
 from bilprov.analyzer.replay.recorder import Recorder, Rotation, rotation_at, session_metadata
@@ -93,7 +92,7 @@ def recorded(
         attached=settings["attached"],
     )
     with Recorder(path, START, metadata, rotation) as recorder:
-        pipeline = Pipeline(decoder, Statistics(), Shown(Output()), recorder, None, patience)
+        pipeline = Pipeline(decoder, Shown(Output()), recorder, None, patience)
         for event in events:
             pipeline.events([event])
             pipeline.tick(event.t)
@@ -216,7 +215,7 @@ def test_an_idle_line_ends_the_part_with_its_traffic_and_makes_no_empty_ones(
     path = tmp_path / "a.mcap"
     metadata = about(protocol, "host")
     with Recorder(path, START, metadata, Rotation(age=SECOND)) as recorder:
-        pipeline = Pipeline(StreamDecoder(protocol), Statistics(), Shown(Output()), recorder)
+        pipeline = Pipeline(StreamDecoder(protocol), Shown(Output()), recorder)
         pipeline.events([Line(0, "open"), Chunk(MS, "host", b"\x20")])
         for second in range(1, 60):
             pipeline.advance(second * SECOND)

@@ -11,7 +11,6 @@ import pytest
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 from bilprov.analyzer.output.outputs import Output, Shown, StreamOutput, Window, json_text
-from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.pipeline import Pipeline
 from bilprov.analyzer.replay.capture_decoding import opened_at, paced
 from bilprov.analyzer.replay.recorder import Recorder, session_metadata
@@ -45,7 +44,6 @@ def made(
     with Recorder(path, START, metadata) as recorder:
         pipeline = Pipeline(
             decoder,
-            Statistics(),
             Shown(Output()),
             recorder,
             PassiveJudge(protocol, paired=True, attached=attached) if judged else None,
@@ -87,7 +85,6 @@ def lines(path: Path, protocol: Protocol, start: int, *, seek: bool) -> list[str
     opened = opened_at(open_quickly(path), protocol, start if seek else 0)
     pipeline = Pipeline(
         opened.decoder,
-        Statistics(),
         Shown(StreamOutput(text.append, json_text), window=Window(start)),
     )
     for event in opened.events():

@@ -16,7 +16,6 @@ from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter
 from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.output.row_columns import RowStyle
-from bilprov.analyzer.output.statistics import Statistics
 from bilprov.analyzer.replay.capture_decoding import Opened, capture_decoder, opened_at
 from bilprov.analyzer.replay.recorder import PARTS, Spool, session_metadata
 from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, capture_feed
@@ -53,7 +52,7 @@ def status_of(feed: Feed[None]) -> str:
 
 def test_rows_go_that_take_too_much_memory_and_it_is_said(protocol: Protocol) -> None:
     feed = fed(protocol)
-    output = ScreenOutput(feed, Statistics(), most=20_000)
+    output = ScreenOutput(feed, most=20_000)
     for batch in conversation(protocol, 12_000):
         output.show(batch)
     assert (feed.recording.nbytes > 20_000, status_of(feed).split()[0]) == (True, "/")
@@ -64,6 +63,25 @@ def test_rows_go_that_take_too_much_memory_and_it_is_said(protocol: Protocol) ->
     (oldest,) = feed.recording.records([feed.recording.first])
     assert oldest.t > 0
     assert "no room for all rows: the oldest were dropped" in status_of(feed)
+
+
+def test_rates_are_those_of_the_last_two_seconds(
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bilprov.analyzer.screen.feeds.DRAW_EVERY", 0)
+    feed = fed(protocol)
+    output = ScreenOutput(feed)
+    first, *more = conversation(protocol, 1024)
+    output.show(first)
+    output.tick(256 * MS)
+    assert feed.rates == (1000, [2000, 1000])
+    for at in range(21):
+        output.tick((500 + 100 * at) * MS)
+    assert feed.rates == (0, [0, 0])
+    for batch in more:
+        output.show(batch)
+    output.tick(2600 * MS)
+    assert feed.rates == (768 / 2, [768, 768 / 2])
 
 
 @pytest.mark.waits
@@ -84,7 +102,7 @@ def test_rows_go_that_a_spool_no_longer_has(
             spool.checkpoint(sent * 3000 * MS, lambda: None)
             time.sleep(0.01)
         assert spool.bytes < 12 * MOST  # a part grows by what waits to be written
-        output = ScreenOutput(feed, Statistics(), spool)
+        output = ScreenOutput(feed, spool)
         for batch in conversation(protocol, 12_000):
             output.show(batch)
         output.tick(0)
@@ -93,7 +111,7 @@ def test_rows_go_that_a_spool_no_longer_has(
         assert 0 < oldest.t <= spool.oldest  # all that can be saved can be seen
 
         spool.failure = "the disk is full"
-        ScreenOutput(feed, Statistics(), spool).tick(0)
+        ScreenOutput(feed, spool).tick(0)
         assert not feed.keeps
 
 
@@ -102,7 +120,7 @@ def test_the_screen_gets_what_a_filter_hides_and_nothing_outside_the_window(
 ) -> None:
     feed = fed(protocol)
     test = compile_filter("direction == device", protocol)
-    shown = AllShown(ScreenOutput(feed, Statistics()), test, 500, Window(10 * MS, 20 * MS))
+    shown = AllShown(ScreenOutput(feed), test, 500, Window(10 * MS, 20 * MS))
     for batch in conversation(protocol, 1000):
         shown.show(batch)
     assert feed.recording.rows == 20
