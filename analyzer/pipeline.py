@@ -38,7 +38,7 @@ class Pipeline:
     judge: PassiveJudge | None = None
     patience: int = 0
     busy: bool = False
-    counts: Counts = Counts(0, 0, 0)
+    counts: Counts = field(default=Counts(0, 0, 0))
     _pending: list[Chunk | Line] = field(default_factory=list)
     _bytes: int = 0
 
