@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import time
+from asyncio import sleep
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -33,12 +34,12 @@ from bilprov.analyzer.screen.frame_list import FrameList
 from bilprov.analyzer.screen.keys import ALIASES, BINDINGS, Help
 from bilprov.analyzer.screen.panes import figures, head_line, picture, status_line
 from bilprov.analyzer.screen.prompt import REFUSAL, Prompt, Question, row_of
-from bilprov.analyzer.screen.recording import Recording, View, export, new_file, rows_file
+from bilprov.analyzer.screen.recording import View, export, new_file, rows_file
 from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.text import quantity
 from bilprov.spec.codec import spaced
 
-_SOON = 20_000  # rows that are filtered at once; more take a worker
+_SLICE = 0.03  # s of filtering after which keys and all else are handled
 _FIGURES_EVERY = 0.5  # s
 _DRAWING_SHARE = 0.05  # of the time, at most, that drawing what comes may take
 _LONGEST_LAG = 1.0  # s that rows wait to be drawn, however long that takes
@@ -108,7 +109,6 @@ class Browser(App[str | None]):
         self.filter_text = ""
         self.said = ""
         self._recording = feed.recording
-        self._coming: tuple[str, View] | None = None
         self._playing: Callable[[], int] | None = None  # the time (ns) that has come
         self._typed = ""  # the digits before a key
         self._shown: tuple[object, ...] = ()
@@ -166,7 +166,9 @@ class Browser(App[str | None]):
         if self.feed.closes or self.interrupted():
             self.exit(None)
             return
-        self._catch_up()
+        view = self.frames.view
+        if not self._working("filter") and not view.catch_up(_SLICE):
+            self._look(self.filter_text, view)
         self._play()
         if self._now() != self._shown and self._may_draw():
             self.show_rows()
@@ -224,25 +226,23 @@ class Browser(App[str | None]):
     def _filter(self, text: str, test: Filter | None) -> None:
         """Show the rows that pass, once they are found; until then those from before."""
         self.workers.cancel_group(self, "filter")
-        self._coming = text, View(self._recording, test)
-        self._catch_up()
-        self.show_rows()
+        self._look(text, View(self._recording, test))
 
-    def _catch_up(self) -> None:
-        """Filter the rows that are new: a few here, many in a worker."""
-        text, view = self._coming or ("", self.frames.view)
-        if view.behind > _SOON:
-            if not self._working("filter"):
-                self._work("filter", partial(_caught_up, view, self._recording))
-            return
-        view.catch_up()
-        if self._coming:
-            self._coming, self.filter_text = None, text
+    def _look(self, text: str, view: View) -> None:
+        """Show the rows of a view at once, or when all rows were looked at."""
+        if view.catch_up(_SLICE):
+            self.filter_text = text
             self.frames.look_at(view)
+            self.show_rows()
+        else:
+            self.run_worker(self._looked(text, view), group="filter", name="filter")
 
-    def _work(self, group: str, work: Callable[[], str]) -> None:
-        """Do what takes long beside; it tells in a sentence how it ended, "" for nothing."""
-        self.run_worker(work, group=group, name=group, thread=True)
+    async def _looked(self, text: str, view: View) -> None:
+        """Look at all rows, with keys and all else between."""
+        while not view.catch_up(_SLICE):
+            _goes_on(view.seen / self._recording.rows)
+            await sleep(0)
+        self._look(text, view)
 
     def _working(self, *groups: str) -> Worker[str] | None:
         """The worker of these groups that runs, if any."""
@@ -472,7 +472,7 @@ class Browser(App[str | None]):
             work = partial(
                 export, self._recording, view, name, style, self.told.start_wall, _goes_on
             )
-            self._work("export", work)
+            self.run_worker(work, group="export", name="export", thread=True)
 
         rows = quantity(view.count - view.first, "row")
         hint = "NAME.csv or NAME.jsonl; Enter writes it, Esc goes back"
@@ -486,9 +486,7 @@ class Browser(App[str | None]):
         self.said = self.feed.notice = ""
         if self.prompt.display:
             self.prompt.leave()
-        elif self._coming:
-            self._coming = None
-            self.workers.cancel_group(self, "filter")
+        elif self.workers.cancel_group(self, "filter"):
             self._say("the filter was stopped: the rows are those from before")
         elif self.workers.cancel_group(self, "export"):
             self._say("the export was stopped: nothing is written")
@@ -504,12 +502,6 @@ class Browser(App[str | None]):
         label = f"Save the capture of {quantity(rows, 'row')} as"
         hint = "Enter saves it and leaves, Ctrl-C discards it, Esc goes back"
         self._ask(Question(label, hint, new_file, self.exit), new_name(), replaced=True)
-
-
-def _caught_up(view: View, recording: Recording) -> str:
-    """Look at the rows that are new, in a worker."""
-    view.catch_up(lambda: not _goes_on(view.seen / max(1, recording.rows)))
-    return ""
 
 
 def _goes_on(share: float) -> bool:

@@ -7,7 +7,9 @@ One thread adds batches while others read: what is added is there as a whole or 
 
 from __future__ import annotations
 
+import math
 import pickle  # of our own bytes alone
+import time
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +18,7 @@ from functools import lru_cache
 from io import BytesIO
 from itertools import groupby
 from pathlib import Path
-from threading import Lock, RLock
+from threading import RLock
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
@@ -271,18 +273,12 @@ class View:
     def __init__(self, recording: Recording, test: Filter | None = None) -> None:
         self.test = test
         self._recording = recording
-        self._looking = Lock()
         self._passing = None if test is None else RowSet(recording.lock)
 
     @property
     def seen(self) -> int:
         """How many rows of the recording were looked at."""
         return self._recording.rows if self._passing is None else self._passing.rows
-
-    @property
-    def behind(self) -> int:
-        """How many rows of the recording are still to be looked at."""
-        return self._recording.rows - self.seen
 
     @property
     def first(self) -> int:
@@ -294,17 +290,16 @@ class View:
         """How many positions there are."""
         return self._recording.rows if self._passing is None else self._passing.members
 
-    def catch_up(self, cancelled: Callable[[], bool] = lambda: False) -> None:
-        """Look at the rows that are new, until all are seen or it is `cancelled`."""
-        if self._passing is None or self.test is None:
-            return
-        passing = self._passing
-        with self._looking:
+    def catch_up(self, most: float = math.inf) -> bool:
+        """Look at the rows that are new, for about `most` s; returns whether all are seen."""
+        passing, end = self._passing, time.monotonic() + most
+        if passing is not None and self.test is not None:
             for first, batch in self._recording.batches(passing.rows):
-                if cancelled():
-                    return
                 passing.append(np.zeros(max(0, first - passing.rows), np.bool_))  # were let go
                 passing.append(batch.in_order(self.test.selection(batch))[passing.rows - first :])
+                if time.monotonic() > end:
+                    break
+        return self.seen >= self._recording.rows
 
     def rows(self, first: int, stop: int) -> list[int]:
         """The row numbers at the positions from `first` to before `stop`."""

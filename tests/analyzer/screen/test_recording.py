@@ -87,7 +87,7 @@ def test_a_view_has_the_rows_whose_lines_pass(
     count = len(whole)
     rows = np.flatnonzero(whole.in_order(test.selection(whole))).tolist()
     assert view.rows(0, count) == rows
-    assert (view.count, view.behind) == (len(rows), 0)
+    assert (view.count, view.seen) == (len(rows), count)
     faulty = [row for row in rows if row in set(recording.faults.slice(0, count))]
     at = data.draw(st.integers(0, count))
     assert view.next_fault(at) == min((row for row in faulty if row > at), default=None)
@@ -149,22 +149,18 @@ def test_rows_that_go_while_a_filter_looks_are_none_of_its_rows(protocol: Protoc
     whole = View(recording, view.test)
     whole.catch_up()
 
-    def letting_go() -> bool:
+    while not view.catch_up(0):
         recording.let_go_oldest()
-        return not recording.let_go_oldest()
-
-    view.catch_up(letting_go)
-    view.catch_up()
+        recording.let_go_oldest()
     assert view.rows(view.first, view.count) == whole.rows(whole.first, whole.count)
 
 
-def test_filtering_can_be_cancelled(protocol: Protocol) -> None:
+def test_filtering_is_done_piece_by_piece(protocol: Protocol) -> None:
     recording = recorded(protocol, conversation(protocol, 3000))
     view = View(recording, compile_filter("faulty", protocol))
 
-    view.catch_up(lambda: True)
-
-    assert view.behind == recording.rows
+    assert not view.catch_up(0)
+    assert 0 < view.seen < recording.rows
 
 
 @given(
