@@ -24,11 +24,7 @@ from rich.text import Text
 from bilprov.analyzer.cli.stats import plot
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.decode.session import Session
-from bilprov.analyzer.doctor.examination import (
-    examined,
-    heard,
-    subject,
-)
+from bilprov.analyzer.doctor.examination import examined, heard
 from bilprov.analyzer.doctor.finding import INDENT, Finding, Grade, conclusion, drawn, title
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.console import heading
@@ -105,7 +101,7 @@ def doctor_picture(protocol: Protocol, machine: Machine, port: str) -> Iterator[
     framing = Line(1, "framing", "host", "31 counted by the driver")
     events: list[Chunk | Line] = [Chunk(0, "host", bytes(40)), framing]
     traffic = heard(protocol, {"host": port}, events, 2)
-    findings = [*examined(subject(port, machine, [port])), opened, *traffic]
+    findings = [*examined(port, machine, [port]), opened, *traffic]
     yield heading(title(port, machine))
     for finding in findings:
         yield drawn(finding)

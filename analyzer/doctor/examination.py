@@ -1,7 +1,7 @@
 """An examination of a port, or of a host's and a device's tap: first its system, then its line.
 
-Each check of the system is a row of `CHECKS`; it is made before the port is opened.
-The line is listened to for a moment, in which nothing is sent.
+The system is looked at before the port is opened. The line is listened to for a moment, in which
+nothing is sent.
 """
 
 from __future__ import annotations
@@ -9,13 +9,12 @@ from __future__ import annotations
 import errno
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from shlex import quote
 
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.doctor.finding import Finding, Grade, refused
-from bilprov.analyzer.taps.sources import Events, Source, Taps
+from bilprov.analyzer.taps.sources import Events, Taps
 from bilprov.analyzer.transport.errors import (
     LinkError,
     busy,
@@ -25,7 +24,7 @@ from bilprov.analyzer.transport.errors import (
     path_in,
 )
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.analyzer.transport.machine import MODEM_MANAGER, Held, Machine, paths_here
+from bilprov.analyzer.transport.machine import MODEM_MANAGER, Machine, paths_here
 from bilprov.analyzer.transport.port import open_port
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import Chunk, Direction, Line
@@ -39,123 +38,73 @@ _IGNORED_BY_MODEM_MANAGER = ("ID_MM_DEVICE_IGNORE", "ID_MM_PORT_IGNORE")
 _RULES = "/etc/udev/rules.d/78-bilprov.rules"
 
 
-@dataclass(frozen=True, slots=True)
-class Subject:
-    """The port that is examined: its name, the machine, the ports there are, who holds it."""
+def examined(name: str, machine: Machine, ports_here: Sequence[str]) -> Iterator[Finding]:
+    """Make every check of a port, in their order; nothing is opened or changed.
 
-    name: str
-    machine: Machine
-    ports_here: Sequence[str]
-    held: Held
-
-    @property
-    def device(self) -> str:
-        """The path of its device, quoted for a shell."""
-        return quote(self.machine.device(self.name))
-
-
-def subject(name: str, machine: Machine, ports_here: Sequence[str]) -> Subject:
-    """The port of that name as the machine has it now."""
-    return Subject(name, machine, ports_here, machine.held(name)[name])
-
-
-def _there(port: Subject) -> Finding | None:
-    if port.name and port.machine.file(port.machine.device(port.name)).exists():
-        return None
-    return refused("there", missing(port.name, port.ports_here, port.machine))
-
-
-def _terminal(port: Subject) -> Finding | None:
-    if port.machine.is_terminal(port.name):
-        return None
-    folder = port.machine.file(port.machine.device(port.name)).is_dir()
-    error = OSError(errno.EISDIR if folder else errno.ENOTTY, "")
-    return refused("serial port", opening_failed(port.name, error, ""))
-
-
-def _permission(port: Subject) -> Finding:
-    if not port.machine.may_open(port.name):
-        return refused("permission", denied(port.name, port.machine))
-    return Finding("permission", Grade.FINE, "you may open it")
-
-
-def _holder(port: Subject) -> Finding:
-    if port.held.holders:
-        return refused("holder", busy(port.name, port.held, port.machine))
-    if port.held.unseen:
-        many = "process is" if port.held.unseen == 1 else "processes are"
+    `ports_here` are the ports of the machine. Where the name leads to no serial port, nothing else
+    is checked.
+    """
+    file = machine.file(machine.device(name))
+    if not (name and file.exists()):
+        yield refused("there", missing(name, ports_here, machine))
+        return
+    if not machine.is_terminal(name):
+        error = OSError(errno.EISDIR if file.is_dir() else errno.ENOTTY, "")
+        yield refused("serial port", opening_failed(name, error, ""))
+        return
+    if machine.may_open(name):
+        yield Finding("permission", Grade.FINE, "you may open it")
+    else:
+        yield refused("permission", denied(name, machine))
+    held = machine.held(name)[name]
+    if held.holders:
+        yield refused("holder", busy(name, held, machine))
+    elif held.unseen:
+        many = "process is" if held.unseen == 1 else "processes are"
         sentence = (
-            f"none of your programs holds it; {port.held.unseen} {many} other users' and cannot be "
+            f"none of your programs holds it; {held.unseen} {many} other users' and cannot be "
             "looked into; this names all who hold it"
         )
-        return Finding("holder", Grade.UNSEEN, sentence, f"sudo fuser -v {port.device}")
-    return Finding("holder", Grade.FINE, "nobody else holds it")
+        command = f"sudo fuser -v {quote(machine.device(name))}"
+        yield Finding("holder", Grade.UNSEEN, sentence, command)
+    else:
+        yield Finding("holder", Grade.FINE, "nobody else holds it")
+    yield from _of_adapter(name, machine)
 
 
-def _modem_manager(port: Subject) -> Finding | None:
-    usb = port.machine.usb(port.name)
-    if usb is None:
-        return None
-    says = port.machine.properties(port.name)
-    ignored = any(says.get(tag, "0") != "0" for tag in _IGNORED_BY_MODEM_MANAGER)
-    if ignored or not port.machine.running(MODEM_MANAGER):
-        return Finding("ModemManager", Grade.FINE, "ModemManager leaves it alone")
-    sentence = (
-        f"ModemManager is running, has no rule to leave {port.name} alone, and may send it modem "
-        "commands, which a robot takes for instructions"
-    )
-    rule = (
-        f'ATTRS{{idVendor}}=="{usb.vendor}", ATTRS{{idProduct}}=="{usb.product}", '
-        'ENV{ID_MM_DEVICE_IGNORE}="1"'
-    )
-    command = (
-        f"echo {quote(rule)} | sudo tee -a {_RULES} && sudo udevadm control --reload && "
-        "sudo udevadm trigger"
-    )
-    return Finding("ModemManager", Grade.ADVICE, sentence, command)
-
-
-def _latency_timer(port: Subject) -> Finding | None:
-    milliseconds = port.machine.latency_timer(port.name)
-    if milliseconds is None:
-        return None
-    if milliseconds <= LATENCY_LIMIT:
+def _of_adapter(name: str, machine: Machine) -> Iterator[Finding]:
+    """Who may take a USB adapter for a modem, and for how long it holds bytes back."""
+    usb = machine.usb(name)
+    if usb is not None:
+        says = machine.properties(name)
+        ignored = any(says.get(tag, "0") != "0" for tag in _IGNORED_BY_MODEM_MANAGER)
+        if ignored or not machine.running(MODEM_MANAGER):
+            yield Finding("ModemManager", Grade.FINE, "ModemManager leaves it alone")
+        else:
+            sentence = (
+                f"ModemManager is running, has no rule to leave {name} alone, and may send it "
+                "modem commands, which a robot takes for instructions"
+            )
+            rule = (
+                f'ATTRS{{idVendor}}=="{usb.vendor}", ATTRS{{idProduct}}=="{usb.product}", '
+                'ENV{ID_MM_DEVICE_IGNORE}="1"'
+            )
+            command = (
+                f"echo {quote(rule)} | sudo tee -a {_RULES} && sudo udevadm control --reload && "
+                "sudo udevadm trigger"
+            )
+            yield Finding("ModemManager", Grade.ADVICE, sentence, command)
+    milliseconds = machine.latency_timer(name)
+    if milliseconds is not None and milliseconds <= LATENCY_LIMIT:
         sentence = f"its adapter holds bytes back for at most {milliseconds} ms"
-        return Finding("latency timer", Grade.FINE, sentence)
-    sentence = (
-        f"the adapter of {port.name} holds bytes back for up to {milliseconds} ms, so times of "
-        "answers are that uncertain"
-    )
-    file = quote(f"/sys/bus/usb-serial/devices/{port.machine.title(port.name)}/latency_timer")
-    return Finding("latency timer", Grade.ADVICE, sentence, f"echo 1 | sudo tee {file}")
-
-
-FIRST = (_there, _terminal)
-"""The checks after which no others are made where their finding blocks."""
-
-CHECKS = (*FIRST, _permission, _holder, _modem_manager, _latency_timer)
-
-
-def _shared(port: Subject) -> Finding | None:
-    if not port.held.holders:
-        return None
-    error = busy(port.name, port.held, port.machine)
-    sentence = f"{error.sentence}, since each of the two loses what the other reads"
-    return Finding("holder", Grade.ADVICE, sentence, error.command)
-
-
-# What is worth a word where a port was opened all the same.
-_IN_USE = (_shared, _modem_manager, _latency_timer)
-
-
-def examined(port: Subject) -> Iterator[Finding]:
-    """Make every check of a port, in their order; nothing is opened or changed."""
-    for check in CHECKS:
-        finding = check(port)
-        if finding is not None:
-            yield finding
-            if check in FIRST and finding.grade is Grade.BLOCKS:
-                return
+        yield Finding("latency timer", Grade.FINE, sentence)
+    elif milliseconds is not None:
+        sentence = (
+            f"the adapter of {name} holds bytes back for up to {milliseconds} ms, so times of "
+            "answers are that uncertain"
+        )
+        timer = quote(f"/sys/bus/usb-serial/devices/{machine.title(name)}/latency_timer")
+        yield Finding("latency timer", Grade.ADVICE, sentence, f"echo 1 | sudo tee {timer}")
 
 
 def notes(name: str, machine: Machine | None = None) -> list[str]:
@@ -167,9 +116,14 @@ def notes(name: str, machine: Machine | None = None) -> list[str]:
     path = path_in(name)
     if path is None or machine.usb(path) is None:
         return []
-    port = subject(path, machine, ())
-    findings = (look(port) for look in _IN_USE)
-    return [one.note(path) for one in findings if one and one.grade is Grade.ADVICE]
+    found = []
+    held = machine.held(path)[path]
+    if held.holders:  # it was opened all the same
+        error = busy(path, held, machine)
+        sentence = f"{error.sentence}, since each of the two loses what the other reads"
+        found.append(Finding("holder", Grade.ADVICE, sentence, error.command))
+    found += _of_adapter(path, machine)
+    return [one.note(path) for one in found if one.grade is Grade.ADVICE]
 
 
 # What errors that a driver counts mean.
@@ -183,15 +137,6 @@ _FIT, _MISFIT = 0.8, 0.5  # shares of answers that are the expected ones
 _OTHER: dict[Direction, Direction] = {"host": "device", "device": "host"}
 
 
-def listened(source: Source, seconds: float, stopper: Stopper) -> Events:
-    """Give what is heard on the taps within `seconds`, or until Ctrl-C or the end of all ports."""
-    events: Events = []
-    end = round(seconds * 1e9)
-    while not stopper.stopped and not source.ended and (left := end - source.now()) > 0:
-        events += source.poll(min(left / 1e9, 0.1), [stopper.fileno()])
-    return events
-
-
 def heard(
     protocol: Protocol, names: Mapping[str, str], events: Sequence[Chunk | Line], seconds: float
 ) -> Iterator[Finding]:
@@ -199,57 +144,48 @@ def heard(
 
     `names` are those of the ports, by the direction that each hears: one or two.
     """
-    data = {side: _said(events, side) for side in names}
-    count = sum(map(len, data.values()))
-    for event in events:
-        if isinstance(event, Line) and event.event == "unplugged":
-            yield Finding("line", Grade.BLOCKS, event.detail)
-    yield from _miscounted(events, count)
-    if not count:
-        why = "a device speaks only when it is asked" if len(names) == 1 else "does the host drive?"
-        sentence = f"not a byte was heard in {seconds:.3g} s: {why}"
-        yield Finding("traffic", Grade.UNSEEN, sentence)
-        return
-    if len(names) > 1:
-        yield _wired(protocol, names, events, data)
-    else:
-        sentence = f"{quantity(count, 'byte')} came in {seconds:.3g} s"
-        yield Finding("traffic", Grade.FINE, sentence)
-
-
-def _said(events: Sequence[Chunk | Line], side: str) -> bytes:
-    chunks = (event for event in events if isinstance(event, Chunk))
-    return b"".join(chunk.data for chunk in chunks if chunk.direction == side)
-
-
-def _miscounted(events: Sequence[Chunk | Line], count: int) -> Iterator[Finding]:
-    """Errors that the driver has counted: framing errors mean another baud rate."""
+    chunks = [event for event in events if isinstance(event, Chunk)]
     lines = [event for event in events if isinstance(event, Line)]
+    data = {
+        side: b"".join(chunk.data for chunk in chunks if chunk.direction == side) for side in names
+    }
+    count = sum(map(len, data.values()))
+    for line in lines:
+        if line.event == "unplugged":
+            yield Finding("line", Grade.BLOCKS, line.detail)
     for kind, means in _MEANS.items():
         errors = sum(int(line.detail.split()[0]) for line in lines if line.event == kind)
         if errors:
             counted = quantity(errors, f"{kind} error")
             sentence = f"the driver counted {counted} in {quantity(count, 'byte')}: {means}"
             yield Finding("line errors", Grade.BLOCKS, sentence)
+    if not count:
+        why = "a device speaks only when it is asked" if len(names) == 1 else "does the host drive?"
+        sentence = f"not a byte was heard in {seconds:.3g} s: {why}"
+        yield Finding("traffic", Grade.UNSEEN, sentence)
+        return
+    if len(names) > 1:
+        yield _wired(protocol, names, chunks, data)
+    else:
+        sentence = f"{quantity(count, 'byte')} came in {seconds:.3g} s"
+        yield Finding("traffic", Grade.FINE, sentence)
 
 
 def _wired(
     protocol: Protocol,
     names: Mapping[str, str],
-    events: Sequence[Chunk | Line],
+    chunks: Sequence[Chunk],
     data: Mapping[str, bytes],
 ) -> Finding:
     """Whether two taps are wired as they were named, by whose bytes answer whose."""
-    chunks = [event for event in events if isinstance(event, Chunk)]
     codes = {spec.code for spec in protocol.responses}
     if data["host"] == data["device"] and not set(data["host"]) <= codes:
         sentence = "both taps hear the same bytes: they are on one wire, or the line is an echo"
         command = f"bilprov sniff --half-duplex {quote(names['host'])}"
         return Finding("taps", Grade.BLOCKS, sentence, command)
     straight, count = _fitting(protocol, chunks)
-    turned, turned_count = _fitting(
-        protocol, [Chunk(chunk.t, _OTHER[chunk.direction], chunk.data) for chunk in chunks]
-    )
+    swapped = [Chunk(chunk.t, _OTHER[chunk.direction], chunk.data) for chunk in chunks]
+    turned, turned_count = _fitting(protocol, swapped)
     if turned_count >= _LEAST_ANSWERS and turned >= _FIT and straight < _MISFIT:
         sentence = (
             f"the taps are swapped: read the other way round, {turned:.0%} of the answers are the "
@@ -282,7 +218,7 @@ def of_system(name: str) -> Iterator[Finding]:
     """Yield what the system says of the port of that name; nothing for a URL."""
     path = path_in(name)
     if path is not None:
-        yield from examined(subject(path, Machine(), paths_here()))
+        yield from examined(path, Machine(), paths_here())
 
 
 def of_line(
@@ -304,5 +240,8 @@ def of_line(
             return
         yield Finding("opening", Grade.FINE, f"opened with {settings}")
         taps = Taps(ports[0], ports[1] if len(ports) > 1 else None)
-        events = listened(taps, seconds, stopper)
+        events: Events = []
+        end = round(seconds * 1e9)
+        while not stopper.stopped and not taps.ended and (left := end - taps.now()) > 0:
+            events += taps.poll(min(left / 1e9, 0.1), [stopper.fileno()])
         yield from heard(protocol, taps.names, events, min(seconds, taps.now() / 1e9))

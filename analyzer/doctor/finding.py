@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from bilprov.analyzer.transport.errors import LinkError, path_in
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.reader import Capture, open_capture
+from bilprov.captures.reader import open_capture
 from bilprov.captures.text import escape_controls, quantity
 
 if TYPE_CHECKING:
@@ -140,23 +140,17 @@ def of_capture(path: Path) -> Iterator[Finding]:
         yield Finding("lost", Grade.BLOCKS, f"{when}: {loss.what}")
     if len(losses) > _SHOWN:
         yield Finding("lost", Grade.BLOCKS, "messages are lost in further places")
-    yield from _end(capture, left_out)
+    if capture.unfinished:
+        cut = f", and ends inside a record ({quantity(left_out, 'byte')})" if left_out else ""
+        yield Finding(
+            "end",
+            Grade.BLOCKS if left_out else Grade.ADVICE,
+            f"it was never finished: its writer was killed or is still writing{cut}; "
+            "up to there it is complete",
+        )
     if left_out or capture.damage or losses or capture.unfinished:
         new = path.with_name(f"{path.stem}-repaired.mcap")
         words = shlex.join(["bilprov", "capture", "repair", str(path), str(new)])
         share = f"{quantity(left_out, 'byte')} ({left_out / size:.1%}) cannot be read; "
         what = f"{share if left_out else ''}a new file with all the rest"
         yield Finding("mend", Grade.ADVICE, what, words)
-
-
-def _end(capture: Capture, left_out: int) -> Iterator[Finding]:
-    if not capture.unfinished:
-        return
-    cut = f", and ends inside a record ({quantity(left_out, 'byte')})" if left_out else ""
-    grade = Grade.BLOCKS if left_out else Grade.ADVICE
-    yield Finding(
-        "end",
-        grade,
-        f"it was never finished: its writer was killed or is still writing{cut}; "
-        "up to there it is complete",
-    )

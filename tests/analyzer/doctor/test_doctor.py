@@ -14,13 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from bilprov.analyzer.doctor.examination import (
-    Subject,
-    examined,
-    heard,
-    notes,
-    subject,
-)
+from bilprov.analyzer.doctor.examination import examined, heard, notes
 from bilprov.analyzer.doctor.finding import Finding, Grade, usable
 from bilprov.analyzer.transport.errors import denied
 from bilprov.analyzer.transport.machine import Held, Machine
@@ -43,7 +37,7 @@ def machine(tmp_path: Path) -> FakeMachine:
 
 
 def findings(machine: Machine, name: str) -> dict[str, Finding]:
-    return {one.check: one for one in examined(subject(name, machine, ["/dev/ttyUSB0"]))}
+    return {one.check: one for one in examined(name, machine, ["/dev/ttyUSB0"])}
 
 
 # The system
@@ -109,10 +103,10 @@ def test_who_has_joined_the_group_has_to_log_in_again(
 
 @pytest.mark.parametrize(("count", "words"), [(1, "1 process is"), (2, "2 processes are")])
 def test_processes_that_cannot_be_looked_into_are_no_verdict(
-    machine: FakeMachine, count: int, words: str
+    machine: FakeMachine, monkeypatch: pytest.MonkeyPatch, count: int, words: str
 ) -> None:
-    port = Subject(machine.adapter(), machine, (), Held(unseen=count))
-    (found,) = [one for one in examined(port) if one.check == "holder"]
+    monkeypatch.setattr(machine, "held", lambda name: {name: Held(unseen=count)})
+    found = findings(machine, machine.adapter())["holder"]
     assert found.grade is Grade.UNSEEN
     assert f"; {words} other users' and cannot be looked into" in found.sentence
     assert found.command == "sudo fuser -v /dev/ttyUSB0"
