@@ -247,7 +247,7 @@ def _opened(
         if given != Ports(SIM):
             raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
         only_for_ports(["wait"], SIM)
-        from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
+        from bilprov.analyzer.taps.sources import SimulatedDrive
 
         return SimulatedDrive(protocol, settings)
     open_it = partial(opened_tap, given, settings, protocol, timeout)

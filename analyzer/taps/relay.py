@@ -13,7 +13,7 @@ from __future__ import annotations
 import select
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 from typing import TypeAlias
@@ -115,36 +115,6 @@ def open_end(name: str, settings: LineSettings) -> End:
     return open_pty() if name == PTY else open_port(name, settings)
 
 
-class _Way:
-    """One way of the line: from one end through an impaired direction to the other end.
-
-    `lost` is set once the start failed and all of it was read.
-    """
-
-    def __init__(self, start: End, direction: ImpairedDirection, target: End) -> None:
-        self.start = start
-        self.direction = direction
-        self.lost: LinkError | None = None
-        self.out = Forward(target.write_some, f"nobody reads what goes from {direction.name}")
-
-    def read(self, now: int) -> None:
-        """Take in what the start has sent."""
-        try:
-            self.direction.put(b"" if self.lost else self.start.read(), now)
-        except LinkError as error:
-            self.lost = error
-
-    def hand_on(self, now: int) -> str:
-        """Forward what is due; return a sentence if the peer does not read, else "".
-
-        Raises the LinkError of a lost start, once all bytes from it have been forwarded.
-        """
-        complaint = self.out.push(self.direction.take(now), now)
-        if self.lost is not None and self.direction.deadline is None and not self.out.owed:
-            raise self.lost
-        return complaint
-
-
 def join(
     ends: tuple[End, End],
     directions: tuple[ImpairedDirection, ImpairedDirection],
@@ -158,19 +128,29 @@ def join(
     LinkError of a lost end, after all bytes from it have been forwarded. Forwarded bytes that no
     program has read from a pty are lost when the pty is closed.
     """
-    ways = _Way(ends[0], directions[0], ends[1]), _Way(ends[1], directions[1], ends[0])
-    while not _stopped(ways, stop, time.monotonic_ns()):
-        for way in ways:
-            way.read(time.monotonic_ns())
-        for way in ways:
-            if complaint := way.hand_on(time.monotonic_ns()):
+    outs = [
+        Forward(peer.write_some, f"nobody reads what goes from {direction.name}")
+        for peer, direction in zip(reversed(ends), directions, strict=True)
+    ]
+    ways = list(zip(ends, directions, outs, strict=True))
+    lost: dict[End, LinkError] = {}
+    while True:
+        now = time.monotonic_ns()
+        turns = [way.deadline for way in directions if way.deadline is not None]
+        turns += [now + _RETRY for out in outs if out.owed]
+        patience = max(0, min(turns) - now) / 1e9 if turns else None
+        starts = [end for end in ends if end not in lost]
+        if stop in select.select([stop, *starts], [], [], patience)[0]:
+            return
+        for start, direction, _ in ways:
+            try:
+                direction.put(b"" if start in lost else start.read(), time.monotonic_ns())
+            except LinkError as error:
+                lost[start] = error
+        for start, direction, out in ways:
+            now = time.monotonic_ns()
+            complaint = out.push(direction.take(now), now)
+            if start in lost and direction.deadline is None and not out.owed:
+                raise lost[start]
+            if complaint:
                 note(complaint)
-
-
-def _stopped(ways: Sequence[_Way], stop: Stopper, now: int) -> bool:
-    """Wait until a way needs a turn; return True once `stop` is readable."""
-    starts = [way.start for way in ways if way.lost is None]
-    turns = [due for way in ways if (due := way.direction.deadline) is not None]
-    turns += [now + _RETRY for way in ways if way.out.owed]
-    patience = max(0, min(turns) - now) / 1e9 if turns else None
-    return stop in select.select([stop, *starts], [], [], patience)[0]

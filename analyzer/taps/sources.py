@@ -1,5 +1,7 @@
 """Sources of chunks and line events with times: passive taps, which never write, and a bridge.
 
+And a simulated drive to look at without a device: a host's seeded instructions, and the answers.
+
 A source polls its ports in one loop; all times `t` are in ns (monotonic) since it was made.
 """
 
@@ -10,8 +12,10 @@ import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from random import Random
 from typing import Any, Final, NamedTuple, TypeAlias
 
+from bilprov.analyzer.simulated.device import SimulatedDevice, drawn_request, faulty_request
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings
@@ -19,7 +23,7 @@ from bilprov.analyzer.transport.machine import Machine, same_line
 from bilprov.analyzer.transport.port import Forward, Openings, Port, open_port, open_pty
 from bilprov.analyzer.transport.replug import LOOK_AGAIN, Place
 from bilprov.captures.closing import Closing
-from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.captures.schemas import MS, Chunk, Direction, Line
 from bilprov.captures.wall_clock import wall_clock
 from bilprov.spec.protocol import Protocol
 
@@ -86,12 +90,6 @@ class Source(Closing):
         """Whether all ports are lost; one that is there again is opened by `poll`."""
         return not self._ports
 
-    @property
-    def _missing(self) -> list[Direction]:
-        """The lost ports that may be there again some time."""
-        places = self._places.items()
-        return [tap for tap, place in places if place.lasts and tap not in self._ports]
-
     def now(self) -> int:
         """Return the time since the start in ns."""
         return time.monotonic_ns() - self._start
@@ -111,7 +109,8 @@ class Source(Closing):
         """
         events: Events = []
         asked, most = self.now(), self._came + MOST_AT_ONCE
-        missing = self._missing
+        places = self._places.items()
+        missing = [tap for tap, place in places if place.lasts and tap not in self._ports]
         if missing:
             self._reopen(missing, events)
             wait = 0 if events else LOOK_AGAIN
@@ -349,6 +348,65 @@ class Bridge(Source):
         dropped = forward.push(data, self.now())
         if dropped:
             events.append(Line(self.now(), "gap", tap, dropped))
+
+
+_FAULTY = 0.1  # of the instructions
+_PAUSES = 250, 1_200  # ms between instructions, as a person drives
+_LATENCIES = 300, 3_000  # us until an answer
+_MOVES = 4  # instructions after one that moves, before the host stops
+
+
+def drive(protocol: Protocol, byte_time: int, seed: int = 1) -> Iterator[Chunk]:
+    """Yield what a host and a conforming device send, without end; `byte_time` is ns a byte.
+
+    The host sends valid requests and makes a mistake now and then; it stops a car that moves.
+    """
+    chance = Random(seed)
+    device = SimulatedDevice(protocol)
+    t, moving = 0, 0
+    while True:
+        t += chance.randint(*_PAUSES) * MS
+        if moving > _MOVES:
+            frame = bytes([protocol.pad_byte])
+        elif chance.random() < _FAULTY:
+            frame = faulty_request(protocol, chance)
+        else:
+            frame = drawn_request(protocol, chance)
+        yield Chunk(t, "host", frame)
+        t += len(frame) * byte_time
+        device.receive(frame, t)
+        answer = device.advance(t)
+        moving = moving + 1 if protocol.wheels and protocol.directed(device.state()) else 0
+        if answer:
+            t += chance.randint(*_LATENCIES) * 1_000
+            yield Chunk(t, "device", answer)
+            t += len(answer) * byte_time
+
+
+class SimulatedDrive(Source):
+    """A source that opens no port: a simulated host drives a simulated device, in real time."""
+
+    one_clock = True
+    attached = False
+
+    def __init__(self, protocol: Protocol, settings: LineSettings) -> None:
+        super().__init__({})
+        self.names = {"simulated": "drive" if protocol.wheels else protocol.device}
+        self._chunks = drive(protocol, settings.byte_time)
+        self._next = next(self._chunks)
+
+    @property
+    def ended(self) -> bool:
+        """It never ends."""
+        return False
+
+    def _gather(self, events: Events, timeout_s: float | None, also: Sequence[int]) -> None:
+        pause = max(0.0, (self._next.t - self.now()) / 1e9)
+        self._ready(pause if timeout_s is None else min(pause, timeout_s), also)
+        while self._next.t <= self.now():
+            events.append(self._next)
+            self._next = next(self._chunks)
+        self.seen = self.now()  # nothing is missed where the program is late
 
 
 class Ports(NamedTuple):

@@ -475,23 +475,17 @@ class Forward:
         if not self._backlog:
             self._taken_at = now
         self._backlog += data
-        complaint = self._complaint
-        count = 0
-        if self._backlog:
-            try:
-                count = self._write_some(bytes(self._backlog))
-            except LinkError as error:  # the peer will take nothing any more
-                complaint, self._stuck = str(error), True
+        complaint, count = self._complaint, 0
+        try:
+            count = self._write_some(bytes(self._backlog)) if self._backlog else 0
+        except LinkError as error:  # the peer will take nothing any more
+            complaint, self._stuck = str(error), True
         if count:
             del self._backlog[:count]
             self._taken_at, self._stuck = now, False
         if not self._backlog:
             self._told = self._told and not count
             return ""
-        return self._drop(now, complaint)
-
-    def _drop(self, now: int, complaint: str) -> str:
-        """Drop the bytes that are over the limits; return the sentence about it, or ""."""
         self._stuck = self._stuck or now - self._taken_at >= _STUCK_AFTER
         dropped = len(self._backlog) - (0 if self._stuck else _BACKLOG_LIMIT)
         if dropped <= 0:

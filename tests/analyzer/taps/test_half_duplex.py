@@ -17,7 +17,7 @@ import bilprov
 from bilprov.analyzer.decode.records import DeviceRecord
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
-from bilprov.analyzer.taps.simulated_drive import drive
+from bilprov.analyzer.taps.sources import drive
 from bilprov.analyzer.transport.port import open_pty
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk

@@ -14,11 +14,11 @@ from unittest.mock import Mock
 import pytest
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.analyzer.taps.simulated_drive import SimulatedDrive
 from bilprov.analyzer.taps.sources import (
     LATE,
     Bridge,
     HalfDuplexTap,
+    SimulatedDrive,
     Source,
     Taps,
     counted,
