@@ -123,6 +123,8 @@ class InstructionMethods(ABC):
 
     _port_name = ""
     _address: int | None = None  # of the device that is meant unless another is named
+    _only_reading = False
+    _least_pause = 0  # ns that may pass between two bytes of an answer, whatever the grammar allows
     _returned: Any = inspect.Signature.empty
 
     def __init__(self, protocol: Protocol, link: Link, timeout: float | None = None) -> None:
@@ -184,7 +186,7 @@ class InstructionMethods(ABC):
             except TypeError as error:
                 raise TypeError(f"{name}{signature}: {error}") from None
             known = {getattr(fields.get(word), "name", word): values[word] for word in values}
-            frame = build(self.protocol, spec.name, self._addressed(known))
+            frame = self._built(spec.name, known)
             return self._result(spec, frame, known, self._exchange(frame))
 
         method.__name__ = method.__qualname__ = name
@@ -210,15 +212,19 @@ class InstructionMethods(ABC):
             )
         return inspect.Signature(parameters, return_annotation=self._returned)
 
-    def _addressed(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """The values that are given, with the address that is meant."""
+    def _built(self, name: str, values: Mapping[str, Any]) -> bytes:
+        """The frame of an instruction to the device that is meant. Raises ValueError."""
         part = self.protocol.layout.part("address")
         given = {name: value for name, value in values.items() if value is not None}
         if part is not None and part.name in given:
             require_address(self.protocol, given[part.name])
         elif part is not None and self._address is not None:
             given[part.name] = self._address
-        return given
+        frame = build(self.protocol, name, given)
+        change = change_by(self.protocol, frame) if self._only_reading else ""
+        if change:
+            raise ValueError(f"{change}: only_reading sends what changes nothing")
+        return frame
 
     @abstractmethod
     def _exchange(self, frame: bytes) -> Any:
@@ -297,7 +303,7 @@ class Driver(InstructionMethods):
         Any answer is returned, also a refusal. Raises ValueError for an instruction, a field or a
         value that the protocol does not have. Raises RobotError and LinkError as `send_bytes` does.
         """
-        return self._exchange(build(self.protocol, name, values))
+        return self._exchange(self._built(name, values))
 
     def send_bytes(self, data: bytes, answers: int = 1) -> tuple[Answer, ...]:
         """Send bytes unchanged and wait for `answers` answers. Raises RobotError and LinkError.
@@ -305,6 +311,8 @@ class Driver(InstructionMethods):
         By default an answer may take the longest time that the protocol allows, including the
         time-out of a truncated frame.
         """
+        if self._only_reading and (not self._valid(data) or change_by(self.protocol, data)):
+            raise ValueError(f"{spaced(data)}: only_reading sends what changes nothing")
         with self._alone():
             self._in_step = False
             self._require_silence(0)
@@ -339,9 +347,11 @@ class Driver(InstructionMethods):
 
     def _described(self, data: bytes) -> str:
         """The bytes in words; in hex only if they are no valid frame."""
-        whole = data and len(data) == 1 + self.protocol.lengths[data[0]]
-        valid = whole and judge(self.protocol, data).valid
-        return super()._described(data) if valid else spaced(data)
+        return super()._described(data) if self._valid(data) else spaced(data)
+
+    def _valid(self, data: bytes) -> bool:
+        whole = bool(data) and len(data) == 1 + self.protocol.lengths[data[0]]
+        return whole and judge(self.protocol, data).valid
 
     def _name(self, code: int) -> str:
         known = self.protocol.codes.get(code)
@@ -365,9 +375,6 @@ class DeviceDriver(InstructionMethods):
     the next instruction is sent.
     """
 
-    _only_reading = False
-    _least_pause = 0  # ns that may pass between two bytes of an answer, whatever the grammar allows
-
     def __getattr__(self, name: str) -> Any:  # of any grammar, so a type checker knows no names
         return self._method(name)
 
@@ -377,7 +384,7 @@ class DeviceDriver(InstructionMethods):
         Any answer is returned, also an error; None where none is due. Raises as the methods do,
         except Refused.
         """
-        return self._exchange(build(self.protocol, name, self._addressed(values)))
+        return self._exchange(self._built(name, values))
 
     def _result(
         self, spec: InstructionSpec, frame: bytes, fields: Mapping[str, Any], answer: Reply | None
@@ -401,9 +408,6 @@ class DeviceDriver(InstructionMethods):
 
     def _exchange(self, frame: bytes) -> Reply | None:
         asked = judge(self.protocol, frame)
-        change = change_by(self.protocol, frame) if self._only_reading else ""
-        if change:
-            raise ValueError(f"{change}: only_reading sends what changes nothing")
         with self._alone():
             if not self._in_step:
                 self.home()

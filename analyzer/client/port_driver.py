@@ -175,10 +175,13 @@ def _drop_in_child(robot: object, drop: Callable[[], object]) -> None:
 class OnPort(InstructionMethods):
     """One robot on a port; a context manager that homes it on every way out.
 
-    `url` is a path or any pyserial URL. `grammar` is a grammar file or a Protocol, the kit's own
-    unless given; `timeout` how long (ms) an answer may take; `baud` (bits/s), `parity` (N E O M S)
-    and `stopbits` (1 1.5 2) are the grammar's unless given. With `echo` what is sent comes back on
-    the line, as on a bus whose adapter hears itself, and is taken away.
+    `url` is a path or any pyserial URL. `grammar` is the name of a shipped grammar, a file or a
+    Protocol, the kit's own unless given. Where its frames have an address, `address` is the device
+    that is meant unless a method is called with another one. With `only_reading` what may change
+    something raises ValueError and is not sent. `timeout` is how long (ms) an answer may take;
+    `baud` (bits/s), `parity` (N E O M S) and `stopbits` (1 1.5 2) are the grammar's unless given.
+    With `echo` what is sent comes back on the line, as on a bus whose adapter hears itself, and is
+    taken away.
 
     Opening sends only stops, until the robot answers, so it starts no motion. It asks for no
     confirmation, since starting the program is the user's consent. Raises LinkError for a port
@@ -204,6 +207,8 @@ class OnPort(InstructionMethods):
         url: str | PathLike[str],
         *,
         grammar: str | PathLike[str] | Protocol | None = None,
+        address: int | None = None,
+        only_reading: bool = False,
         timeout: float | None = None,
         baud: int | None = None,
         parity: str | None = None,
@@ -211,14 +216,17 @@ class OnPort(InstructionMethods):
         echo: bool = False,
     ) -> None:
         grammar = given_protocol(grammar)
+        if address is not None:
+            require_address(grammar, address)
         number = timeout is None or isinstance(timeout, int | float)
         if not number or (timeout is not None and not 0 < timeout < math.inf):
             raise ValueError(f"timeout is {timeout!r}, allowed are milliseconds above 0")
         _handle_signals()
-        self._port = open_port(
-            os.fspath(url), line_settings(grammar, baud, parity, stopbits, echo=echo)
-        )
+        settings = line_settings(grammar, baud, parity, stopbits, echo=echo)
+        self._port = open_port(os.fspath(url), settings)
         self._port_name = self._port.name
+        self._address, self._only_reading = address, only_reading
+        self._least_pause = Machine().least_pause(self._port_name)
         self._open = True
         self._signals = ExitStack()
         try:
@@ -306,38 +314,7 @@ class Device(OnPort, DeviceDriver):
         with Device("/dev/ttyUSB0", grammar="modbus-rtu", address=17) as meter:
             first, second = meter.read_holding_registers(start=0, quantity=2)
 
-    `grammar` is the name of a shipped grammar, a file or a Protocol. `address` is the device that
-    is meant unless a method is called with another one. With `only_reading` a method that may
-    change something raises ValueError instead of sending it. `OnPort` describes the other
-    arguments and how it is left, `DeviceDriver` the methods and the exceptions. Nothing is sent at
-    first and at the end, unless the grammar tells when the device is at rest.
+    `OnPort` describes the arguments and how it is left, `DeviceDriver` the methods and the
+    exceptions. Nothing is sent at first and at the end, unless the grammar tells when the device is
+    at rest.
     """
-
-    def __init__(
-        self,
-        url: str | PathLike[str],
-        *,
-        grammar: str | PathLike[str] | Protocol | None = None,
-        address: int | None = None,
-        only_reading: bool = False,
-        timeout: float | None = None,
-        baud: int | None = None,
-        parity: str | None = None,
-        stopbits: float | None = None,
-        echo: bool = False,
-    ) -> None:
-        grammar = given_protocol(grammar)
-        if address is not None:
-            require_address(grammar, address)
-        self._address = address
-        self._only_reading = only_reading
-        self._least_pause = Machine().least_pause(os.fspath(url))
-        super().__init__(
-            url,
-            grammar=grammar,
-            timeout=timeout,
-            baud=baud,
-            parity=parity,
-            stopbits=stopbits,
-            echo=echo,
-        )

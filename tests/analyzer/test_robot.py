@@ -197,6 +197,14 @@ def test_what_is_wrong_is_said_and_not_sent(
     assert sent == b""
 
 
+def test_only_reading_sends_nothing_that_changes_a_robot(protocol: Protocol) -> None:
+    with driven(protocol, only_reading=True) as (robot, device, _):
+        for call in (lambda: robot.speed(5), lambda: robot.send_bytes(b"\x20\x20")):
+            with pytest.raises(ValueError, match="only_reading sends what changes nothing"):
+                call()
+        assert device.heard == b""
+
+
 def test_a_method_that_is_none_is_told_with_those_that_are(protocol: Protocol) -> None:
     with driven(protocol) as (robot, _, _):
         unknown: Any = robot
