@@ -10,8 +10,9 @@ import threading
 import time
 import warnings
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import cache
 from os import PathLike
 from types import FrameType
@@ -48,51 +49,52 @@ _TURN = 0.01  # s between two looks at the port while a program waits
 _PATIENCE = 1.0  # s for another thread's exchange to end before the robot is stopped
 
 
+@dataclass(eq=False)
 class _OpenRobot:
-    """Stops the robot of a driver without the driver: at a signal, and when that was dropped."""
+    """Stops the robot of a driver without the driver: at a signal, and when that was dropped.
 
-    def __init__(self, rest: Rest, noun: str, port: Port, turns: Turns) -> None:
-        self.in_block = False
-        """Whether the main thread is in its `with`, and so gets an exception from a signal."""
-        self.halted = False
-        """Whether a signal stopped it, and it was not used since."""
-        self.why = ""
-        """Why it was stopped, where no exception has said so."""
-        self.over = False
-        """Whether nobody may use it again once it was stopped."""
-        self._rest = rest
-        self._noun = noun
-        self._port = port
-        self._turns = turns
-        self._process = os.getpid()
+    `in_block` tells whether the main thread is in its `with`, and so gets an exception from a
+    signal; `halted` whether a signal stopped it, and it was not used since; `why`, where no
+    exception has said so; `over` whether nobody may use it again once it was stopped.
+    """
+
+    rest: Rest
+    noun: str
+    port: Port
+    turns: Turns
+    in_block: bool = False
+    halted: bool = False
+    why: str = ""
+    over: bool = False
+    process: int = field(default_factory=os.getpid)
 
     def halt(self, why: str) -> None:
         """Stop the robot, where the grammar tells how.
 
         Whoever uses it next is told why, unless an exception does now.
         """
-        if not self._rest.frames() or self._process != os.getpid():  # it is the parent's
+        if not self.rest.frames() or self.process != os.getpid():  # it is the parent's
             return
-        with self._turns.taken(_PATIENCE) as alone, suppress(LinkError):
+        with self.turns.taken(_PATIENCE) as alone, suppress(LinkError):
             self.halted, self.why = True, "" if self.in_block else self.stopped_words(why)
             if self.in_block or not alone:  # the end of the block homes it
-                self._rest.halt(self._port)
+                self.rest.halt(self.port)
             else:
-                done(self._rest.once(), PortLink(self._port))
+                done(self.rest.once(), PortLink(self.port))
 
     def stopped_words(self, why: str) -> str:
         """Why it was stopped, in words."""
-        return f"{why}, and the {self._noun} was stopped before that"
+        return f"{why}, and the {self.noun} was stopped before that"
 
     def drop(self) -> None:
         """Home the robot and close its port, and warn that nobody did."""
         _open.discard(self)
-        if self._process != os.getpid():
+        if self.process != os.getpid():
             return
         self.in_block = False  # or it was left without its end, as a generator is
         self.halt("the program ended")
-        self._port.close()
-        what = f"the {self._noun} at {self._port.name} was never closed"
+        self.port.close()
+        what = f"the {self.noun} at {self.port.name} was never closed"
         what += ", and was stopped only now" if self.halted else ""
         warnings.warn(f"{what}: use it in a with block", ResourceWarning, stacklevel=2)
 
@@ -162,16 +164,6 @@ if in_main_thread():  # a robot that is opened in another thread later needs it
     _handle_signals()
 
 
-def _drop_in_child(robot: object, drop: Callable[[], object]) -> None:
-    """Have a child of `multiprocessing` drop a robot that is open at its end.
-
-    Such a child may end without what Python does at the end of a program.
-    """
-    util = sys.modules.get("multiprocessing.util")
-    if util is not None:
-        util.Finalize(robot, drop, exitpriority=0)
-
-
 class OnPort(InstructionMethods):
     """One robot on a port; a context manager that homes it on every way out.
 
@@ -237,7 +229,9 @@ class OnPort(InstructionMethods):
             self._port.close()
             raise
         self._dropped = weakref.finalize(self, self._held.drop)
-        _drop_in_child(self, self._dropped)
+        util = sys.modules.get("multiprocessing.util")
+        if util is not None:  # its child may end without what Python does at the end of a program
+            util.Finalize(self, self._dropped, exitpriority=0)
         _open.add(self._held)
 
     def close(self) -> None:

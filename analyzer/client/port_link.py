@@ -6,6 +6,7 @@ import select
 import subprocess
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from bilprov.analyzer.client.operations import (
     HELD_ANSWERS,
@@ -50,6 +51,7 @@ def by_command(command: str) -> Power:
     return cycle
 
 
+@dataclass(eq=False)
 class PortLink:
     """Does operations on a port and, where there is one, a probe, in real time.
 
@@ -59,34 +61,25 @@ class PortLink:
     Reconnected. `clock` gives the time in ns.
     """
 
-    def __init__(
-        self,
-        port: Port,
-        probe: Probe | None = None,
-        stopper: Stopper | None = None,
-        tap: LinkListener | None = None,
-        power: Power | None = None,
-        reconnect: float = 0.0,
-        clock: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
-        self._port = port
-        self._probe = probe
-        self._stopper = stopper
-        self._stopping = stopper is None
-        self._tap = tap
-        self._power = power
-        self._reconnect = reconnect
-        self._place = Place(port.name) if reconnect else None
-        self._clock = clock
-        self._start = clock()
+    port: Port
+    probe: Probe | None = None
+    stopper: Stopper | None = None
+    tap: LinkListener | None = None
+    power: Power | None = None
+    reconnect: float = 0.0
+    clock: Callable[[], int] = time.monotonic_ns
+
+    def __post_init__(self) -> None:
+        self._stopping = self.stopper is None
+        self._place = Place(self.port.name) if self.reconnect else None
+        self._start = self.clock()
         self._heard: list[tuple[int, int]] = []
         self._sent = 0
-        self._byte_time = port.byte_time
         self._asked = False  # whether the reply to a look is still to come
 
     def now(self) -> int:
         """The time in ns since the link was made."""
-        return self._clock() - self._start
+        return self.clock() - self._start
 
     def do(self, operation: Operation) -> Reply:
         """Do one operation. Raises Ended when the port, the probe or the power switch fails.
@@ -113,22 +106,22 @@ class PortLink:
         lost = self.now()
         if self._place is None:
             return Ended(str(error), error=True, line_works=False)
-        self._port.close()
+        self.port.close()
         self._heard.clear()
         # A stop that was asked for before cannot be asked for again.
-        longest = min(self._reconnect, _PARTING) if self._stopping else self._reconnect
-        again = opened_again(self._place, self._port.settings, error, self._to_stop, longest)
+        longest = min(self.reconnect, _PARTING) if self._stopping else self.reconnect
+        again = opened_again(self._place, self.port.settings, error, self._to_stop, longest)
         if again is None and self._to_stop():
             return Ended("interrupted", error=False, line_works=False)
         if again is None:
             sentence = f"{error}, and it was not there again in {longest:g} s (--reconnect)"
             return Ended(sentence, error=True, line_works=False)
         self._place = Place(again.name)
-        self._port.renew(again)
+        self.port.renew(again)
         now = self.now()
         try:
-            if self._asked and self._probe is not None:  # or the next look got this one's reply
-                self._probe.look(self.now, asked=True)
+            if self._asked and self.probe is not None:  # or the next look got this one's reply
+                self.probe.look(self.now, asked=True)
         except ProbeError as broken:
             return Ended(str(broken), error=True, line_works=True)
         after = f"it was there again after {(now - lost) / 1e9:.1f} s"
@@ -136,12 +129,12 @@ class PortLink:
 
     def _to_stop(self) -> bool:
         """Whether a stop is asked for that has not ended anything yet."""
-        return not self._stopping and self._stopper is not None and self._stopper.stopped
+        return not self._stopping and self.stopper is not None and self.stopper.stopped
 
     def _power_cycle(self) -> int:
-        assert self._power is not None
+        assert self.power is not None
         try:
-            self._power()
+            self.power()
         except PowerError as error:
             raise Ended(str(error), error=True, line_works=True) from error
         self._read()
@@ -151,10 +144,10 @@ class PortLink:
     def _send(self, data: bytes) -> int:
         self._read()
         begun = self.now()
-        self._port.write(data)
-        if self._tap:
-            self._tap.sent(data, begun)
-        self._sent = max(self.now(), begun + len(data) * self._byte_time)
+        self.port.write(data)
+        if self.tap:
+            self.tap.sent(data, begun)
+        self._sent = max(self.now(), begun + len(data) * self.port.byte_time)
         return self._sent
 
     def _listen(self, count: int | None, patience: int) -> Received:
@@ -169,13 +162,13 @@ class PortLink:
         return Received(heard, self.now())
 
     def _see(self) -> Observation:
-        assert self._probe is not None
+        assert self.probe is not None
         asked = self.now()
         self._asked = True
-        look = self._probe.look(self.now, self._wait)
+        look = self.probe.look(self.now, self._wait)
         self._asked = False
-        if self._tap:
-            self._tap.looked(look)
+        if self.tap:
+            self.tap.looked(look)
         return Observation(asked, self.now(), look)
 
     def attend(self, seconds: float, also: Sequence[int]) -> list[int]:
@@ -183,7 +176,7 @@ class PortLink:
 
         Returns those of the descriptors `also` that are readable. Raises LinkError.
         """
-        port = self._port.fileno()
+        port = self.port.fileno()
         ready = select.select([port, *also], [], [], max(seconds, 0))[0]
         if port in ready:
             self._read(ready=True)
@@ -194,7 +187,7 @@ class PortLink:
 
         Raises Ended where a stop comes before `other` is ready: a person may look for minutes.
         """
-        stop = None if self._stopping or self._stopper is None else self._stopper.fileno()
+        stop = None if self._stopping or self.stopper is None else self.stopper.fileno()
         ready = self.attend(patience / 1e9, [fd for fd in (other, stop) if fd is not None])
         if stop in ready:
             self._stopping = True
@@ -204,10 +197,10 @@ class PortLink:
         return other is not None and other in ready
 
     def _read(self, *, ready: bool = False) -> None:
-        data = self._port.read(ready=ready)
+        data = self.port.read(ready=ready)
         if data:
             now = self.now()
-            if self._tap:
-                self._tap.received(data, now)
+            if self.tap:
+                self.tap.received(data, now)
             room = HELD_ANSWERS - len(self._heard)
             self._heard += [(now, byte) for byte in data[:room]]

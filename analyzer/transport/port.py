@@ -21,6 +21,7 @@ import time
 import tty
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -446,6 +447,7 @@ _BACKLOG_LIMIT = 1 << 16  # bytes
 _STUCK_AFTER = 1_000_000_000  # ns without a byte taken
 
 
+@dataclass(eq=False)
 class Forward:
     """A bounded queue of bytes for a peer: at most 64 KiB, and 1 s for a peer that takes nothing.
 
@@ -454,13 +456,12 @@ class Forward:
     `complaint` says in words what it means when it takes none.
     """
 
-    def __init__(self, write_some: Callable[[bytes], int], complaint: str) -> None:
-        self._write_some = write_some
-        self._complaint = complaint
-        self._backlog = bytearray()
-        self._taken_at = 0  # ns: when the peer last took bytes, or none were waiting
-        self._stuck = False  # the peer took nothing for too long, and nothing since then
-        self._told = False
+    write_some: Callable[[bytes], int]
+    complaint: str
+    _backlog: bytearray = field(default_factory=bytearray)
+    _taken_at: int = 0  # ns: when the peer last took bytes, or none were waiting
+    _stuck: bool = False  # the peer took nothing for too long, and nothing since then
+    _told: bool = False
 
     @property
     def owed(self) -> bool:
@@ -475,9 +476,9 @@ class Forward:
         if not self._backlog:
             self._taken_at = now
         self._backlog += data
-        complaint, count = self._complaint, 0
+        complaint, count = self.complaint, 0
         try:
-            count = self._write_some(bytes(self._backlog)) if self._backlog else 0
+            count = self.write_some(bytes(self._backlog)) if self._backlog else 0
         except LinkError as error:  # the peer will take nothing any more
             complaint, self._stuck = str(error), True
         if count:

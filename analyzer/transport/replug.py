@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -89,17 +90,17 @@ class PathWatch:
         """The port is about to be opened."""
 
 
+@dataclass(eq=False)
 class ConnectionWatch:
     """Notices that a device behind a URL was out of reach and is reachable again.
 
     Meanwhile it holds a connection, since only its end shows that. `settings` are the line's.
     """
 
-    def __init__(self, name: str, settings: LineSettings) -> None:
-        self.name = name
-        self._settings = settings
-        self._held: Port | None = None
-        self._gone = False
+    name: str
+    settings: LineSettings
+    _held: Port | None = None
+    _gone: bool = False
 
     def begin(self, *, lost: bool) -> None:
         """Nobody else holds a connection from now on; `lost` where the last one has broken."""
@@ -111,7 +112,7 @@ class ConnectionWatch:
         """Whether it has gone and come back since this was last true, or since `begin`."""
         try:
             if self._held is None:
-                self._held = open_port(self.name, self._settings)
+                self._held = open_port(self.name, self.settings)
             self._held.read()
         except LinkError:
             self.end()

@@ -42,6 +42,7 @@ class Peer:
 
     def __init__(self, file: PtyPair | socket.socket) -> None:
         self.fileno, self.close = file.fileno, file.close
+        self.is_pty = isinstance(file, PtyPair)
         self.backlog = bytearray()
         self.ended = self.lost = False
         self._request = b""  # the beginning of one
@@ -169,7 +170,7 @@ def serve(
         lines = []
         if pty:
             pair = stack.enter_context(open_pty())
-            server.pty = Peer(pair)
+            server.hosts.append(Peer(pair))
             if reset:
                 server.openings = stack.enter_context(Openings(pair.name))
             lines.append(pair.name)
@@ -193,8 +194,9 @@ def serve(
 class Server(Closing):
     """State of the server: the device, the connections of hosts, and those of probe clients.
 
-    `last` is the time (ns) of the last byte in either direction. `listeners` has for each who takes
-    what connects.
+    `hosts` are the pty and a client over TCP, as far as there are any; answers go to the `speaker`,
+    who spoke last. `last` is the time (ns) of the last byte in either direction. `listeners` has
+    for each who takes what connects.
     """
 
     device: ByteDevice
@@ -202,10 +204,9 @@ class Server(Closing):
     clock: Callable[[], int]
     reset: Callable[[int], None] | None = None
     openings: Openings | None = None  # of the pty
-    pty: Peer | None = None
-    client: Peer | None = None
-    active_host: Peer | None = None
+    speaker: Peer | None = None
     last: int = 0
+    hosts: list[Peer] = field(default_factory=list)
     probes: list[Peer] = field(default_factory=list)
     listeners: dict[socket.socket, Callable[[Peer], None]] = field(default_factory=dict)
 
@@ -219,10 +220,10 @@ class Server(Closing):
         # sees the newest state.
         probes = [probe for probe in self.probes if probe in ready]
         asked = [(probe, line) for probe in probes for line in probe.requests()]
-        now = self._pump([host for host in self._hosts() if asked or host in ready])
+        now = self._pump([host for host in self.hosts if asked or host in ready])
         for probe, request in asked:
             probe.give(self._answer(request, now))
-        for peer in (*self._hosts(), *self.probes):
+        for peer in (*self.hosts, *self.probes):
             peer.give()  # what waits
         self._let_go(now)
         for listener, take in self.listeners.items():
@@ -236,26 +237,23 @@ class Server(Closing):
 
     def take_host(self, peer: Peer) -> None:
         """Take a host if there is none, or if the present one has ended; refuse others."""
-        if self.client is not None and not self.client.ended:
-            peer.close()
-            return
-        if self.client is not None:
-            self.client.close()
-        self.client = peer
+        for host in [host for host in self.hosts if not host.is_pty]:
+            if not host.ended:
+                peer.close()
+                return
+            self._drop(host, self.hosts)
+        self.hosts.append(peer)
         if self.reset:
             self.reset(self.clock())
 
     def close(self) -> None:
-        """Close every connection; the pty and the listeners belong to `serve`."""
-        for peer in filter(None, (self.client, *self.probes)):
+        """Close every connection; the listeners belong to `serve`."""
+        for peer in (*self.hosts, *self.probes):
             peer.close()
-
-    def _hosts(self) -> list[Peer]:
-        return [host for host in (self.pty, self.client) if host is not None]
 
     def _wait(self) -> Sequence[object]:
         """Wait until a peer is ready or the device is due; return who can be read or accepted."""
-        peers = [*self._hosts(), *self.probes]
+        peers = [*self.hosts, *self.probes]
         reading: list[Any] = [self.stop, *self.listeners]
         reading += [peer for peer in peers if not peer.ended]
         reading += self.openings.descriptors if self.openings else []
@@ -272,11 +270,11 @@ class Server(Closing):
             self.reset(now)
         for host, data in heard:
             self.device.receive(data, now)
-            self.active_host = host
+            self.speaker = host
         said = self.device.advance(now)
-        hosts = self._hosts()
-        for host in hosts if self.active_host not in hosts else [self.active_host]:
-            host.give(said)
+        for host in self.hosts:
+            if self.speaker in (host, None):
+                host.give(said)
         if said or heard:
             self.last = now
         return now
@@ -295,13 +293,14 @@ class Server(Closing):
 
     def _let_go(self, now: int) -> None:
         """Close ended connections; a client that only ended its sending gets its last answers."""
-        client = self.client
-        if client is not None:
-            quiet = self.device.deadline() is None or now - self.last > _LINGER
-            if client.lost or (client.ended and not client.backlog and quiet):
-                client.close()
-                self.client = None
-        for probe in list(self.probes):
-            if probe.lost or (probe.ended and not probe.backlog):
-                probe.close()
-                self.probes.remove(probe)
+        quiet = self.device.deadline() is None or now - self.last > _LINGER
+        for peers, answered in ((self.hosts, quiet), (self.probes, True)):
+            for peer in list(peers):
+                if peer.lost or (peer.ended and not peer.backlog and answered):
+                    self._drop(peer, peers)
+
+    def _drop(self, peer: Peer, peers: list[Peer]) -> None:
+        peer.close()
+        peers.remove(peer)
+        if self.speaker is peer:
+            self.speaker = None
