@@ -9,7 +9,6 @@ The judge uses no port and no clock.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -29,7 +28,7 @@ from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
 from bilprov.spec.open_points import SILENCE_READING, other_choices
-from bilprov.spec.protocol import InstructionSpec, Protocol
+from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 
 _KEPT = 1 << 16  # frames remembered of each kind: a limit for the memory of long, varied sessions
@@ -46,114 +45,83 @@ class Covered(msgspec.Struct, frozen=True):
 
 
 class Coverage:
-    """Counts the frames and responses that were exercised. Repeated frames cost almost nothing."""
+    """Counts the frames and responses that were exercised."""
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        # What was met, by what is counted: `headers`, say, or the ID whose data are counted.
-        self._met: defaultdict[str | int, set[Any]] = defaultdict(set)
+        self._names = {code.name for code in protocol.responses}
+        self._met: defaultdict[str, set[Any]] = defaultdict(set)  # by what is counted
 
     def frame(self, judgement: Judgement, state: State) -> None:
         """Count a frame; `state` is the predicted state of the device before the frame."""
-        protocol, frame = self._protocol, judgement.frame
-        if judgement.valid:
-            data = frame[judgement.head : len(frame) - protocol.layout.tail]
-            if data not in self._met[judgement.id]:
-                self._meet(judgement.id, data)
-                self._meet("headers", frame[0])
-            return
+        wheels, frame = self._protocol.wheels, judgement.frame
         self._meet("headers", frame[0])
+        if judgement.valid:
+            self._meet("instructions", judgement.id)
+            self._meet("valid frames", frame)
+            data = frame[judgement.head : len(frame) - self._protocol.layout.tail]
+            self._meet(f"data of {judgement.name}", data)
+            return
         outcome = None if judgement.truncated else judgement.outcome
-        if protocol.wheels:
-            self._meet("faults", (outcome, getattr(state, protocol.wheels.by)))
+        if wheels and getattr(state, wheels.by) in wheels.turns:
+            self._meet(_FAULTS, (outcome, getattr(state, wheels.by)))
         if outcome is None:
             # A truncated frame is counted by its header and length; its data do not matter.
-            self._meet("cut", (frame[0], len(frame)))
-        elif outcome is Outcome.UNKNOWN_ID:
-            self._meet("unused", frame[0])
+            self._meet("frames cut short", (frame[0], len(frame)))
         elif outcome is Outcome.BAD_DATA:
-            self._meet("bad", frame)
+            self._meet("data out of range", frame)
         else:
-            self._meet("wrong", frame[0])
+            unknown = outcome is Outcome.UNKNOWN_ID
+            self._meet(f"headers with {'an unused ID' if unknown else 'a wrong length'}", frame[0])
 
     def answer(self, record: DeviceRecord) -> None:
         """Count the names of an answer's codes."""
-        self._met["answers"].update(record.reply.names if record.reply else {record.name or ""})
+        names = record.reply.names if record.reply else (record.name,)
+        self._met["response codes"].update(self._names.intersection(names))
 
-    def _meet(self, what: str | int, value: object) -> None:
+    def _meet(self, what: str, value: object) -> None:
         if len(met := self._met[what]) < _KEPT:
             met.add(value)
 
-    def covered(self) -> Iterator[Covered]:
+    def covered(self) -> tuple[Covered, ...]:
         """Every count, in the order of the document's clauses.
 
         Where frames have other parts besides the header and data, only those of what is said.
         """
-        protocol, clauses = self._protocol, self._protocol.clauses
-        specs = protocol.instructions
-        used = sum(1 for spec in specs if self._met[spec.id])
-        instructions = Covered(clauses.instructions, "instructions", used, len(specs))
+        protocol, specs = self._protocol, self._protocol.instructions
+        clauses, lengths, wheels = protocol.clauses, protocol.data_lengths, protocol.wheels
+        instructions = (clauses.instructions, "instructions", len(specs))
+        data = [
+            (clauses.instructions, f"data of {spec.name}", spec.valid_count)
+            for spec in specs
+            if (spec.fields if protocol.plain else 1 < spec.valid_count <= _COUNTED)
+        ]
+        codes = (clauses.responses, "response codes", len(protocol.codes))
+        rows = [instructions, *data, *([codes] if protocol.codes else [])]
         if protocol.plain:
-            yield from self._of_headers(instructions)
-            return
-        yield instructions
-        for spec in specs:
-            if 1 < spec.valid_count <= _COUNTED:
-                yield self._data(spec)
-        if protocol.codes:
-            yield self._answers()
-
-    def _of_headers(self, instructions: Covered) -> Iterator[Covered]:
-        protocol, clauses = self._protocol, self._protocol.clauses
-        specs, lengths = protocol.instructions, len(protocol.data_lengths)
-        yield self._count(clauses.header, "headers", "headers", len(protocol.headers))
-        yield instructions
-        of = sum(spec.valid_count for spec in specs)
-        done = sum(len(self._met[spec.id]) for spec in specs)
-        yield Covered(clauses.instructions, "valid frames", done, of)
-        yield from (self._data(spec) for spec in specs if spec.fields)
-        unused = len(protocol.unused_ids) * lengths
-        yield self._count(clauses.instructions, "headers with an unused ID", "unused", unused)
-        bad = sum(spec.bad_data_count for spec in specs)
-        yield self._count(clauses.instructions, "data out of range", "bad", bad)
-        wrong = len(specs) * (lengths - 1)
-        yield self._count(clauses.responses, "headers with a wrong length", "wrong", wrong)
-        yield self._count(clauses.responses, "frames cut short", "cut", sum(protocol.lengths))
-        yield self._answers()
-        if protocol.wheels:
-            turns = protocol.wheels.turns
-            done = sum(1 for _, motion in self._met["faults"] if motion in turns)
-            of = self._classes() * len(turns)
-            yield Covered(clauses.safety, "classes of fault x kinds of motion", done, of)
-
-    def _data(self, spec: InstructionSpec) -> Covered:
-        clause = self._protocol.clauses.instructions
-        return self._count(clause, f"data of {spec.name}", spec.id, spec.valid_count)
-
-    def _answers(self) -> Covered:
-        known = self._met["answers"] & {code.name for code in self._protocol.responses}
-        clause = self._protocol.clauses.responses
-        return Covered(clause, "response codes", len(known), len(self._protocol.codes))
-
-    def _count(self, clause: str, what: str, key: str | int, of: int) -> Covered:
-        return Covered(clause, what, len(self._met[key]), of)
-
-    def _classes(self) -> int:
-        """How many classes of faulty frame the protocol has; truncated is one of them."""
-        protocol = self._protocol
-        found: set[Outcome | None] = {None} if any(protocol.lengths) else set()
-        if protocol.unused_ids:
-            found.add(Outcome.UNKNOWN_ID)
-        for spec in protocol.instructions:
-            if any(length > spec.length for length in protocol.data_lengths):
-                found.add(Outcome.TOO_MANY)
-            if spec.length:
-                found.add(Outcome.TOO_FEW)
-            if spec.bad_data_count:
-                found.add(Outcome.BAD_DATA)
-        return len(found)
+            unused, wrong = len(protocol.unused_ids) * len(lengths), len(specs) * (len(lengths) - 1)
+            bad = sum(spec.bad_data_count for spec in specs)
+            valid = sum(spec.valid_count for spec in specs)
+            rows = [
+                (clauses.header, "headers", len(protocol.headers)),
+                instructions,
+                (clauses.instructions, "valid frames", valid),
+                *data,
+                (clauses.instructions, "headers with an unused ID", unused),
+                (clauses.instructions, "data out of range", bad),
+                (clauses.responses, "headers with a wrong length", wrong),
+                (clauses.responses, "frames cut short", sum(protocol.lengths)),
+                codes,
+            ]
+        if protocol.plain and wheels:
+            longer = any(spec.length < lengths[-1] for spec in specs)
+            shorter, cut = any(spec.length for spec in specs), any(protocol.lengths)
+            classes = sum([cut, unused > 0, longer, shorter, bad > 0])
+            rows.append((clauses.safety, _FAULTS, classes * len(wheels.turns)))
+        return tuple(Covered(clause, what, len(self._met[what]), of) for clause, what, of in rows)
 
 
+_FAULTS = "classes of fault x kinds of motion"
 _CHANGES = 16
 _NEVER = 1 << 64  # ns
 KEPT = 20  # violations that are listed; all are counted
@@ -301,7 +269,7 @@ class PassiveJudge:
     def finish(self) -> Findings:
         """End the traffic and return the findings."""
         self._give_up(_OVER)
-        self._findings.coverage = tuple(self._coverage.covered())
+        self._findings.coverage = self._coverage.covered()
         return self._findings
 
     def _host(self, record: HostRecord) -> None:
