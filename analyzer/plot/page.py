@@ -8,7 +8,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from bilprov.analyzer.html.markup import Safe, bar, html_page, joined, json_block, tag
+from bilprov.analyzer.html.markup import (
+    Safe,
+    bar,
+    filled,
+    html_page,
+    joined,
+    json_block,
+    tag,
+)
 from bilprov.analyzer.output.capture_stats import Json
 from bilprov.analyzer.totals.timeline import Mark, Timeline, numbers_of, word_of
 from bilprov.captures.reader import Capture
@@ -20,10 +28,13 @@ SECOND = 1e9  # ns
 _SHARE = 10  # an idle time is folded if it is longer than this part of the rest of the recording
 
 _RANGES = ("seen", "high", "count")  # what exact rows have once
-_KEYS = (
-    "Wheel, pinch or + and - zoom; drag or Shift with the arrows moves; the arrows move the line "
-    "at which values are read; n and N go to the next and the previous anomaly; 0 shows all again."
-)
+_BUTTONS = {
+    "in": "Zoom in",
+    "out": "Zoom out",
+    "all": "Show all",
+    "previous": "Previous anomaly",
+    "next": "Next anomaly",
+}
 
 
 def plot_page(
@@ -35,24 +46,36 @@ def plot_page(
     """
     style = (_ASSETS / "plot.css").read_text(encoding="utf-8")
     script = (_ASSETS / "plot.js").read_text(encoding="utf-8")
-    marks, step = timeline.marks()
     name = capture.path.name
-    body = joined(
-        [
-            tag(
-                "header",
-                tag("p", "bilprov", tag("span", " plot"), class_="brand"),
-                tag("h1", tag("span", name, class_="device")),
-            ),
-            tag(
-                "main",
-                _facts(capture, protocol, stats, kit),
-                _picture(protocol, timeline),
-                _latencies(stats["counts"]),
-                _anomalies(marks, step, stats["counts"]),
-            ),
-            json_block("data", plot_data(protocol, timeline)),
-        ]
+    notes = [f"Part of the file is damaged and left out: {why}" for why in stats["damage"]]
+    if stats["unfinished"]:
+        notes.insert(0, "The recording was never finished: everything intact is shown.")
+    word = word_of(protocol)
+    shown = [*([word] if word else []), *numbers_of(protocol)]
+    values = {one: one for one in ("time", *shown)}
+    values |= {"latency": "last latency", "anomaly": "anomaly"}
+    body = filled(
+        _ASSETS / "plot.html",
+        name=name,
+        facts=joined(
+            tag("div", tag("dt", fact), tag("dd", value))
+            for fact, value in _facts(capture, protocol, stats, kit).items()
+        ),
+        notes=joined(tag("p", note, class_="note") for note in notes),
+        buttons=joined(
+            tag("button", said, type="button", class_="chip", data_do=do)
+            for do, said in _BUTTONS.items()
+        ),
+        values=joined(
+            tag("div", tag("dt", said), tag("dd", "", data_of=one), class_=f"of-{one}")
+            for one, said in values.items()
+        ),
+        label=f"{', '.join([*shown, 'anomalies'])} and latency over time".capitalize(),
+        folded=joined(tag("p", said, class_="dim small") for said in _folded(timeline)),
+        reduced=_reduced(timeline),
+        latency=_latencies(stats["counts"]),
+        anomalies=_anomalies(*timeline.marks(), stats["counts"]),
+        data=json_block("data", plot_data(protocol, timeline)),
     )
     return html_page(f"{name} · bilprov plot", body, style=style, script=script)
 
@@ -99,78 +122,25 @@ def _deltas(times: list[int]) -> list[int]:
     return [*times[:1], *(after - before for before, after in pairwise(times))]
 
 
-def _facts(capture: Capture, protocol: Protocol, stats: Json, kit: str) -> Safe:
+def _facts(capture: Capture, protocol: Protocol, stats: Json, kit: str) -> dict[str, object]:
+    """What is known of the recording as a whole, by name."""
     counts = stats["counts"]
-    told: dict[str, object] = {
-        "recorded": f"{datetime.fromtimestamp(capture.start // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC"
-    }
-    told["span of traffic"] = _span(counts["duration"])
-    moving = f" ({counts['moving'] / counts['duration']:.0%})" if counts["duration"] else ""
-    if protocol.at_rest:
-        told["moving"] = _span(counts["moving"]) + moving
+    load, share = counts["load"], counts["moving"] / (counts["duration"] or 1)
     cut = f", {counts['truncated']:,} of them truncated" if counts["truncated"] else ""
-    told["frames"] = f"{counts['frames']:,}{cut}"
-    told["answers"] = f"{counts['agreeing']:,} as expected, {counts['disagreeing']:,} not"
-    told["anomalies"] = f"{sum(counts['anomalies'].values()):,}"
-    load = counts["load"]
     used = f", host uses {load['host']:.1%} of it, device {load['device']:.1%}" if load else ""
-    told["line"] = f"{stats['line']}{used}"
+    moving = f"{_span(counts['moving'])} ({share:.0%})" if counts["duration"] else _span(0)
     sha = tag("code", protocol.sha256[:12], title=protocol.sha256)
-    told["grammar"] = tag("span", f"{protocol.name} {protocol.version} ", sha)
-    told["bilprov"] = kit
-    facts = [tag("div", tag("dt", name), tag("dd", value)) for name, value in told.items()]
-    notes = [f"Part of the file is damaged and left out: {why}" for why in stats["damage"]]
-    if stats["unfinished"]:
-        notes.insert(0, "The recording was never finished: everything intact is shown.")
-    return tag(
-        "section",
-        tag("dl", *facts, class_="grid"),
-        *(tag("p", note, class_="note") for note in notes),
-        id="facts",
-        aria_label="Recording",
-    )
-
-
-def _picture(protocol: Protocol, timeline: Timeline) -> Safe:
-    buttons = {
-        "in": "Zoom in",
-        "out": "Zoom out",
-        "all": "Show all",
-        "previous": "Previous anomaly",
-        "next": "Next anomaly",
+    return {
+        "recorded": f"{datetime.fromtimestamp(capture.start // 10**9, UTC):%Y-%m-%d %H:%M:%S} UTC",
+        "span of traffic": _span(counts["duration"]),
+        **({"moving": moving} if protocol.at_rest else {}),
+        "frames": f"{counts['frames']:,}{cut}",
+        "answers": f"{counts['agreeing']:,} as expected, {counts['disagreeing']:,} not",
+        "anomalies": f"{sum(counts['anomalies'].values()):,}",
+        "line": f"{stats['line']}{used}",
+        "grammar": tag("span", f"{protocol.name} {protocol.version} ", sha),
+        "bilprov": kit,
     }
-    tools = (
-        tag("button", said, type="button", class_="chip", data_do=do)
-        for do, said in buttons.items()
-    )
-    word = word_of(protocol)
-    shown = [*([word] if word else []), *numbers_of(protocol)]
-    names = {name: name for name in ("time", *shown)}
-    names |= {"latency": "last latency", "anomaly": "anomaly"}
-    values = (
-        tag("div", tag("dt", said), tag("dd", "", data_of=name), class_=f"of-{name}")
-        for name, said in names.items()
-    )
-    return tag(
-        "section",
-        tag("h2", "Over time"),
-        tag("noscript", tag("p", "The picture needs JavaScript; the tables below do not.")),
-        tag("div", *tools, id="tools", role="group", aria_label="The picture", hidden=True),
-        tag("dl", *values, id="readout", role="status", hidden=True),
-        tag(
-            "canvas",
-            id="plot",
-            tabindex=0,
-            role="application",
-            aria_label=f"{', '.join([*shown, 'anomalies'])} and latency over time".capitalize(),
-            aria_describedby="keys",
-        ),
-        tag("canvas", id="map", aria_hidden="true"),
-        tag("p", _KEYS, id="keys", class_="dim small"),
-        *(tag("p", said, class_="dim small") for said in _folded(timeline)),
-        tag("p", _reduced(timeline), id="reduced", class_="dim small"),
-        id="time",
-    )
 
 
 def _folded(timeline: Timeline) -> Iterator[str]:
@@ -204,8 +174,7 @@ def _reduced(timeline: Timeline) -> str:
 
 def _latencies(counts: Json) -> Safe:
     if not counts["latency"]:
-        empty = tag("p", "No answer was paired with its instruction.", class_="dim")
-        return tag("section", tag("h2", "Latency"), empty, id="latency")
+        return tag("p", "No answer was paired with its instruction.", class_="dim")
     most = max(one["count"] for one in counts["latency_bins"])
     bins = [
         tag(
@@ -216,27 +185,14 @@ def _latencies(counts: Json) -> Safe:
         )
         for one in counts["latency_bins"]
     ]
-    each = [("all", counts["latency"])]
-    each += [
-        (name, found["latency"])
-        for name, found in counts["by_instruction"].items()
-        if found["latency"]
-    ]
+    found = {"all": counts, **counts["by_instruction"]}
+    spreads = [_latency(name, one["latency"]) for name, one in found.items() if one["latency"]]
     heads = ("instruction", "answers", "min", "median", "95 %", "99 %", "max")
-    spreads = [_latency(name, spread) for name, spread in each]
     label = "Latency of each instruction"
-    return tag(
-        "section",
-        tag("h2", "Latency"),
-        tag("p", "From the last byte of an instruction to its answer.", class_="dim"),
-        tag(
-            "div",
-            _table("Histogram", ("latency", "answers", ""), bins, class_="histogram"),
-            _scrolled(label, _table(label, heads, spreads, class_="each")),
-            class_="two",
-        ),
-        id="latency",
-    )
+    said = tag("p", "From the last byte of an instruction to its answer.", class_="dim")
+    histogram = _table("Histogram", ("latency", "answers", ""), bins, class_="histogram")
+    each = _scrolled(label, _table(label, heads, spreads, class_="each"))
+    return joined([said, tag("div", histogram, each, class_="two")])
 
 
 def _table(caption: str, heads: tuple[str, ...], rows: Iterable[Safe], **more: object) -> Safe:
@@ -244,7 +200,7 @@ def _table(caption: str, heads: tuple[str, ...], rows: Iterable[Safe], **more: o
     return tag(
         "table",
         tag("caption", caption, class_="unseen"),
-        tag("thead", _row("th", heads, scope="col")),
+        tag("thead", tag("tr", *(tag("th", head, scope="col") for head in heads))),
         tag("tbody", *rows),
         **more,
     )
@@ -253,10 +209,6 @@ def _table(caption: str, heads: tuple[str, ...], rows: Iterable[Safe], **more: o
 def _scrolled(label: str, table: Safe) -> Safe:
     """A table that may be wider or longer than its place."""
     return tag("div", table, class_="scroll", tabindex=0, role="region", aria_label=label)
-
-
-def _row(cell: str, texts: tuple[str, ...], **attributes: object) -> Safe:
-    return tag("tr", *(tag(cell, text, **attributes) for text in texts))
 
 
 def _latency(name: str, spread: Json) -> Safe:
@@ -272,7 +224,7 @@ def _anomalies(marks: list[Mark], step: int, counts: Json) -> Safe:
     first = f" Listed is the first in each {_span(step / SECOND)}." if step else ""
     said = tag("p", f"{kinds}." if kinds else "None.", first)
     if not marks:
-        return tag("section", tag("h2", "Anomalies"), said, id="anomalies")
+        return said
     rows = (
         tag(
             "tr",
@@ -283,8 +235,7 @@ def _anomalies(marks: list[Mark], step: int, counts: Json) -> Safe:
         for mark in marks
     )
     table = _table("Anomalies in the order of their times", ("time", "kind", "reason"), rows)
-    scrolled = _scrolled("Anomalies", table)
-    return tag("section", tag("h2", "Anomalies"), said, scrolled, id="anomalies")
+    return joined([said, _scrolled("Anomalies", table)])
 
 
 def _more(mark: Mark) -> Iterator[Safe]:
