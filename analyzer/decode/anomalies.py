@@ -6,16 +6,17 @@ warning is what a host does wrong or what a reading leaves open, and info marks 
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 from bilprov.analyzer.decode.pairing import Held, Waiting
-from bilprov.analyzer.decode.records import UNCERTAIN, Anomaly, Severity
+from bilprov.analyzer.decode.records import UNCERTAIN, Anomaly, DeviceRecord, Severity
 from bilprov.captures.schemas import MS, Line
 from bilprov.captures.text import printable
 from bilprov.spec.codec import Judgement, spaced
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import agrees
+from bilprov.spec.state import State
 
 MID_FRAME = "out of step: the device answered in mid-frame"
 UNCLEAR = "came before it was clear where frames begin"
@@ -44,10 +45,6 @@ class Cause(NamedTuple):
     reason: str
 
 
-AnswerCheck: TypeAlias = tuple[bool | None, tuple[Anomaly, ...]]
-"""Whether an answer is the expected one (None: nothing is expected), and its anomalies."""
-
-
 KINDS = (
     "faulty instruction",
     "truncated",
@@ -73,25 +70,56 @@ _SILENT_END = Cause(UNCERTAIN, Severity.INFO, SILENT_END)
 UNSOLICITED = Cause("unsolicited", Severity.ERROR, "no instruction waits for an answer")
 
 
-def of_answer(protocol: Protocol, held: Held, waiting: Waiting, skew: int) -> AnswerCheck:
-    """Check an answer against the instruction that it answers.
+def answer_record(
+    protocol: Protocol,
+    held: Held,
+    state: State,
+    waiting: Waiting | None = None,
+    *,
+    skew: int = 0,
+    why: Cause = ALONE,
+) -> DeviceRecord:
+    """The record of an answer to the instruction that waits for it.
 
-    `skew` (ns) is how much earlier than its instruction two taps may timestamp an answer.
+    `skew` (ns) is how much earlier than its instruction two taps may timestamp an answer. Where no
+    instruction is known, `why` is the cause.
     """
-    agree, found = _of_itself(protocol, held, waiting.judgement)
-    found += _open_end(held)
-    latency = held.t - waiting.end
-    late = protocol.timing.answer_deadline
-    # How long a device takes to give up on a frame is its own choice (R-truncation-timeout).
-    if latency > late * MS and not waiting.judgement.truncated:
-        reason = f"answered after {latency / MS:.1f} ms, {late:g} ms is the deadline"
-        found.append(Cause("slow", Severity.WARNING, reason))
-    elif latency < 0:
-        reason = f"stamped {-latency / MS:.1f} ms before the instruction was complete"
-        severity = Severity.INFO if -latency <= skew else Severity.WARNING
-        found.append(Cause("early", severity, reason))
-    faults = tuple(Anomaly(held.t, *why, waiting.sequence) for why in found)
-    return agree, faults
+    reply, agree, latency = held.reply, None, None
+    open_end = [_SILENT_END] if reply and reply.open_end else []
+    if waiting:
+        agree, found = _of_itself(protocol, held, waiting.judgement)
+        found += open_end
+        latency, late = held.t - waiting.end, protocol.timing.answer_deadline
+        # How long a device takes to give up on a frame is its own choice (R-truncation-timeout).
+        if latency > late * MS and not waiting.judgement.truncated:
+            reason = f"answered after {latency / MS:.1f} ms, {late:g} ms is the deadline"
+            found.append(Cause("slow", Severity.WARNING, reason))
+        elif latency < 0:
+            reason = f"stamped {-latency / MS:.1f} ms before the instruction was complete"
+            severity = Severity.INFO if -latency <= skew else Severity.WARNING
+            found.append(Cause("early", severity, reason))
+    elif reply:
+        damaged = Cause("damaged answer", Severity.ERROR, reply.reason)
+        found = [why] if why.kind else [damaged] if reply.reason else []
+        found += open_end
+    else:
+        found = [why] if why.kind else []
+        if held.byte not in protocol.codes:
+            agree = False
+            found.append(_unused_code(protocol, held.byte))
+    number = waiting.sequence if waiting else None
+    return DeviceRecord(
+        t=held.t,
+        byte=held.byte,
+        answer=reply.response if reply else protocol.codes.get(held.byte),
+        answered=waiting.judgement if waiting else None,
+        instruction=number,
+        latency=latency,
+        agrees=agree,
+        state=state,
+        faults=tuple(Anomaly(held.t, *one, number) for one in found),
+        reply=reply,
+    )
 
 
 def _of_itself(protocol: Protocol, held: Held, asked: Judgement) -> tuple[bool, list[Cause]]:
@@ -124,22 +152,6 @@ def _of_itself(protocol: Protocol, held: Held, asked: Judgement) -> tuple[bool, 
     because = f": {asked.reason}" if asked.reason else ", it is valid"
     reason = f"{said} to {asked.describe()}, expected is {asked.response.name}{because}{rests_on}"
     return False, [Cause("disagreeing", severity, reason)]
-
-
-def of_unpaired(protocol: Protocol, held: Held, why: Cause) -> AnswerCheck:
-    """Check a device byte that answers no instruction; `why` is the cause."""
-    found = [*([why] if why.kind else []), *_open_end(held)]
-    if held.reply and held.reply.reason and not why.kind:
-        found.insert(0, Cause("damaged answer", Severity.ERROR, held.reply.reason))
-    unused = not held.reply and held.byte not in protocol.codes
-    if unused:
-        found.append(_unused_code(protocol, held.byte))
-    return False if unused else None, tuple(Anomaly(held.t, *one) for one in found)
-
-
-def _open_end(held: Held) -> list[Cause]:
-    """The cause where only silence tells the end of an answer."""
-    return [_SILENT_END] if held.reply and held.reply.open_end else []
 
 
 def unanswered(waiting: Waiting, now: int, others: int = 0) -> Anomaly:

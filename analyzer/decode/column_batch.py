@@ -26,7 +26,6 @@ from bilprov.analyzer.decode.batch import (
     repeated,
     sliced,
 )
-from bilprov.analyzer.decode.decoder import answer_record
 from bilprov.analyzer.decode.pairing import Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.schemas import Line
@@ -259,7 +258,9 @@ class ColumnBatch(Batch):
             assert one.instruction is not None
             waiting = Waiting(one.instruction, int(end[at]), int(end[at]), one.answered)
             held = Held(one.t, one.byte, one.reply)
-            made[at] = answer_record(tables.protocol, held, one.state, waiting, skew=tables.skew)
+            made[at] = anomalies.answer_record(
+                tables.protocol, held, one.state, waiting, skew=tables.skew
+            )
         return made
 
     def _replies(self, rows: NDArray[np.int64], judged: Sequence[Judgement]) -> Iterator[Reply]:

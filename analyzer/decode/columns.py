@@ -11,17 +11,18 @@ and no two requests wait between which the host has paused.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, repeat
 from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from bilprov.analyzer.decode.batch import sliced
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.column_batch import ColumnBatch, Decoding
 from bilprov.analyzer.decode.decoder import TURNS
-from bilprov.analyzer.decode.pairing import MOST
+from bilprov.analyzer.decode.pairing import MOST, waiting_frames
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk
 from bilprov.spec.arrays.layouts import Mask, Places, Requests
@@ -182,7 +183,7 @@ class ColumnDecoder:
         held = [(chunk.t, byte) for chunk in carry.device.chunks("device") for byte in chunk.data]
         return replace(
             carry.rest,
-            waiting=tuple(self._groups(carry)),
+            waiting=self._waiting(carry),
             held=tuple(held) if self._plain else (),
         )
 
@@ -204,18 +205,12 @@ class ColumnDecoder:
         frame = b"".join(one.data for one in held)
         return replace(state, frame=frame, frame_start=held[0].t, frame_end=held[-1].t)
 
-    def _groups(self, carry: Carry) -> Iterator[WaitingFrames]:
-        """Yield the waiting frames, neighbours with equal times together."""
-        if not len(carry.end):
-            return
-        changed = (np.diff(carry.end) != 0) | (np.diff(carry.sequence) != 1)
-        first = np.append(0, 1 + np.flatnonzero(changed))
-        data, waiting = carry.host.data, carry.waiting
-        for low, high in pairwise([*first.tolist(), len(carry.end)]):
-            end = int(carry.end[low])
-            frames = data[int(waiting.offset[low]) : int(waiting.end[high - 1])].tobytes()
-            number = None if self._plain else int(carry.sequence[low])
-            yield WaitingFrames(end, end + self._longest, frames, number)
+    def _waiting(self, carry: Carry) -> tuple[WaitingFrames, ...]:
+        """The waiting frames, neighbours with equal times together."""
+        frames = sliced(carry.host.data, carry.waiting.offset, carry.waiting.end)
+        times = zip(carry.end.tolist(), (carry.end + self._longest).tolist(), strict=True)
+        rows = zip(carry.sequence.tolist(), times, frames, repeat(False), strict=False)
+        return waiting_frames(rows, numbered=not self._plain)
 
     def deadline(self, carry: Carry) -> int | None:
         """When (ns) something falls due without an event, None if nothing does."""

@@ -183,18 +183,13 @@ class Decoder:
         if event.event in ("unplugged", "reconnected"):
             taps: frozenset[Direction] = frozenset({event.tap} if event.tap else SIDES)
             self._turn(self._away - taps if lost else self._away | taps)
-        if event.event == "unplugged":
+        if lost or event.event == "unplugged":
             self._lost_at, self._out_of_step = event.t, None
-            # It is not known whether what waits is answered; what is held comes before all that
-            # follows, which is told at once.
-            for held in self._pairing.forget():
-                self._unsolicited(held, out)
-        if lost:
-            self._out_of_step = None
-            self._lost_at = event.t
-            if event.tap != "device":
+            if lost and event.tap != "device":
                 for framed in self._framer.drop(event.t):
                     self.garbage(framed, anomalies.LOST, out)
+            # It is not known whether what waits is answered; what is held comes before all that
+            # follows.
             for held in self._pairing.forget():
                 self._unsolicited(held, out)
         out.append(LineRecord(event, lost, self._state, anomalies.of_line(event, lost)))
@@ -261,7 +256,9 @@ class Decoder:
             frame=self._framer.held,
             frame_start=start,
             frame_end=end,
-            waiting=waiting_frames(self._pairing.waiting, numbered=not self._protocol.plain),
+            waiting=waiting_frames(
+                (one.told for one in self._pairing.waiting), numbered=not self._protocol.plain
+            ),
             held=tuple((held.t, held.byte) for held in self._pairing.held),
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,
@@ -391,11 +388,10 @@ class Decoder:
             self._unpaired(held, anomalies.ALONE, out)
 
     def _framed(self, framed: Framed, out: list[Record]) -> None:
-        kind, start, end, known, data = framed
-        if kind == "garbage":
+        if framed.kind == "garbage":
             self.garbage(framed, anomalies.NO_FRAME, out)
-            return
-        self._frame(kind, data, start, end, known, out)
+        else:
+            self._frame(framed.kind, framed.data, *framed[1:4], out)
 
     def _frame(
         self, kind: Kind, data: bytes, start: int, end: int, known: int, out: list[Record]
@@ -468,52 +464,22 @@ class Decoder:
         self._pair(held, pairing.waiting.popleft(), out)
 
     def _pair(self, held: Held, waiting: Waiting, out: list[Record]) -> None:
-        record = answer_record(self._protocol, held, self._state, waiting, skew=self._skew)
+        record = anomalies.answer_record(
+            self._protocol, held, self._state, waiting, skew=self._skew
+        )
         if record.agrees and waiting.judgement.valid:
             self._in_doubt = False
         out.append(record)
 
     def _unsolicited(self, held: Held, out: list[Record]) -> None:
-        why = (
-            anomalies.UNSOLICITED if self._sequence else anomalies.EARLY
-        )  # a banner: R-unsolicited
+        # Before the first instruction it is a banner: R-unsolicited.
+        why = anomalies.UNSOLICITED if self._sequence else anomalies.EARLY
         if self._lost_at is not None and held.t - self._lost_at <= self._pairing.late:
             why = anomalies.NEAR_LOSS
         self._unpaired(held, why, out)
 
     def _unpaired(self, held: Held, why: anomalies.Cause, out: list[Record]) -> None:
-        out.append(answer_record(self._protocol, held, self._state, why=why))
-
-
-def answer_record(
-    protocol: Protocol,
-    held: Held,
-    state: State,
-    waiting: Waiting | None = None,
-    *,
-    skew: int = 0,
-    why: anomalies.Cause = anomalies.ALONE,
-) -> DeviceRecord:
-    """The record of an answer to the instruction that waits for it; `skew` is as in Session.
-
-    Where none is known, `why` is the cause.
-    """
-    if waiting:
-        agrees, faults = anomalies.of_answer(protocol, held, waiting, skew)
-    else:
-        agrees, faults = anomalies.of_unpaired(protocol, held, why)
-    return DeviceRecord(
-        t=held.t,
-        byte=held.byte,
-        answer=held.reply.response if held.reply else protocol.codes.get(held.byte),
-        answered=waiting.judgement if waiting else None,
-        instruction=waiting.sequence if waiting else None,
-        latency=held.t - waiting.end if waiting else None,
-        agrees=agrees,
-        state=state,
-        faults=faults,
-        reply=held.reply,
-    )
+        out.append(anomalies.answer_record(self._protocol, held, self._state, why=why))
 
 
 class BusState:

@@ -41,6 +41,12 @@ class Waiting(msgspec.Struct, frozen=True, gc=False):
     expires: int
     judgement: Judgement
 
+    @property
+    def told(self) -> tuple[int, tuple[int, int], bytes, bool]:
+        """What `waiting_frames` has of it."""
+        judgement = self.judgement
+        return self.sequence, (self.end, self.expires), judgement.frame, judgement.truncated
+
 
 class Held(msgspec.Struct, frozen=True, gc=False):
     """A device byte, or an answer of several, and its time (ns).
@@ -121,21 +127,21 @@ class Pairing:
 
 
 def waiting_frames(
-    waiting: Iterable[Waiting], *, numbered: bool = False
+    waiting: Iterable[tuple[int, tuple[int, int], bytes, bool]], *, numbered: bool = False
 ) -> tuple[WaitingFrames, ...]:
     """Instructions that wait: neighbours with equal times together, as far as one cut short.
 
+    Each is its number, when it ended and expires (ns), its bytes, and whether it was cut short.
     With `numbered` there may be some between them that are not answered.
     """
     groups: list[tuple[tuple[int, int], int, list[bytes]]] = []
     closed = True
-    for one in waiting:
-        times = one.end, one.expires
+    for number, times, frame, cut in waiting:
         follows = not closed and groups[-1][0] == times
-        if not follows or (numbered and groups[-1][1] + len(groups[-1][2]) != one.sequence):
-            groups.append((times, one.sequence, []))
-        groups[-1][2].append(one.judgement.frame)
-        closed = one.judgement.truncated
+        if not follows or (numbered and groups[-1][1] + len(groups[-1][2]) != number):
+            groups.append((times, number, []))
+        groups[-1][2].append(frame)
+        closed = cut
     return tuple(
         WaitingFrames(*times, b"".join(frames), first if numbered else None)
         for times, first, frames in groups

@@ -7,7 +7,7 @@ decoded, everything due up to its time comes out, in the order in which it was d
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import TypedDict
 
 import msgspec
@@ -75,7 +75,7 @@ class Session:
         self._timeout = timeout
         self._skew = skew
         self._heard = tuple(sorted(heard))
-        self._decoder = Decoder(
+        self.decoder = Decoder(
             protocol,
             timeout=timeout,
             paired=heard >= BOTH,
@@ -91,7 +91,7 @@ class Session:
     @property
     def deadline(self) -> int | None:
         """The time (ns) at which `advance` is next needed without an event, None if it is not."""
-        return self._resync.deadline if self._resync else self._decoder.deadline
+        return self._resync.deadline if self._resync else self.decoder.deadline
 
     @property
     def _settings(self) -> tuple[int, int, tuple[Direction, ...]]:
@@ -101,7 +101,7 @@ class Session:
     def regular(self) -> bool:
         """Whether it is known where frames begin, and nothing odd is under way."""
         hunts = self._resync is not None or self._unsynced_since is not None
-        return not hunts and not self._decoder.unread and self._decoder.regular
+        return not hunts and not self.decoder.unread and self.decoder.regular
 
     def feed(self, event: Chunk | Line) -> list[Record]:
         """Take an event and return the records it completes.
@@ -113,8 +113,8 @@ class Session:
         out: list[Record] = []
         self._until(event.t, out)
         self._time = event.t
-        if self._decoder.unread:
-            self._decoder.go_on(event.t)
+        if self.decoder.unread:
+            self.decoder.go_on(event.t)
             if self._unsynced_since is not None:
                 self._unsynced_since = event.t  # whether the host was silent is not known
         self._event(event, out)
@@ -137,7 +137,7 @@ class Session:
         self._until(now, out)
         self._give_up_hunt(out)
         self._until(now, out)
-        self._decoder.finish(self._time, out)
+        self.decoder.finish(self._time, out)
         return out
 
     def saved(self) -> DecoderState | None:
@@ -145,9 +145,9 @@ class Session:
 
         None while frame boundaries are looked for, or nothing is read.
         """
-        if self._resync or self._decoder.unread or not self._decoder.settled:
+        if self._resync or self.decoder.unread or not self.decoder.settled:
             return None
-        return self._decoder.save(
+        return self.decoder.save(
             time=self._time,
             timeout=self._timeout,
             skew=self._skew,
@@ -168,16 +168,7 @@ class Session:
         self._resync = None
         self._time = state.time
         self._unsynced_since, self._spoken = state.unsynced_since, state.spoken
-        self._decoder.resume(state)
-
-    @property
-    def begun(self) -> list[Chunk]:
-        """The host's bytes of a frame of any layout that is not complete, as they came."""
-        return self._decoder.begun
-
-    def hold(self, chunks: Iterable[Chunk]) -> None:
-        """Take the beginnings of a frame and of an answer of any layout, after `resume`."""
-        self._decoder.hold(chunks)
+        self.decoder.resume(state)
 
     def _until(self, now: int, out: list[Record]) -> None:
         """Append what falls due up to `now`; silence of the host ends resynchronisation."""
@@ -186,7 +177,7 @@ class Session:
                 return
             self._resync.silence()
             self._end_hunt(self._resync, out)
-        self._decoder.until(now, out)
+        self.decoder.until(now, out)
 
     def _event(self, event: Chunk | Line, out: list[Record]) -> None:
         """Decode or buffer an event, after all that fell due before it."""
@@ -198,8 +189,8 @@ class Session:
             self._host(event.data, event.t, out)
         elif isinstance(event, Line) and event.event in (*LOSSES, UNREAD):
             self._give_up_hunt(out)
-            self._decoder.until(event.t, out)
-            self._decoder.line(event, out)
+            self.decoder.until(event.t, out)
+            self.decoder.line(event, out)
             if event.event in LOSSES and event.tap != "device":
                 self._unsynced_since, self._spoken = event.t, False
         elif self._resync:
@@ -245,14 +236,14 @@ class Session:
             if self._resync.over:
                 self._end_hunt(self._resync, out)
         if at < len(data):
-            self._decoder.host(data[at:], now, out)
+            self.decoder.host(data[at:], now, out)
 
     def _synchronise(self, since: int, now: int) -> None:
         """Look for frame boundaries from `now` on, unless silence shows that a frame begins."""
         if now - since >= self._timeout:
             return
         if not self._protocol.plain:  # a frame of another layout is found by its sync or its check
-            self._decoder.doubt(now)
+            self.decoder.doubt(now)
             return
         self._resync = Resync(
             self._protocol,
@@ -273,20 +264,20 @@ class Session:
         self._resync = None
         for event in hunt.settled():
             if isinstance(event, Framed):
-                self._decoder.until(event.known, out)
-                self._decoder.garbage(event, anomalies.UNCLEAR, out)
+                self.decoder.until(event.known, out)
+                self.decoder.garbage(event, anomalies.UNCLEAR, out)
             else:
-                self._decoder.until(event.t, out)
+                self.decoder.until(event.t, out)
                 self._decoded(event, out)
 
     def _decoded(self, event: Chunk | Line, out: list[Record]) -> None:
         """Decode an event where frame boundaries are known."""
         if isinstance(event, Line):
-            self._decoder.line(event, out)
+            self.decoder.line(event, out)
         elif event.direction == "host":
-            self._decoder.host(event.data, event.t, out)
+            self.decoder.host(event.data, event.t, out)
         else:
-            self._decoder.device(event.data, event.t, out)
+            self.decoder.device(event.data, event.t, out)
 
 
 BOUNDARY = 0.75

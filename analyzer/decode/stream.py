@@ -33,10 +33,18 @@ _SHORTEST = 64  # events tried at once after an irregular one
 
 def preload(protocol: Protocol) -> None:
     """Make now what decoding needs, and not in the first busy moment of a line."""
+    _column_decoder(protocol, 0, SKEW, True)
+
+
+def _column_decoder(
+    protocol: Protocol, timeout: int, skew: int, paired: bool
+) -> ColumnDecoder | None:
+    """The decoder into columns; None for a protocol that does not fit into them."""
     from bilprov.analyzer.decode.columns import ColumnDecoder
 
-    with suppress(OverflowError):  # it does not fit into columns
-        ColumnDecoder(protocol, timeout=0, skew=SKEW, paired=True)
+    with suppress(OverflowError):
+        return ColumnDecoder(protocol, timeout=timeout, skew=skew, paired=paired)
+    return None
 
 
 class StreamDecoder:
@@ -62,7 +70,7 @@ class StreamDecoder:
         self._protocol = protocol
         self._settings = timeout, skew, heard >= BOTH
         self._regular: ColumnDecoder | None = None
-        self._unfit = False  # whether this protocol does not fit into columns
+        self._loaded = False  # whether that is all there will be of it
         self._carry: Carry | None = None  # what the last batch left, while the Session rests
         self._direct = _FEWEST
         self._alone = 0  # events still to come that go through the Session
@@ -144,34 +152,21 @@ class StreamDecoder:
         """Hand over from the Session, if it can be; return whether the columns are in charge."""
         if self._carry is not None:
             return True
-        if self._unfit or not self._session.regular:
+        if not self._loaded:
+            self._regular = _column_decoder(self._protocol, *self._settings)
+            self._loaded = True
+        if self._regular is None or not self._session.regular:
             return False
         state = self._session.saved()
-        regular = self._load()
-        if regular is None or state is None:
-            return False
-        self._carry = regular.carry(state, self._session.begun)
+        if state is not None:
+            self._carry = self._regular.carry(state, self._session.decoder.begun)
         return self._carry is not None
-
-    def _load(self) -> ColumnDecoder | None:
-        """Make the decoder into columns; None for a protocol that does not fit into them."""
-        if self._regular is None and not self._unfit:
-            from bilprov.analyzer.decode.columns import ColumnDecoder
-
-            timeout, skew, paired = self._settings
-            try:
-                self._regular = ColumnDecoder(
-                    self._protocol, timeout=timeout, skew=skew, paired=paired
-                )
-            except OverflowError:
-                self._unfit = True
-        return self._regular
 
     def _leave_columns(self) -> Session:
         """Hand over to the Session, if it is not in charge, and return it."""
         if self._carry is not None and self._regular is not None:
             self._session.go_on(self._regular.state(self._carry))
-            self._session.hold(self._regular.begun(self._carry))
+            self._session.decoder.hold(self._regular.begun(self._carry))
             self._carry = None
         return self._session
 
