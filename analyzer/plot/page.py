@@ -8,15 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from bilprov.analyzer.html.markup import (
-    Safe,
-    bar,
-    filled,
-    html_page,
-    joined,
-    json_block,
-    tag,
-)
+from bilprov.analyzer.html.markup import Safe, bar, filled, html_page, joined, json_block, tag
 from bilprov.analyzer.output.capture_stats import Json
 from bilprov.analyzer.totals.timeline import Mark, Timeline, numbers_of, word_of
 from bilprov.captures.reader import Capture
