@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -81,6 +82,50 @@ class PathWatch:
             return False
         self.name, self._place = path, Place(path)
         return True
+
+    def begin(self, *, lost: bool) -> None:
+        """Nobody holds the port from now on. It has been watched all the time."""
+
+    def end(self) -> None:
+        """The port is about to be opened."""
+
+
+@dataclass(eq=False)
+class ConnectionWatch:
+    """Notices that a device behind a URL was out of reach and is reachable again.
+
+    Meanwhile it holds a connection, since only its end shows that. `settings` are the line's.
+    """
+
+    name: str
+    settings: LineSettings
+    _held: Port | None = None
+    _gone: bool = False
+
+    def begin(self, *, lost: bool) -> None:
+        """Nobody else holds a connection from now on; `lost` where the last one has broken."""
+        self._gone = lost
+        if not lost:
+            self.returned()
+
+    def returned(self) -> bool:
+        """Whether it has gone and come back since this was last true, or since `begin`."""
+        try:
+            if self._held is None:
+                self._held = open_port(self.name, self.settings)
+            self._held.read()
+        except LinkError:
+            self.end()
+            self._gone = True
+            return False
+        back, self._gone = self._gone, False
+        return back
+
+    def end(self) -> None:
+        """The connection is about to be made elsewhere."""
+        if self._held is not None:
+            self._held.close()
+        self._held = None
 
 
 def opened_when_there(

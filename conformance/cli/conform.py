@@ -224,7 +224,7 @@ def conform(options: ConformOptions) -> int:
 
     if options.reports.record is not None:
         raise click.UsageError("--record is for one run: leave out --watch")
-    comeback = Comeback(name, options.watch_file)
+    comeback = Comeback(name, settings, options.watch_file)
     note_each([plan.order])
     first = _run(protocol, options, name, settings, plan)
     robot = msgspec.structs.replace(options.robot, yes=True)  # that was for all runs

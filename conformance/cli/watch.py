@@ -15,7 +15,14 @@ from rich.console import Console
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.client.probes import ProbeError
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.replug import LOOK_AGAIN, PathWatch, Place, opened_when_there
+from bilprov.analyzer.transport.line_settings import LineSettings
+from bilprov.analyzer.transport.replug import (
+    LOOK_AGAIN,
+    ConnectionWatch,
+    PathWatch,
+    Place,
+    opened_when_there,
+)
 from bilprov.analyzer.transport.signals import Stopper, ending_requested
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.last_run import LastRun, Run, failed_cases
@@ -24,6 +31,7 @@ from bilprov.conformance.dut.target import PORT, SIM, TargetName
 
 _NEW = "new failures"
 _NAMED = 3  # cases in a line
+_NETWORK = ("socket://", "rfc2217://")
 _ABSENT = (LinkError, ProbeError, EmulatorError)  # of a device that cannot be opened yet
 
 Again: TypeAlias = Callable[[TargetName, LastRun], Run]
@@ -62,10 +70,13 @@ class Comeback:
     Raises UsageError where there is nothing to wait for.
     """
 
-    def __init__(self, name: TargetName, file: str | None) -> None:
+    def __init__(self, name: TargetName, settings: LineSettings, file: str | None) -> None:
         self.name = name
-        lasts = name.kind == PORT and Place(name.text).lasts
-        self._port = PathWatch(name.text) if lasts else None
+        self._port: PathWatch | ConnectionWatch | None = None
+        if name.text.lower().startswith(_NETWORK):
+            self._port = ConnectionWatch(name.text, settings)
+        elif name.kind == PORT and Place(name.text).lasts:
+            self._port = PathWatch(name.text)
         watched = [Path(file)] if file else [] if name.kind in (PORT, SIM) else [name.firmware]
         self._files = [FileWatch(path) for path in watched]
         if not (self._port or self._files):
@@ -86,13 +97,23 @@ class Comeback:
             # Each is looked at each time: what is not waited for any more is then no news.
             changed = [file.path for file in self._files if file.changed()]
             if self._port is not None and self._port.returned():
-                self.name = replace(self.name, text=self._port.name)
                 note(f"{self._port.name} is there again")
                 break
             if changed:
                 note(f"{changed[0]} has changed")
                 break
             select.select([stopper], [], [], LOOK_AGAIN)
+
+    def begin(self, *, lost: bool) -> None:
+        """The run is over and its port closed; `lost` where that was why it ended."""
+        if self._port is not None:
+            self._port.begin(lost=lost)
+
+    def end(self) -> None:
+        """The next run begins."""
+        if self._port is not None:
+            self._port.end()
+            self.name = replace(self.name, text=self._port.name)
 
 
 def watch(first: Run, again: Again, comeback: Comeback, console: Console) -> int:
@@ -103,18 +124,23 @@ def watch(first: Run, again: Again, comeback: Comeback, console: Console) -> int
     """
     number, run = 1, first
     with Stopper() as stopper:
-        while True:
-            for line in change_words(number, run):
-                console.print(line, markup=False, soft_wrap=True)
-            if stopper.stopped or ending_requested() or run.report.ended_by == "user":
-                break
-            note(f"waiting for {comeback.words}; Ctrl-C ends")
-            comeback.wait(stopper)
-            open_it = partial(again, comeback.name, run.after)
-            next_run = opened_when_there(open_it, lambda: stopper.stopped, note, absent=_ABSENT)
-            if next_run is None:
-                break
-            number, run = number + 1, next_run
+        try:
+            while True:
+                comeback.begin(lost=run.report.ended_by == "error")
+                for line in change_words(number, run):
+                    console.print(line, markup=False, soft_wrap=True)
+                if stopper.stopped or ending_requested() or run.report.ended_by == "user":
+                    break
+                note(f"waiting for {comeback.words}; Ctrl-C ends")
+                comeback.wait(stopper)
+                comeback.end()
+                open_it = partial(again, comeback.name, run.after)
+                next_run = opened_when_there(open_it, lambda: stopper.stopped, note, absent=_ABSENT)
+                if next_run is None:
+                    break
+                number, run = number + 1, next_run
+        finally:
+            comeback.end()
     return run.report.exit
 
 

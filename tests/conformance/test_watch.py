@@ -10,6 +10,7 @@ from threading import Event
 import pytest
 from msgspec.structs import replace
 
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.replug import PathWatch
 from bilprov.conformance.cli.last_run import LastRun, Run
 from bilprov.conformance.cli.watch import Comeback, FileWatch, change_words
@@ -19,7 +20,7 @@ from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.reports import a_case, a_run
-from tests.support.robots import PATIENCE, plugged
+from tests.support.robots import PATIENCE, plugged, simulate
 from tests.support.wires import Running, running
 
 FAULTY = ("--fault", "ok-to-bad-data")  # it stops, so that it is judged soon
@@ -56,6 +57,26 @@ def until_it_waits(watching: Running) -> list[str]:
         lines.append(watching.stderr.readline().decode())
         assert lines[-1], lines
     return lines[1:]
+
+
+@pytest.mark.waits
+def test_a_device_behind_a_socket_is_tested_whenever_it_is_reachable_again(
+    profile: tuple[str, ...],
+) -> None:
+    with ExitStack() as stack:
+        with simulate(*FAULTY) as served:
+            words = ("conform", served.port, "--probe", served.probe, *profile, "--watch")
+            watching = stack.enter_context(running(*words))
+            assert block(watching) == ["run 1: 1 new failure", f"new failures {LED}"]
+            until_it_waits(watching)
+        with simulate(like=served):
+            assert block(watching) == ["run 2: 1 fixed", f"fixed {LED}"]
+            assert f"{served.port} is there again\n" in until_it_waits(watching)
+        with simulate(*FAULTY, like=served) as served:
+            assert block(watching) == ["run 3: 1 new failure", f"new failures {LED}"]
+            until_it_waits(watching)
+            assert watching.end()[0] == 1
+            assert served.state()["moving"] is False
 
 
 class Moved(Simulator):
@@ -113,9 +134,11 @@ def test_a_changed_file_begins_a_run_and_the_exit_code_is_the_last_ones(
 
 
 def test_of_an_emulated_board_the_firmware_is_watched(protocol: Protocol) -> None:
-    board = Path("car.elf")
+    board, settings = Path("car.elf"), line_settings(protocol)
 
-    assert Comeback(TargetName("a board", SIMAVR, board), None).words == ("car.elf to change")
+    assert Comeback(TargetName("a board", SIMAVR, board), settings, None).words == (
+        "car.elf to change"
+    )
 
 
 # -- what has come back, and what has changed -----------------------------------------------------
