@@ -49,11 +49,8 @@ def state_folder(environ: Mapping[str, str] = os.environ) -> Path | None:
     """The user's folder for what is kept from one use to the next (XDG); None if there is none."""
     folder = Path(environ.get("XDG_STATE_HOME", ""))
     if not folder.is_absolute():
-        try:
-            folder = Path.home() / ".local" / "state"
-        except RuntimeError:
-            return None
-    return folder / "bilprov"
+        folder = Path(os.path.expanduser("~/.local/state"))  # noqa: PTH111 - Path's may raise
+    return folder / "bilprov" if folder.is_absolute() else None
 
 
 def read_settings(commands: Iterable[str], environ: Mapping[str, str] = os.environ) -> Tables:

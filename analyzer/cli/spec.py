@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from bilprov.analyzer.cli.command import argument, command, group, protocol_in_use
+from bilprov.analyzer.cli.command import argument, command, protocol_in_use
 from bilprov.analyzer.cli.command_files import (
     force_option,
     require_writable,
@@ -25,12 +25,13 @@ from bilprov.analyzer.cli.options import (
     text_format_option,
 )
 from bilprov.analyzer.cli.typed_input import decoded_chunks, file_or_bytes, recorded_chunks
-from bilprov.analyzer.decode.decoded_share import DecodedShare, Undecoded, decoded_share
+from bilprov.analyzer.decode.decoded_share import DecodedShare, decoded_share
 from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_protocol, not_carried
 from bilprov.analyzer.grammar_name import GrammarName
-from bilprov.analyzer.output.console import facts, heading, show_as
+from bilprov.analyzer.output.console import facts, heading, parts_of, show_as
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
+from bilprov.captures.text import quantity
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -44,11 +45,10 @@ class FormatOption(msgspec.Struct, frozen=True):
     style: str = text_format_option()
 
 
-class ReadingsOptions(msgspec.Struct, frozen=True):
+class ReadingsOptions(FormatOption, frozen=True):
     """The options of `spec readings`."""
 
     ids: tuple[str, ...] = argument(metavar="[ID]...", nargs=-1)
-    style: str = text_format_option()
 
 
 class EmitOption(msgspec.Struct, frozen=True):
@@ -64,11 +64,10 @@ class EmitOption(msgspec.Struct, frozen=True):
         write_output(self.output, text.encode())
 
 
-class GrammarOptions(msgspec.Struct, frozen=True):
+class GrammarOptions(EmitOption, frozen=True):
     """Which grammar is written, and where."""
 
     name: str | None = argument(metavar="[NAME]", required=False, type=click.Choice(list(SHIPPED)))
-    written: EmitOption = group(EmitOption)
     force: bool = force_option()
 
 
@@ -202,9 +201,9 @@ def grammar(options: GrammarOptions) -> None:
     NAME is one of bilprov spec grammars; without it, the grammar in use is written. The changed
     text is named with --grammar.
     """
-    require_writable([("-o", options.written.output)], force=options.force)
+    require_writable([("-o", options.output)], force=options.force)
     protocol = load_protocol(options.name) if options.name else protocol_in_use()
-    options.written.write(protocol.source)
+    options.write(protocol.source)
 
 
 class CheckOptions(msgspec.Struct, frozen=True):
@@ -264,21 +263,20 @@ def _share(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) -> D
 
 
 def _drawn(protocol: Protocol, share: DecodedShare) -> Iterator[RenderableType]:
-    """Yield what decodes, and the first bytes that do not."""
+    """Yield what decodes, and the first bytes that do not: what they nearly are, and why not."""
     yield heading(f"{protocol.name} decodes {_percent(share)} of the bytes")
     rows: list[tuple[str, str]] = []
     for direction, side in share.sides.items():
-        kind = "request" if direction == "host" else "answer"
-        frames = f"{side.frames} {kind}{'s' * (side.frames != 1)}"
+        frames = quantity(side.frames, "request" if direction == "host" else "answer")
         rows.append((direction, f"{side.decoded} of {side.bytes} bytes decode: {frames}"))
-    first = share.first
-    if first:
-        rows += [
-            ("first that does not", _place(first)),
-            ("bytes", first.data.hex(" ")),
-            ("nearly", _nearly(first)),
-            ("a check that fits", share.check),
-        ]
+    if first := share.first:
+        where = f"byte {first.offset} of the {first.direction}, at {first.t / 1e9:.6f} s"
+        rows += [("first that does not", where), ("bytes", first.data.hex(" "))]
+        nearly, near = "no instruction", first.near
+        if near is not None:
+            answer = "the answer to " if first.direction == "device" and near.name else ""
+            nearly = f"{answer}{near.name or nearly} ({near.obstacle}): {near.reason}"
+        rows += [("nearly", nearly), ("a check that fits", share.check)]
     yield facts(rows)
 
 
@@ -286,24 +284,10 @@ def _percent(share: DecodedShare) -> str:
     return "all" if share.whole else f"{min(share.percent, 99.9):.1f} %"
 
 
-def _place(first: Undecoded) -> str:
-    return f"byte {first.offset} of the {first.direction}, at {first.t / 1e9:.6f} s"
-
-
-def _nearly(first: Undecoded) -> str:
-    """What the bytes nearly are and why they are not, in words."""
-    if first.near is None:
-        return "no instruction"
-    name = first.near.name or "no instruction"
-    answer = "the answer to " if first.direction == "device" and first.near.name else ""
-    return f"{answer}{name} ({first.near.obstacle}): {first.near.reason}"
-
-
 def _share_json(share: DecodedShare) -> dict[str, Any]:
     first = share.first
     told = first and {
-        "direction": first.direction,
-        "offset": first.offset,
+        **parts_of(first, "direction", "offset"),
         "t": first.t / 1e9,
         "hex": first.data.hex(" "),
         "nearly": first.near and first.near._asdict(),

@@ -77,17 +77,12 @@ def drawn(summary: dict[str, Any], *, carried: bool) -> Iterator[RenderableType]
     yield heading(printable(summary["path"]))
     yield facts(_about(summary, carried))
     yield Text()
-    yield table(
-        ("topic", "messages"),
-        [(topic, f"{count:,}") for topic, count in sorted(summary["counts"].items())],
-        right="messages",
-    )
+    rows = [(topic, f"{count:,}") for topic, count in sorted(summary["counts"].items())]
+    yield table(("topic", "messages"), rows, right="messages")
     if summary["unfinished"]:
         yield Text()
-        yield Text(
-            "  The recording was not finished (killed or cut short); everything intact is read.",
-            style="yellow",
-        )
+        cut = "The recording was not finished (killed or cut short); everything intact is read."
+        yield Text(f"  {cut}", style="yellow")
     for sentence in summary["damage"]:
         yield Text(f"  damaged: {sentence}", style="yellow")
 

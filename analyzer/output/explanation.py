@@ -52,11 +52,9 @@ def _frame_facts(frame: FrameExplanation) -> Iterator[tuple[str, str | Text]]:
     kept = [f"{', '.join(frame.keeps)} {stay}"] if frame.keeps else []
     yield "state", "; ".join(filter(None, (", ".join(state), *kept)))
     for reading in frame.readings:
-        told = [
-            f"{reading.id}, {reading.clause}: {reading.point}",
-            f"our default: {reading.default}",
-        ]
-        told += (f"otherwise: {choice} -> {verdict}" for choice, verdict in reading.others)
+        told = [f"{reading.id}, {reading.clause}: {reading.point}"]
+        told += [f"our default: {reading.default}"]
+        told += [f"otherwise: {choice} -> {verdict}" for choice, verdict in reading.others]
         yield "reading", Text("\n").join(map(Text, told))
     for erratum in frame.errata:
         yield "erratum", f"{erratum.id}, {erratum.clause}: {erratum.correction}"
@@ -84,19 +82,15 @@ def _bits(groups: Sequence[BitGroup], data: bytes) -> RenderableType:
     grid.add_column()
     number = 0
     for byte, members in groupby(groups, key=lambda group: group.byte):
-        row = list(members)
-        styles = [
-            _FAULT if group.fault else _COLOURS[(number + i) % len(_COLOURS)]
-            for i, group in enumerate(row)
-        ]
-        number += len(row)
-        bits = Text(" ").join(
-            Text(group.bits, style) for group, style in zip(row, styles, strict=True)
-        )
-        coded = spaced(data[byte : byte + row[0].size])
+        row = []
+        for group in members:
+            row.append((group, _FAULT if group.fault else _COLOURS[number % len(_COLOURS)]))
+            number += 1
+        bits = Text(" ").join(Text(group.bits, style) for group, style in row)
+        coded = spaced(data[byte : byte + row[0][0].size])
         grid.add_row(Text(str(byte), "dim"), Text(coded, "bold"), bits)
         at = 0
-        for group, style in zip(row, styles, strict=True):
+        for group, style in row:
             line = Text(" " * at).append("━" * len(group.bits), style)
             shown = (group.name, str(group.value), group.meaning)
             grid.add_row("", "", line, *(Text(part, style) for part in shown))
@@ -106,11 +100,9 @@ def _bits(groups: Sequence[BitGroup], data: bytes) -> RenderableType:
 
 def as_json(explanation: Explanation) -> dict[str, Any]:
     """The explanation as a JSON object."""
-    return {
-        "hex": spaced(explanation.data),
-        "frames": [_frame_json(frame) for frame in explanation.frames],
-        "responses": [_response_json(response) for response in explanation.responses],
-    }
+    frames = [_frame_json(frame) for frame in explanation.frames]
+    responses = [_response_json(response) for response in explanation.responses]
+    return {"hex": spaced(explanation.data), "frames": frames, "responses": responses}
 
 
 def _frame_json(frame: FrameExplanation) -> dict[str, Any]:

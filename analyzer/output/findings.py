@@ -18,7 +18,7 @@ from typing import Any
 
 import msgspec
 
-from bilprov.analyzer.monitor.passive_judge import Findings, Violation
+from bilprov.analyzer.monitor.passive_judge import Findings
 from bilprov.analyzer.output.outputs import Format
 from bilprov.captures.text import quantity
 
@@ -35,13 +35,9 @@ def tell_findings(findings: Findings, style: Format) -> int:
 
 def as_json(findings: Findings) -> dict[str, Any]:
     """The findings as a JSON object; the module's docstring explains the keys."""
+    told = {"kind": "judgement", "exit": findings.exit, **msgspec.to_builtins(findings)}
     listed = [msgspec.to_builtins(v) | {"t": v.t / 1e9} for v in findings.listed]
-    return {
-        "kind": "judgement",
-        "exit": findings.exit,
-        **msgspec.to_builtins(findings),
-        "listed": listed,
-    }
+    return told | {"listed": listed}
 
 
 def sentences(findings: Findings) -> Iterator[str]:
@@ -56,8 +52,9 @@ def sentences(findings: Findings) -> Iterator[str]:
     for reading, count in findings.readings.items():
         what = "another legal reading of" if reading.startswith("R-") else "legal, but"
         yield f"{what} {reading}: {count}"
-    for violation in findings.listed:
-        yield _words(violation)
+    for one in findings.listed:
+        rests_on = f"{one.clause}, {one.reading}" if one.reading else one.clause
+        yield f"violation at {one.t / 1e9:.3f} s: {one.kind}: {one.reason} ({rests_on})"
     total = sum(findings.violations.values())
     if total > len(findings.listed):
         yield f"and {total - len(findings.listed)} more violations"
@@ -65,14 +62,6 @@ def sentences(findings: Findings) -> Iterator[str]:
     fine = "no violation was seen" if findings.judged else "nothing could be judged"
     several = "violation" if total == 1 else "violations"
     yield f"{total} {several}: {kinds}" if total else fine
-
-
-def _words(violation: Violation) -> str:
-    rests_on = f", {violation.reading}" if violation.reading else ""
-    return (
-        f"violation at {violation.t / 1e9:.3f} s: {violation.kind}: {violation.reason} "
-        f"({violation.clause}{rests_on})"
-    )
 
 
 def _draw(findings: Findings) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Literal, TextIO
 
@@ -22,6 +22,8 @@ from bilprov.captures.closing import Closing
 from bilprov.spec import protocol as spec
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from bilprov.analyzer.decode.batch import Batch, Selection
     from bilprov.analyzer.filters.filter import Filter
     from bilprov.analyzer.output.row_columns import RowStyle
@@ -192,63 +194,46 @@ MOST_WAITING = 16 * 1024 * 1024  # characters that may wait; then the writer doe
 class TextQueue(Closing):
     """Text for a stream that may be slower than the line; a context manager.
 
-    A thread writes it, in order. Nothing is dropped: when 16 MiB wait, `write` waits too. What
-    the stream raises is raised by the next call.
+    A thread writes it, in order. Nothing is dropped: when 16 MiB wait, `write` waits too. What the
+    stream raises is raised by the next call.
     """
 
     def __init__(self, stream: TextIO) -> None:
+        from concurrent.futures import ThreadPoolExecutor
+
         self._stream = stream
-        self._texts: list[str] = []
+        self._thread = ThreadPoolExecutor(1, "output")
+        self._texts: deque[tuple[int, Future[None]]] = deque()
         self._size = 0
-        self._changed = threading.Condition()
-        self._failure: BaseException | None = None
-        self._closing = False
-        self._thread = threading.Thread(target=self._drain, name="output", daemon=True)
-        self._thread.start()
 
     def write(self, text: str) -> None:
         """Let text be written as soon as the stream takes it. Raises what the stream raised.
 
         Without text it only does that: what the stream raises while nothing is shown counts too.
         """
-        with self._changed:
-            if self._size and self._size + len(text) > MOST_WAITING:
-                self._changed.wait_for(lambda: self._size < MOST_WAITING)
-            self._raise()
-            if text:
-                self._texts.append(text)
-                self._size += len(text)
-                self._changed.notify_all()
+        while self._texts and (self._texts[0][1].done() or self._size + len(text) > MOST_WAITING):
+            self._take()
+        if text:
+            self._texts.append((len(text), self._thread.submit(self._write, text)))
+            self._size += len(text)
 
     def close(self) -> None:
         """Wait until all text is written. Raises what the stream raised."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify_all()
-        self._thread.join()
-        self._raise()
+        while self._texts:
+            self._take()
+        self._thread.shutdown()
 
-    def _drain(self) -> None:
-        """Write what waits, in the thread, until the queue is closed and empty."""
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._texts or self._closing)
-                texts, self._texts = self._texts, []
-            if not texts:
-                return
-            text = "".join(texts)
-            try:
-                self._stream.write(text)
-                self._stream.flush()
-            except BaseException as error:
-                self._failure = error
-            with self._changed:
-                self._size = 0 if self._failure else self._size - len(text)
-                self._changed.notify_all()
-            if self._failure:
-                return
+    def _write(self, text: str) -> None:
+        self._stream.write(text)
+        self._stream.flush()
 
-    def _raise(self) -> None:
-        if self._failure is not None:
-            failure, self._failure = self._failure, None
-            raise failure
+    def _take(self) -> None:
+        """Wait until the oldest text is written; where it cannot be, the others are dropped."""
+        size, written = self._texts.popleft()
+        self._size -= size
+        try:
+            written.result()
+        except BaseException:
+            self._texts.clear()
+            self._thread.shutdown(wait=False, cancel_futures=True)
+            raise

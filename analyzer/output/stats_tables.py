@@ -145,10 +145,10 @@ def _responses(counts: Json) -> Iterator[RenderableType]:
 
 def _anomalies(counts: Json) -> Iterator[RenderableType]:
     sides = counts["by_direction"]
-    rows = [
-        (printable(kind), _count(count), *(_count(by.get(kind, 0)) for by in sides.values()))
-        for kind, count in counts["anomalies"].items()
-    ]
+    rows = []
+    for kind, count in counts["anomalies"].items():
+        found = [count, *(by.get(kind, 0) for by in sides.values())]
+        rows.append((printable(kind), *map(_count, found)))
     yield from _table(("anomaly", "count", *sides), rows)
 
 

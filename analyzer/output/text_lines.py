@@ -98,10 +98,7 @@ class LineRenderer:
 
     def _device_line(self, record: DeviceRecord) -> str:
         severity = severity_of(record) if record.faults else None
-        if record.reply:
-            text = self._device_text(record.hex, record.words, severity)
-        else:
-            text = self._device(f"{record.byte:02x}", record.words, severity)
+        text = self._device(record.hex, record.words, severity)
         latency = "" if record.latency is None else f" {record.latency / 1e6:8.3f} ms"
         return f"{text}{latency}{self._why(record.reason, severity)}".rstrip()
 

@@ -375,14 +375,10 @@ class Browser(App[str | None]):
         def read(text: str) -> tuple[str, Filter | None]:
             return text, compile_filter(text, protocol).started(start) if text else None
 
-        question = Question(
-            "filter /",
-            "Tab completes, Enter filters, Esc goes back",
-            read,
-            lambda found: self._filter(*found),
-            lambda text, at: completions(text, at, protocol),
-        )
-        self._ask(question, self.filter_text, replaced=True)
+        hint = "Tab completes, Enter filters, Esc goes back"
+        question = Question("filter /", hint, read, lambda found: self._filter(*found))
+        offered = partial(completions, protocol=protocol)
+        self._ask(question._replace(completions=offered), self.filter_text, replaced=True)
 
     def action_only_faults(self) -> None:
         """Show only the rows with a fault; where they are shown, all rows."""

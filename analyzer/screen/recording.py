@@ -8,6 +8,7 @@ One thread adds batches while others read: what is added is there as a whole or 
 from __future__ import annotations
 
 import math
+import os
 import pickle  # of our own bytes alone
 import time
 from array import array
@@ -333,14 +334,12 @@ def rows_file(name: str) -> str:
 
 def new_file(name: str) -> str:
     """The name of a new file. Raises ValueError if none can have it."""
-    path = Path(name)
-    try:
-        there = path.exists() or path.is_symlink()
-        why = why_not_writable(path)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"no file can have this name: {printable(error)}") from error
-    if there:
+    if os.path.lexists(name):
         raise ValueError(f"{printable(name)} exists and is never overwritten: choose another name")
+    try:
+        why = why_not_writable(Path(name))
+    except (OSError, ValueError) as error:
+        why = f"no file can have this name: {printable(error)}"
     if why:
         raise ValueError(why)
     return name
