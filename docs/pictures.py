@@ -82,7 +82,7 @@ def browse_picture(protocol: Protocol) -> str:
     recording = Recording(protocol)
     for part in drive_parts(protocol):
         recording.add(part)
-    feed: Feed[None] = Feed(recording, lambda feed: None, stays=True)
+    feed: Feed = Feed(recording, lambda feed: None, stays=True)
     screen = Browser(feed, Told("drive.mcap", 0, line_settings(protocol)))
 
     async def taken() -> str:

@@ -30,7 +30,6 @@ from bilprov.analyzer.cli.options import (
     filter_option,
     half_duplex_option,
     note,
-    note_each,
     output_option,
     text_format_option,
 )
@@ -133,7 +132,7 @@ def cut(options: CutOptions) -> None:
     opened = opened_at(found, protocol, window.first or 0)
     capture = opened.capture
     require_begun(capture, window.first)
-    note_each(said_about(capture, protocol))
+    note(*said_about(capture, protocol))
     metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
     times = 1 if test is None else 2
     with _copying(options, [capture], metadata, protocol, times=times) as copy:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from bilprov.analyzer.cli.command import flag, option, protocol_in_use, typed_protocol
-from bilprov.analyzer.cli.options import note, note_each
+from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.files import real_path, whole_file, why_not_writable
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.text import escape_json
@@ -68,7 +68,7 @@ def note_captures(captures: Iterable[Capture], protocol: Protocol) -> None:
     from bilprov.analyzer.replay.capture_decoding import said_about
 
     for capture in captures:
-        note_each(said_about(capture, protocol))
+        note(*said_about(capture, protocol))
 
 
 def split(capture: Capture, protocol: Protocol) -> Capture:

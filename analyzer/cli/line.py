@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import click
 import msgspec
@@ -20,17 +19,7 @@ from bilprov.captures.schemas import MS
 _rate = partial(option, metavar="RATE", type=Finite(0, 1), default=0.0)
 
 
-class Milliseconds(Finite):
-    """A number of milliseconds, or one like `5ms`."""
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """The number of an option's value."""
-        return super().convert(str(value).lower().removesuffix("ms"), param, ctx)
-
-
-_time = partial(option, metavar="MS", type=Milliseconds(0, 60_000), default=0.0)
+_time = partial(option, metavar="MS", type=Finite(0, 60_000), default=0.0)
 
 
 class ImpairedOptions(msgspec.Struct, frozen=True):
@@ -50,7 +39,7 @@ class ImpairedOptions(msgspec.Struct, frozen=True):
 @command(ImpairedOptions)
 def line(options: ImpairedOptions) -> int:
     """Examples:
-      bilprov lab line --drop 1e-4 --delay 5ms /dev/ttyUSB0 pty
+      bilprov lab line --drop 1e-4 --delay 5 /dev/ttyUSB0 pty
       bilprov lab line --flip 1e-3 pty pty
 
     Between A and B bytes are lost, changed, doubled and delayed, both ways. A and B are each a
@@ -59,7 +48,7 @@ def line(options: ImpairedOptions) -> int:
     and at once. What arrives at a pty waits for the program that opens it, as in a driver's buffer.
 
     A RATE is how likely a byte is hit, 0 to 1: 1e-4 is one in ten thousand. Times are in
-    milliseconds: 5ms, or 5. The order of the bytes is kept. The same seed and the same bytes give
+    milliseconds. The order of the bytes is kept. The same seed and the same bytes give
     the same faults, in each direction by itself.
 
     To test a device behind it, give bilprov conform the path that is printed.

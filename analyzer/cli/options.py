@@ -263,18 +263,14 @@ def compiled(expression: str | None, protocol: Protocol) -> Filter | None:
     return compile_filter(expression, protocol)
 
 
-def note(sentence: str) -> None:
-    """Print a note on standard error, so that standard output holds nothing but the records.
+def note(*sentences: str) -> None:
+    """Print notes on standard error, so that standard output holds nothing but the records.
 
-    It is made safe to show; one line, which a terminal shows broken between words.
+    Each is made safe to show; one line, which a terminal shows broken between words. Empty ones are
+    left out.
     """
-    click.echo(_wrapped(one_line(sentence)), err=True)
-
-
-def note_each(sentences: Iterable[str]) -> None:
-    """Print the sentences that are not empty as notes."""
     for sentence in filter(None, sentences):
-        note(sentence)
+        click.echo(_wrapped(one_line(sentence)), err=True)
 
 
 def _wrapped(text: str) -> str:
@@ -313,7 +309,7 @@ def note_hindrances(*names: str) -> None:
     from bilprov.analyzer.doctor.examination import notes
 
     for name in names:
-        note_each(notes(name))
+        note(*notes(name))
 
 
 class NotConfirmed(click.ClickException):

@@ -114,19 +114,16 @@ def drawn(found: Sequence[PortInfo]) -> Iterator[RenderableType]:
         ],
         right="latency",
     )
-    for column, told in (
-        ("device", [(port.path, _device(port)) for port in found]),
-        (f"name in {_BY_ID}, which stays", [(port.path, Path(port.by_id).name) for port in found]),
-    ):
+    devices = []
+    for port in found:
+        serial = f"serial {port.serial_number}" if port.serial_number else ""
+        devices.append((port.path, ", ".join(filter(None, (port.description, serial)))))
+    names = [(port.path, Path(port.by_id).name) for port in found]
+    for column, told in (("device", devices), (f"name in {_BY_ID}, which stays", names)):
         rows = [(printable(path), printable(said)) for path, said in told if said]
         if rows:
             yield Text()
             yield table(("port", column), rows)
-
-
-def _device(port: PortInfo) -> str:
-    serial = f"serial {port.serial_number}" if port.serial_number else ""
-    return ", ".join(part for part in (port.description, serial) if part)
 
 
 class Findings:

@@ -21,7 +21,6 @@ from bilprov.analyzer.cli.options import (
     half_duplex_option,
     max_drive_option,
     note,
-    note_each,
     note_suspension,
     only_reading_option,
     port_option,
@@ -151,7 +150,7 @@ class _Replay:
         if self.style == "live":
             self.look_through()
             return 0
-        note_each(said_about(self.capture, self.protocol))
+        note(*said_about(self.capture, self.protocol))
         if self.options.port is not None:
             self.require_allowed(self.options.port)
         judge = None

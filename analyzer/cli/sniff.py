@@ -14,7 +14,6 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
-from bilprov.analyzer.cli.failures import say
 from bilprov.analyzer.cli.options import (
     Finite,
     LineOptions,
@@ -22,7 +21,6 @@ from bilprov.analyzer.cli.options import (
     above_latency,
     compiled,
     note,
-    note_each,
     note_hindrances,
     only_for_ports,
     port_option,
@@ -30,6 +28,7 @@ from bilprov.analyzer.cli.options import (
     timeout_option,
 )
 from bilprov.analyzer.cli.settings import PortName
+from bilprov.analyzer.cli.streams import say
 from bilprov.analyzer.decode.records import shapes_of
 from bilprov.analyzer.decode.session import BOTH, SKEW, SessionSettings
 from bilprov.analyzer.decode.stream import StreamDecoder, preload
@@ -155,7 +154,7 @@ def sniff(options: SniffOptions) -> int:
         metadata = session_metadata(protocol, ports=source.names, line=str(settings), **decoding)
         recorder: Recorder | None = None
         if path:
-            note_each([not_carried(protocol)])
+            note(not_carried(protocol))
             rotation = options.rotate and options.rotate._replace(keep=options.keep)
             recorder = Recorder(path, source.start_wall, metadata, rotation, shapes_of(protocol))
         elif style == "live" and not quiet:
@@ -193,10 +192,9 @@ def sniff(options: SniffOptions) -> int:
             from bilprov.analyzer.screen.recording import Recording
             from bilprov.analyzer.screen.terminal import shown
 
-            def watched(feed: Feed[str]) -> str:
+            def watched(feed: Feed) -> None:
                 feed.said = listened(partial(setattr, feed, "notice"))
                 feed.stays = source.ended and not wait
-                return feed.said
 
             feed = Feed(Recording(protocol), watched, stopper.stop, live=True)
             feed.keeps = isinstance(recorder, Spool)
@@ -209,7 +207,8 @@ def sniff(options: SniffOptions) -> int:
             except Exception as error:  # who talks over a bridge goes on talking
                 say("the screen has failed; listening goes on without it, Ctrl-C ends it")
                 broken, name = error, new_name()
-            lost = feed.join()
+            feed.join()
+            lost = feed.said
             if name and isinstance(recorder, Spool):
                 kept = said_of_parts(recorder.keep(Path(name)))
         else:

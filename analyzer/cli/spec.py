@@ -18,7 +18,6 @@ from bilprov.analyzer.cli.command_files import (
 from bilprov.analyzer.cli.options import (
     half_duplex_option,
     note,
-    note_each,
     only_for_bytes,
     output_option,
     sender_option,
@@ -230,7 +229,7 @@ def check(options: CheckOptions) -> int:
     share = _share(protocol, options, half_duplex=options.half_duplex)
     if not share.sides:
         raise click.ClickException("there is no byte to decode: name a capture or bytes in hex")
-    note_each([not_carried(protocol)])
+    note(not_carried(protocol))
     if not share.whole and list(share.sides) == ["host"]:
         split = _share(protocol, options, half_duplex=True)
         if split.percent > share.percent:

@@ -92,7 +92,7 @@ class Browser(App[str | None]):
 
     def __init__(
         self,
-        feed: Feed[Any],
+        feed: Feed,
         told: Told,
         interrupted: Callable[[], bool] = lambda: False,
         driver_class: type[Driver] | None = None,

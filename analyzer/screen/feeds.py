@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import Output, Shown, Window
@@ -38,8 +38,6 @@ _LAG = 2_000_000_000  # ns after which a writer has written what came
 
 _RATED = 21  # moments at which is counted what the rates of the last two seconds are made from
 
-Result = TypeVar("Result")
-
 
 class Rates(NamedTuple):
     """Frames per second, and bytes per second of host and device."""
@@ -49,7 +47,7 @@ class Rates(NamedTuple):
 
 
 @dataclass(eq=False)
-class Feed(Generic[Result]):
+class Feed:
     """Work in a thread of its own that adds to a recording, until it ends or is told to.
 
     `work` is called with the feed; `halt` makes it end early. When it ends the screen closes,
@@ -61,7 +59,7 @@ class Feed(Generic[Result]):
     """
 
     recording: Recording
-    work: Callable[[Feed[Result]], Result]
+    work: Callable[[Feed], object]
     halt: Callable[[], object] = lambda: None
     live: bool = False
     stays: bool = False
@@ -73,7 +71,7 @@ class Feed(Generic[Result]):
     notice: str = ""
     let_go: bool = False
     stopped: Event = field(default_factory=Event)
-    _working: Future[Result] | None = None
+    _working: Future[object] | None = None
 
     @property
     def ended(self) -> bool:
@@ -85,7 +83,7 @@ class Feed(Generic[Result]):
         """Whether the screen has nothing more to wait for."""
         return self.ended and (not self.stays or self.start().exception() is not None)
 
-    def start(self) -> Future[Result]:
+    def start(self) -> Future[object]:
         """Begin, unless it has begun."""
         if self._working is None:
             self._working = ThreadPoolExecutor(1, "feed").submit(self.work, self)
@@ -96,9 +94,9 @@ class Feed(Generic[Result]):
         self.stopped.set()
         self.halt()
 
-    def join(self) -> Result:
-        """Wait for the end, and return what the work returned. Raises what the work raised."""
-        return self.start().result()
+    def join(self) -> None:
+        """Wait for the end. Raises what the work raised."""
+        self.start().result()
 
 
 def capture_feed(
@@ -107,7 +105,7 @@ def capture_feed(
     test: Filter | None = None,
     count: int | None = None,
     window: Window = WHOLE,
-) -> Feed[None]:
+) -> Feed:
     """The rows of a capture in a window of time, read to its end as fast as it goes.
 
     With a `count` they are the first so many frames that pass the filter `test`, and no others;
@@ -119,7 +117,7 @@ def capture_feed(
             rows.show(batch)
         feed.progress = min(1.0, int(events.t[-1]) / length)
 
-    def read(feed: Feed[None]) -> None:
+    def read(feed: Feed) -> None:
         for events in parts:
             if feed.stopped.is_set():
                 return
@@ -171,7 +169,7 @@ class ScreenOutput(Output):
     than `most` bytes of memory.
     """
 
-    feed: Feed[Any]
+    feed: Feed
     recorder: Recorder | None = None
     most: int = MOST_MEMORY
     _next: float = 0.0

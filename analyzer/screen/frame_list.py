@@ -14,7 +14,13 @@ from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
 from bilprov.analyzer.decode.json_lines import json_line
-from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
+from bilprov.analyzer.decode.records import (
+    DeviceRecord,
+    FaultRecord,
+    HostRecord,
+    LineRecord,
+    Record,
+)
 from bilprov.analyzer.output.row_columns import COLUMNS, TIME, Column, RowStyle, Times, TimeStyle
 from bilprov.analyzer.output.text_lines import hex_width
 from bilprov.analyzer.screen.keys import CUT, NEITHER, TO_DEVICE, TO_HOST, Look, look_of
@@ -73,9 +79,10 @@ class FrameList(ScrollView, can_focus=True):
         self.reference = 0
         self.repeat: int | None = None
         self.lit = range(0)  # the bytes of the chosen row that stand out
-        asked = style.times(start_wall).style
-        relative = asked is TimeStyle.DELTA  # the row before is what another column counts from
-        self.time_style: TimeStyle = TimeStyle.RELATIVE if relative else asked
+        asked = style.time or TimeStyle.RELATIVE
+        if asked is TimeStyle.DELTA:  # the row before is what another column counts from
+            asked = TimeStyle.RELATIVE
+        self.time_style = asked
         self._start_wall = start_wall
         self._recording = recording
         self._bytes_width = hex_width(recording.protocol)
@@ -305,24 +312,22 @@ def _padded(text: str, column: Column, room: int) -> str:
 
 def words_of(record: Record) -> tuple[str, str]:
     """What a row is, in words, and why it is odd, "" if it is not."""
-    if isinstance(record, DeviceRecord) and record.answered and record.agrees is False:
-        expected = f"{record.words}, expected {record.answered.response.name}"
-        if record.reply is None or not record.reply.reason:
-            return expected, ""
-    if isinstance(record, HostRecord) and _tells_how_short(record):
-        return printable(record.words), printable(record.note)
-    if isinstance(record, HostRecord | DeviceRecord):
-        return printable(record.words), printable(record.reason)
     if isinstance(record, LineRecord):
         line = record.value
-        where = f"{printable(line.tap)} line" if line.tap else "line"
-        return f"{where} {printable(line.event)}", printable(line.detail)
-    return printable(record.fault.kind), printable(record.fault.reason)
-
-
-def _tells_how_short(record: HostRecord) -> bool:
-    """Whether the words of a row have all of the reason: how many of its bytes came."""
-    judgement = record.judgement
-    if judgement is None or judgement.id < 0:
-        return False
-    return judgement.truncated and judgement.outcome is Outcome.TOO_FEW
+        words, why = (
+            f"{line.tap} line {line.event}" if line.tap else f"line {line.event}",
+            line.detail,
+        )
+    elif isinstance(record, FaultRecord):
+        words, why = record.fault.kind, record.fault.reason
+    else:
+        words, why = record.words, record.reason
+    if isinstance(record, HostRecord):
+        told = record.judgement
+        if told and told.truncated and told.id >= 0 and told.outcome is Outcome.TOO_FEW:
+            why = record.note  # the words have how much came
+    elif isinstance(record, DeviceRecord):
+        answered = record.answered if record.agrees is False else None
+        if answered and not (record.reply and record.reply.reason):
+            words, why = f"{words}, expected {answered.response.name}", ""
+    return printable(words), printable(why)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rich.text import Text
 
 from bilprov.analyzer.output.stats_tables import FEWEST, spark
@@ -138,7 +136,7 @@ _LEAST = "  ? help  q quit"  # the keys beside what is told
 def head_line(
     title: str,
     line: str,
-    feed: Feed[Any],
+    feed: Feed,
     frames: FrameList,
     doing: str,
     expression: str,
@@ -164,7 +162,7 @@ def head_line(
     return _spread(left, right, width)
 
 
-def status_line(doing: str, feed: Feed[Any], said: str, width: int) -> Text:
+def status_line(doing: str, feed: Feed, said: str, width: int) -> Text:
     """What takes long just now, else what has to be told; else the keys.
 
     `doing` is what takes long, and `said` answers the last key; both are "" for nothing.

@@ -62,7 +62,7 @@ class _Terminal:
         return self._descriptor
 
 
-def shown(feed: Feed[Any], told: Told, stopper: Stopper) -> str | None:
+def shown(feed: Feed, told: Told, stopper: Stopper) -> str | None:
     """Show a feed on the terminal until the screen is left, or until the stopper stops it.
 
     Returns the name of the file to keep the recording in, None for none. The feed has been told to

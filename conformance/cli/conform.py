@@ -16,7 +16,7 @@ import click
 import msgspec
 
 from bilprov.analyzer.cli.command import command, family_protocol, flag, group, option
-from bilprov.analyzer.cli.options import Finite, milliseconds, note, note_each
+from bilprov.analyzer.cli.options import Finite, milliseconds, note
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.client.probes import ASK
 from bilprov.analyzer.transport.line_settings import LineSettings
@@ -210,7 +210,7 @@ def conform(options: ConformOptions) -> int:
         raise click.UsageError(str(error)) from error
     plan = _planned(protocol, options, last_run(protocol, robot.target))
     if options.cases.listing:
-        note_each([plan.order])
+        note(plan.order)
         for case in _asked(protocol, plan.suite, plan.cases):
             click.echo(f"{case.id:28} {case.clause:20} {case.requirement}")
         return 0
@@ -218,14 +218,14 @@ def conform(options: ConformOptions) -> int:
     options = msgspec.structs.replace(options, robot=robot)
     _require_own_files(options)
     if not options.watches:
-        note_each([plan.order])
+        note(plan.order)
         return _run(protocol, options, name, settings, plan).report.exit
     from bilprov.conformance.cli.watch import Comeback, watch
 
     if options.reports.record is not None:
         raise click.UsageError("--record is for one run: leave out --watch")
     comeback = Comeback(name, settings, options.watch_file)
-    note_each([plan.order])
+    note(plan.order)
     first = _run(protocol, options, name, settings, plan)
     robot = msgspec.structs.replace(options.robot, yes=True)  # that was for all runs
     options = msgspec.structs.replace(options, robot=robot)
@@ -302,7 +302,7 @@ def _run(
         try:
             if expected:
                 report, changed = expected.applied(report)
-                note_each([changed])
+                note(changed)
             after = plan.last.after(report)
             after.keep()
         finally:

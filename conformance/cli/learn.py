@@ -10,7 +10,7 @@ import msgspec
 
 from bilprov.analyzer.cli.command import command, family_protocol, group, option
 from bilprov.analyzer.cli.command_files import STANDARD_OUTPUT, require_writable
-from bilprov.analyzer.cli.options import note_each
+from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.captures.text import quantity
 from bilprov.conformance.cli.options import seed_option
@@ -101,7 +101,7 @@ def _write(learned: Learned, options: LearnOptions) -> None:
     """Write the files that were asked for; a picture needs a machine."""
     machine = learned.machine
     if machine is None:
-        note_each(["nothing is drawn: the machine was not learned"] * bool(options.files))
+        note("nothing is drawn: the machine was not learned" * bool(options.files))
         return
     ends = [(machine.after(one.word[:-1]), one.word[-1]) for one in learned.differences]
     drawn = dot_text(learned.protocol, machine, learned.names, learned.report.device, ends)

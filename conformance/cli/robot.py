@@ -14,7 +14,7 @@ from bilprov.analyzer.cli.options import (
     SENDING_LINE,
     SendingLineOptions,
     confirm_effect,
-    note_each,
+    note,
     note_hindrances,
     note_suspension,
     only_for_ports,
@@ -112,7 +112,7 @@ class RobotOptions(msgspec.Struct, frozen=True):
             if target.moves:
                 stopper.before_suspending(target.halt)
             yield target, stopper
-            note_each([target.remark()])
+            note(target.remark())
         note_suspension(stopper)
 
     def confirm(self, protocol: Protocol, how_long: str, movement: Movement) -> None:

@@ -246,8 +246,7 @@ def front_door(grammar: str | None = None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command with `arguments` (the process's own by default) and end the process."""
-    from bilprov.analyzer.cli.failures import interrupts_kept, report
-    from bilprov.analyzer.cli.streams import standard_streams
+    from bilprov.analyzer.cli.streams import interrupts_kept, report, standard_streams
 
     # Hardly anything here becomes garbage in cycles, which Python would look for at every turn.
     gc.set_threshold(50_000, 20, 50)

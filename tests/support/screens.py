@@ -34,7 +34,7 @@ def browser(
 ) -> Browser:
     """The screen over a recording that is complete; `told` are fields of a Told."""
 
-    def add(feed: Feed[None]) -> None:
+    def add(feed: Feed) -> None:
         for batch in batches:
             feed.recording.add(batch)
 

@@ -11,7 +11,7 @@ from functools import partial
 
 import click
 
-from bilprov.analyzer.cli.options import note, note_each, require_reading
+from bilprov.analyzer.cli.options import note, require_reading
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.cli.typed_input import bytes_or_pause, meant
 from bilprov.analyzer.decode.records import HostRecord, Record
@@ -132,7 +132,7 @@ def send_items(
         told.append("stopped before the end")
     if not target.answered_stops:
         told.append(UNANSWERED_STOPS)
-    note_each(told)
+    note(*told)
     return 1 if any(told) else 0
 
 

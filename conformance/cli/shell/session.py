@@ -10,7 +10,6 @@ from contextlib import ExitStack, contextmanager
 from bilprov.analyzer.cli.options import (
     confirm_effect,
     note,
-    note_each,
     note_hindrances,
     note_suspension,
 )
@@ -50,7 +49,7 @@ def drive(protocol: Protocol, options: SendOptions, settings: LineSettings, time
     if not interactive:
         check = driving.check
         told += filter(None, (check.unasked_words, check.wrong_words, check.missing_words))
-    note_each(told)
+    note(*told)
     return 1 if told or not (interactive or done) else 0
 
 

@@ -16,8 +16,8 @@ from unittest.mock import DEFAULT, patch
 import pytest
 from rich.console import Console
 
-from bilprov.analyzer.cli.failures import interrupts_kept
 from bilprov.analyzer.cli.ports import drawn
+from bilprov.analyzer.cli.streams import interrupts_kept
 from bilprov.analyzer.transport.machine import PortInfo, Process
 from tests.support import ROOT
 from tests.support.commands import command, process

@@ -705,7 +705,7 @@ def test_every_sign_has_one_in_ascii(screen: Browser) -> None:
 def test_an_error_of_the_feed_closes_the_screen_and_is_raised(protocol: Protocol) -> None:
     screen = browser(protocol, [])
 
-    def fail(feed: Feed[None]) -> None:
+    def fail(feed: Feed) -> None:
         raise OSError("gone")
 
     screen.feed.work = fail

@@ -35,7 +35,7 @@ SAMPLE = ROOT / "captures" / "samples" / "examples.mcap"
 MOST = PARTS << 16  # bytes of the spool
 
 
-def fed(protocol: Protocol) -> Feed[None]:
+def fed(protocol: Protocol) -> Feed:
     return Feed(Recording(protocol), lambda feed: None, live=True)
 
 
@@ -46,7 +46,7 @@ def conversation(protocol: Protocol, count: int) -> list[Any]:
     return told(StreamDecoder(protocol), events, [512])
 
 
-def status_of(feed: Feed[None]) -> str:
+def status_of(feed: Feed) -> str:
     return status_line("", feed, "", 120).plain
 
 

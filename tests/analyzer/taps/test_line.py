@@ -186,7 +186,7 @@ CLEAN = "256 bytes, 0 dropped, 0 flipped, 0 doubled, 0 delayed"
 
 @pytest.mark.parametrize(
     ("how", "delay"),
-    [(signal.SIGTERM, []), (signal.SIGINT, ["--delay", "2ms", "--jitter", "1"])],
+    [(signal.SIGTERM, []), (signal.SIGINT, ["--delay", "2", "--jitter", "1"])],
 )
 def test_every_byte_passes_between_two_ptys(how: signal.Signals, delay: Sequence[str]) -> None:
     with running("lab", "line", *delay, "pty", "pty") as line:
@@ -262,7 +262,7 @@ def served_socket() -> Iterator[tuple[str, socket.socket]]:
 def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
     with served_socket() as (name, server), served_socket() as (other, far):
         ends = [name, other] if lost == "A" else [other, name]
-        with running("lab", "line", *ends, "--delay", "50ms") as line:
+        with running("lab", "line", *ends, "--delay", "50") as line:
             device, client = server.accept()[0], far.accept()[0]
             assert line.stderr.readline().endswith(b"are joined\n")
             with device, client:
@@ -287,11 +287,11 @@ def test_a_lost_end_is_two_and_its_last_bytes_arrive(lost: str) -> None:
 @pytest.mark.parametrize(
     ("robot", "faults", "globs", "ends"),
     [
-        ([], ["--delay", "5ms"], ["valid/Stop", "bad-data/*"], [0, 3]),
+        ([], ["--delay", "5"], ["valid/Stop", "bad-data/*"], [0, 3]),
         *(
             (
                 ["--fault", fault],
-                ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1ms"],
+                ["--drop", "1e-3", "--flip", "1e-3", "--delay", "1"],
                 ["bad-data/LED/8"],
                 [1, 3],
             )
