@@ -36,7 +36,7 @@ from bilprov.analyzer.screen.panes import figures, head_line, picture, status_li
 from bilprov.analyzer.screen.prompt import REFUSAL, Prompt, Question, row_of
 from bilprov.analyzer.screen.recording import View, export, new_file, rows_file
 from bilprov.analyzer.transport.line_settings import LineSettings
-from bilprov.captures.text import quantity
+from bilprov.captures.text import printable, quantity
 from bilprov.spec.codec import spaced
 
 _SLICE = 0.03  # s of filtering after which keys and all else are handled
@@ -240,19 +240,14 @@ class Browser(App[str | None]):
     async def _looked(self, text: str, view: View) -> None:
         """Look at all rows, with keys and all else between."""
         while not view.catch_up(_SLICE):
-            _goes_on(view.seen / self._recording.rows)
+            _progress(view.seen / self._recording.rows)
             await sleep(0)
         self._look(text, view)
 
-    def _working(self, *groups: str) -> Worker[str] | None:
+    def _working(self, *groups: str) -> Worker[None] | None:
         """The worker of these groups that runs, if any."""
         running = (worker for worker in self.workers if worker.is_running)
         return next((worker for worker in running if worker.group in groups), None)
-
-    def on_worker_state_changed(self, event: Worker.StateChanged) -> None:
-        """Tell how an export ended."""
-        if event.worker.is_finished and event.worker.result:
-            self._say(event.worker.result)
 
     # The panes.
 
@@ -461,21 +456,28 @@ class Browser(App[str | None]):
 
     def action_export(self) -> None:
         """Ask for a file, and write the rows of the view into it."""
-        view, columns = self.frames.view, self.told.rows.columns
-        style = RowStyle(self.frames.time_style if columns else None, columns)
 
         def write(name: str) -> None:
-            work = partial(
-                export, self._recording, view, name, style, self.told.start_wall, _goes_on
-            )
-            self.run_worker(work, group="export", name="export", thread=True)
+            self.run_worker(self._exported(name), group="export", name="export")
 
-        rows = quantity(view.count - view.first, "row")
+        rows = quantity(self.frames.view.count - self.frames.view.first, "row")
         hint = "NAME.csv or NAME.jsonl; Enter writes it, Esc goes back"
+        question = Question(f"write {rows} to", hint, rows_file, write)
         if not self._working("export"):
-            self._ask(
-                Question(f"write {rows} to", hint, rows_file, write), "rows.csv", replaced=True
-            )
+            self._ask(question, "rows.csv", replaced=True)
+
+    async def _exported(self, name: str) -> None:
+        """Write the rows of the view into a file, with keys and all else between."""
+        view, columns, rows = self.frames.view, self.told.rows.columns, 0
+        style = RowStyle(self.frames.time_style if columns else None, columns)
+        try:
+            for rows in export(self._recording, view, name, style, self.told.start_wall):
+                _progress(rows / max(1, view.count - view.first))
+                await sleep(0)
+            self._say(f"{quantity(rows, 'row')} written to {printable(name)}")
+        except (OSError, ValueError) as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            self._say(f"{printable(name)} cannot be written ({printable(why)})")
 
     def action_go_back(self) -> None:
         """Go back from where one is, or stop what takes long."""
@@ -500,8 +502,6 @@ class Browser(App[str | None]):
         self._ask(Question(label, hint, new_file, self.exit), new_name(), replaced=True)
 
 
-def _goes_on(share: float) -> bool:
-    """Tell how much a worker has done; returns whether it is to go on."""
-    worker = get_current_worker()
-    worker.update(completed_steps=round(share * 100), total_steps=100)
-    return not worker.is_cancelled
+def _progress(share: float) -> None:
+    """Tell how much a worker has done."""
+    get_current_worker().update(completed_steps=round(share * 100), total_steps=100)

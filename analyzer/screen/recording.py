@@ -13,7 +13,7 @@ import pickle  # of our own bytes alone
 import time
 from array import array
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
@@ -33,7 +33,7 @@ from bilprov.analyzer.files import whole_file, why_not_writable
 from bilprov.analyzer.output.outputs import opened_output
 from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.totals.totals import Totals
-from bilprov.captures.text import printable, quantity
+from bilprov.captures.text import printable
 from bilprov.spec.protocol import InstructionSpec, Protocol, ResponseSpec
 
 if TYPE_CHECKING:
@@ -346,16 +346,12 @@ def new_file(name: str) -> str:
 
 
 def export(
-    recording: Recording,
-    view: View,
-    name: str,
-    rows: RowStyle,
-    start_wall: int,
-    goes_on: Callable[[float], bool] = lambda share: True,
-) -> str:
-    """Write the rows that a view has now, and return in a sentence how it ended.
+    recording: Recording, view: View, name: str, rows: RowStyle, start_wall: int
+) -> Iterator[int]:
+    """Write the rows that a view has now, and yield again and again how many are written.
 
-    `goes_on` is asked with the share that is written; where it denies, no file is left.
+    Unless it comes to its end, no file is left. Raises OSError, or ValueError, if there is one, or
+    none can be written.
     """
     first, count, written = view.first, view.count, 0
     style = cast(Literal["csv", "jsonl"], Path(name).suffix[1:])
@@ -365,15 +361,10 @@ def export(
         file.write(text.encode("utf-8", "backslashreplace"))
         written += text.count("\n")  # events of the line are rows only on the screen
 
-    try:
-        with whole_file(Path(name), replace=False) as file:
-            output = opened_output(style, recording.protocol, rows, start_wall, write)
-            written = 0
-            for at in range(first, count, _TOGETHER):
-                if not goes_on((at - first) / (count - first)):
-                    raise InterruptedError(0, "stopped")
-                output.records(recording.records(view.rows(at, min(at + _TOGETHER, count))))
-    except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        return f"{printable(name)} cannot be written ({printable(why)})"
-    return f"{quantity(written, 'row')} written to {printable(name)}"
+    with whole_file(Path(name), replace=False) as file:
+        output = opened_output(style, recording.protocol, rows, start_wall, write)
+        written = 0
+        for at in range(first, count, _TOGETHER):
+            output.records(recording.records(view.rows(at, min(at + _TOGETHER, count))))
+            yield written
+    yield written

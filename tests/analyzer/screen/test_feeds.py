@@ -192,17 +192,17 @@ def recorded(protocol: Protocol, count: int) -> Recording:
 def test_an_export_is_a_new_file_or_none(protocol: Protocol, tmp_path: Path) -> None:
     recording, path = recorded(protocol, 6000), tmp_path / "out.csv"
     view = View(recording)
-    stopped = export(recording, view, str(path), RowStyle(), 0, lambda share: share < 0.5)
-    assert stopped == f"{path} cannot be written (stopped)"
+    stopped = export(recording, view, str(path), RowStyle(), 0)
+    assert 0 < next(stopped) < 6000
+    stopped.close()
     assert list(tmp_path.iterdir()) == []
 
     path.write_text("precious")
-    said = export(recording, view, str(path), RowStyle(), 0)
-    assert said == f"{path} cannot be written (File exists)"
+    with pytest.raises(FileExistsError):
+        list(export(recording, view, str(path), RowStyle(), 0))
     assert path.read_text() == "precious"
-
-    full = export(recording, view, "/proc/out.jsonl", RowStyle(), 0)
-    assert full.startswith("/proc/out.jsonl cannot be written (")
+    with pytest.raises(OSError, match="/proc/"):
+        list(export(recording, view, "/proc/out.jsonl", RowStyle(), 0))
 
 
 def test_figures_tell_the_load_and_whose_the_faults_are(protocol: Protocol) -> None:
