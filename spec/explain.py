@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, repeat
+from typing import Any
 
 from msgspec.structs import replace
 
-from bilprov.spec.codec import Judgement, judge, nearest, spaced
-from bilprov.spec.data import DataSpec, FieldSpec, Many
+from bilprov.spec.codec import FRAMING_FAULTS, Judgement, data_bytes, judge, nearest, spaced
+from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framer
 from bilprov.spec.layout import Layout, Part
@@ -162,7 +164,7 @@ def explain_reply(
     if reply.way:
         groups = tuple(_reply_groups(protocol, reply, reply.way, asked))
     else:
-        groups = tuple(_byte_group(frame, at, "data", "no answer") for at in range(len(frame)))
+        groups = tuple(_group(frame, at, 1, "data", "no answer") for at in range(len(frame)))
     own = None if protocol.plain else reply
     return ResponseExplanation(
         offset, frame, groups, words, known, meaning, protocol.clauses.responses, own
@@ -269,10 +271,15 @@ def _differences(judgement: Judgement, meant: Judgement, following: bytes) -> It
 def _groups(protocol: Protocol, judgement: Judgement) -> Iterator[BitGroup]:
     """Groups that hold every bit of a frame once, in order."""
     meaning = partial(_part_meaning, protocol, protocol.layout, judgement, None)
-    spec = judgement.instruction
-    read = judgement.outcome in (Outcome.VALID, Outcome.BAD_DATA)
-    data = spec if spec and read else None
-    yield from _laid_out(protocol.layout, judgement, data, meaning, _no_fields(judgement))
+    data = judgement.instruction if judgement.outcome in (Outcome.VALID, Outcome.BAD_DATA) else None
+    open_data = "taken because the header announces it, means nothing"
+    if judgement.outcome in FRAMING_FAULTS:
+        open_data = "the frame is damaged"
+    elif judgement.framed:
+        open_data = "not complete" if judgement.truncated else "means nothing"
+    elif judgement.truncated:
+        open_data = "means nothing while other data are missing"
+    yield from _laid_out(protocol.layout, judgement, data, meaning, open_data)
 
 
 def _reply_groups(
@@ -280,10 +287,10 @@ def _reply_groups(
 ) -> Iterator[BitGroup]:
     """Groups that hold every bit of an answer once, in order."""
     meaning = partial(_part_meaning, protocol, way.layout, reply, asked)
-    data = way.data if reply.fields else None
     open_data = "the answer is damaged" if reply.reason else "means nothing"
     if way.data is None and asked is None:
         open_data = "its request is needed to read it"
+    data = way.data if reply.fields else None
     yield from _laid_out(way.layout, reply, data, meaning, open_data)
 
 
@@ -292,73 +299,65 @@ def _laid_out(
     one: Judgement | Reply,
     data: DataSpec | None,
     meaning: Callable[[Part, bytes], tuple[str, bool]],
-    no_fields: str,
+    open_data: str,
 ) -> Iterator[BitGroup]:
     """Groups that hold every bit of a frame or an answer once, in order: its parts, and its data.
 
-    `meaning` gives what a part means, and whether it is wrong; `no_fields` is what data mean that
+    `meaning` gives what a part means, and whether it is wrong; `open_data` is what data mean that
     are not read as fields (`data` is None).
     """
     frame, whole = one.frame, isinstance(one, Reply) or not one.truncated
+    before, behind, at = list[BitGroup](), list[BitGroup](), 0
     for part in layout.parts:
-        if part.offset >= 0 and part.offset + part.size <= len(frame):
-            yield from _part_groups(frame, part, part.offset, meaning)
-    begun = [p.offset + p.size for p in layout.parts if p.offset + p.size <= len(frame)]
-    at = max((end for end in begun if end <= layout.head), default=0)
+        end = part.offset + part.size
+        if part.offset < 0 and whole:
+            behind += _part_groups(frame, part, len(frame) + part.offset, meaning)
+        elif part.offset >= 0 and end <= len(frame):
+            before += _part_groups(frame, part, part.offset, meaning)
+            at = end
+    yield from before
     if data is not None:
         yield from _data_groups(one, data)
     elif layout.has_data:
         for place in range(at, len(frame) - (layout.tail if whole else 0)):
-            yield _byte_group(frame, place, "data", no_fields)
-    if whole:
-        for part in layout.parts:
-            if part.offset < 0:
-                yield from _part_groups(frame, part, len(frame) + part.offset, meaning)
-
-
-def _no_fields(judgement: Judgement) -> str:
-    """Why data are not read as fields."""
-    if judgement.outcome in (Outcome.BAD_CHECKSUM, Outcome.BAD_SYNC):
-        return "the frame is damaged"
-    if judgement.framed:
-        return "not complete" if judgement.truncated else "means nothing"
-    if judgement.truncated:
-        return "means nothing while other data are missing"
-    return "taken because the header announces it, means nothing"
-
-
-def _bytes(count: int) -> str:
-    return "no data byte" if not count else "1 data byte" if count == 1 else f"{count} data bytes"
+            yield _group(frame, place, 1, "data", open_data)
+    yield from behind
 
 
 def _group(
-    raw: bytes, at: int, name: str, value: int, meaning: str, fault: bool = False
+    frame: bytes,
+    at: int,
+    size: int,
+    name: str,
+    meaning: str,
+    fault: bool = False,
+    *,
+    value: int | None = None,
+    low: int = 0,
+    width: int = 0,
 ) -> BitGroup:
-    """The group of whole bytes, of which byte `at` of the frame is the first."""
-    return BitGroup(at, len(raw), 8 * len(raw) - 1, 0, _bits(raw), name, value, meaning, fault)
+    """The group of `width` bits (0: all) above the lowest `low` of some bytes of a frame.
 
-
-def _byte_group(frame: bytes, at: int, name: str, meaning: str, fault: bool = False) -> BitGroup:
-    return _group(frame[at : at + 1], at, name, frame[at], meaning, fault)
-
-
-def _bits(raw: bytes) -> str:
-    return f"{int.from_bytes(raw, 'big'):0{8 * len(raw)}b}"
+    `value` is what they mean as a number, where that is not the bits themselves.
+    """
+    width = width or 8 * size
+    number = int.from_bytes(frame[at : at + size], "big") >> low & (1 << width) - 1
+    bits, value = f"{number:0{width}b}", number if value is None else value
+    return BitGroup(at, size, low + width - 1, low, bits, name, value, meaning, fault)
 
 
 def _part_groups(
     frame: bytes, part: Part, at: int, meaning: Callable[[Part, bytes], tuple[str, bool]]
 ) -> Iterator[BitGroup]:
     """The group of a part; of constant bytes each is one."""
-    size = part.size
+    raw, size = frame[at : at + part.size], part.size
     if part.constant:
         yield from _fixed_bytes(frame, at, part.constant, part)
-        return
-    raw = frame[at : at + size]
-    high = part.shift + part.width - 1 if part.width else 8 * size - 1
-    bits = _bits(raw)[8 * size - 1 - high : 8 * size - part.shift]
-    value = int(bits, 2) if part.width else part.number.parse(raw)
-    yield BitGroup(at, size, high, part.shift, bits, part.name, value, *meaning(part, raw))
+    else:
+        value = None if part.width else part.number.parse(raw)
+        words, wrong = meaning(part, raw)
+        place = {"low": part.shift, "width": part.width}
+        yield _group(frame, at, size, part.name, words, wrong, value=value, **place)
 
 
 def _fixed_bytes(
@@ -368,7 +367,7 @@ def _fixed_bytes(
     for place, right in enumerate(constant, at):
         wrong = frame[place] != right
         meaning = f"must be {right:02x}" if wrong else part.prose or "fixed"
-        yield _byte_group(frame, place, part.name, meaning, wrong)
+        yield _group(frame, place, 1, part.name, meaning, wrong)
 
 
 def _part_meaning(
@@ -385,7 +384,7 @@ def _part_meaning(
         wrong = part.read(one.frame) != part.low
         return f"must be {part.low}" if wrong else part.prose or "fixed", wrong
     if part.role == "id":
-        spec = protocol.by_id.get((part.read(one.frame) - part.plus) & part.most)
+        spec = protocol.by_id.get(part.repeated(part.read(one.frame)))
         marked = f", marked by {part.plus:02x}: an error" if part.plus else ""
         known = spec.name if spec else "unused: no instruction has it"
         if spec and spec.document != spec.name:
@@ -401,9 +400,10 @@ def _part_meaning(
         right = layout.check.right(one.frame, covered(protocol, asked))
         return ("right" if raw == right else f"right is {spaced(right)}"), raw != right
     if request and part.role == "address":
-        everybody = part.broadcast is not None and one.address == part.broadcast
         wrong = one.address is not None and not part.reaches(one.address)
-        told = ", all of them" if everybody else f"; allowed are {part.allowed}" if wrong else ""
+        told = f"; allowed are {part.allowed}" if wrong else ""
+        if one.address is not None and one.address == part.broadcast:
+            told = ", all of them"
         return f"{part.prose or 'who is meant'}{told}", wrong
     return part.prose or ("who answers" if part.role == "address" else "a number"), False
 
@@ -421,76 +421,64 @@ def _announced(one: Judgement | Reply, count: int) -> tuple[str, bool]:
     return (meaning + takes, True) if count != spec.length else (meaning, False)
 
 
-def _data_groups(judgement: Judgement | Reply, data: DataSpec) -> Iterator[BitGroup]:
+def _bytes(count: int) -> str:
+    return data_bytes(count) if count else "no data byte"
+
+
+def _data_groups(one: Judgement | Reply, data: DataSpec) -> Iterator[BitGroup]:
     """The groups of the data: a field each, its named bits, or the elements that it has.
 
     The bytes of a named register are one group.
     """
-    head = judgement.head
-    named = {head + one.offset: (one, value) for one, value in judgement.registers}
-    inside = {at + more for at, (one, _) in named.items() for more in range(one.size)}
-    for group in _field_groups(judgement, data):
-        if group.byte in named:
-            yield _whole_group(judgement, group.byte, *named[group.byte])
-        elif group.byte not in inside:
-            yield group
-
-
-def _field_groups(judgement: Judgement | Reply, data: DataSpec) -> Iterator[BitGroup]:
-    frame, values = judgement.frame, dict(judgement.fields)
+    named = {one.head + cell.offset: (cell, value) for cell, value in one.registers}
+    inside = {at + more for at, (cell, _) in named.items() for more in range(cell.size)}
+    values = dict(one.fields)
     for spec in data.fields:
-        at = judgement.head + spec.offset
-        if spec.many:
-            yield from _elements(judgement, spec, spec.many, values[spec.name])
-        elif spec.constant is not None:
-            yield from _fixed_bytes(frame, at, spec.constant, spec)
-        elif spec.bits:
-            yield from _named_bits(spec, at, frame, values[spec.name])
-        else:
-            yield _whole_group(judgement, at, spec, values[spec.name])
+        for group in _field_groups(one, spec, values.get(spec.name)):
+            if group.byte in named:
+                yield _whole_group(one, group.byte, *named[group.byte])
+            elif group.byte not in inside:
+                yield group
 
 
-def _elements(
-    judgement: Judgement | Reply, spec: FieldSpec, many: Many, values: Iterable[int]
-) -> Iterator[BitGroup]:
-    at = judgement.head + spec.offset
-    if many.prefix:
-        raw = judgement.frame[at : at + many.prefix.size]
-        yield _group(raw, at, f"{spec.name} count", many.prefix.parse(raw), many.how)
-        at += len(raw)
-    for number, value in enumerate(values):
-        one = replace(spec, name=f"{spec.name}[{number}]", size=many.width, many=None)
-        yield _whole_group(judgement, at, one, value)
-        at += many.width
+def _field_groups(one: Judgement | Reply, spec: FieldSpec, value: Any) -> Iterator[BitGroup]:
+    frame, at, many, bits = one.frame, one.head + spec.offset, spec.many, spec.bits
+    if spec.constant is not None:
+        yield from _fixed_bytes(frame, at, spec.constant, spec)
+    elif many:
+        if many.prefix:
+            size = many.prefix.size
+            count = many.prefix.parse(frame[at : at + size])
+            yield _group(frame, at, size, f"{spec.name} count", many.how, value=count)
+            at += size
+        for number, element in enumerate(value):
+            cell = replace(spec, name=f"{spec.name}[{number}]", size=many.width, many=None)
+            yield _whole_group(one, at, cell, element)
+            at += many.width
+    elif bits:
+        named, width, fault = len(bits), 8 * spec.size, not spec.in_range(value)
+        upper = int.from_bytes(frame[at : at + spec.size], "big") >> named
+        if width > named:
+            must = "must be 0" if spec.high < 1 << named else "without a name"
+            wrong, above = fault and upper > 0, {"low": named, "width": width - named}
+            yield _group(frame, at, spec.size, spec.name, f"upper bits, {must}", wrong, **above)
+        for low, name in zip(reversed(range(named)), bits, strict=True):
+            wrong = fault and not upper
+            bit = _group(frame, at, spec.size, name, "on", wrong, low=low, width=1)
+            yield bit if bit.value else dataclasses.replace(bit, meaning="off")
+    else:
+        yield _whole_group(one, at, spec, value)
 
 
-def _named_bits(spec: FieldSpec, at: int, frame: bytes, value: int) -> Iterator[BitGroup]:
-    """A group for each bit with a name, and one for those above them."""
-    bits, named, width = _bits(frame[at : at + spec.size]), len(spec.bits), 8 * spec.size
-    fault = not spec.in_range(value)
-    upper = int(bits[: width - named] or "0", 2)
-    if width > named:
-        must = "must be 0" if spec.high < 1 << named else "without a name"
-        wrong = fault and upper > 0
-        meaning, above = f"upper bits, {must}", bits[: width - named]
-        yield BitGroup(at, spec.size, width - 1, named, above, spec.name, upper, meaning, wrong)
-    for place, (name, bit) in enumerate(zip(spec.bits, bits[width - named :], strict=True), 1):
-        low, meaning = named - place, "on" if bit == "1" else "off"
-        wrong = fault and not upper
-        yield BitGroup(at, spec.size, low, low, bit, name, int(bit), meaning, wrong)
-
-
-def _whole_group(judgement: Judgement | Reply, at: int, spec: FieldSpec, value: int) -> BitGroup:
+def _whole_group(one: Judgement | Reply, at: int, spec: FieldSpec, value: int) -> BitGroup:
     """The group of a field that is one number."""
-    raw = judgement.frame[at : at + spec.size]
-    fault = not spec.in_range(value)
-    named = next((name for name, number in spec.names if number == value), "")
-    meaning = named or spec.prose
+    fault, named = not spec.in_range(value), spec.named(value)
+    meaning = spec.prose if named == value else named
     if fault:
         meaning = "; ".join(filter(None, (meaning, f"allowed are {spec.allowed}")))
-    elif not judgement.framed:
+    elif not one.framed:
         meaning = ", ".join(filter(None, (meaning, spec.allowed)))
-    return _group(raw, at, spec.name, value, meaning, fault)
+    return _group(one.frame, at, spec.size, spec.name, meaning, fault, value=value)
 
 
 @dataclass(frozen=True, slots=True)
