@@ -284,34 +284,25 @@ class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
         So it is in the protocol of the car and its family. Everything about frames then follows
         from the first byte, and no answer has data of its own.
         """
-        layout, header = self.layout, self.layout.part("id")
-        alone = (
-            layout.head == 1
-            and not layout.tail
-            and {p.role for p in layout.parts} == {"id", "length"}
-            and not any(p.also for p in layout.parts)
-        )
+        layout, reply = self.layout, self.reply
         fields = [part for spec in self.instructions for part in spec.fields]
         return (
-            alone
-            and header is not None
-            and header.width > 0
-            and self.reply.head == 1
-            and self.reply.part("code") is not None
-            and not (self.reply.has_data or self.errors or self.flags)
+            (layout.head, layout.tail, reply.head) == (1, 0, 1)
+            and sorted(part.role for part in layout.parts) == ["id", "length"]
+            and all(part.width and not part.also for part in layout.parts)
+            and reply.part("code") is not None
+            and not (reply.has_data or self.errors or self.flags)
             and not any(part.many or part.names or part.flags or part.constant for part in fields)
         )
 
     @cached_property
     def headers(self) -> tuple[tuple[int, int], ...]:
         """The (ID, length) of each header byte; none where the header is not one byte."""
-        if not self.plain:
+        identity, length = self.layout.part("id"), self.layout.part("length")
+        if not (self.plain and identity and length):
             return ()
         frames = [bytes([byte]) for byte in range(256)]
-        read = [
-            (self.layout.value("id", frame), self.layout.value("length", frame)) for frame in frames
-        ]
-        return tuple((i, n) for i, n in read if i is not None and n is not None)
+        return tuple((identity.read(frame), length.read(frame)) for frame in frames)
 
     @cached_property
     def keys(self) -> tuple[int, ...]:
@@ -320,9 +311,8 @@ class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
         A key is the ID itself, as long as those of all instructions are below 255, or the place of
         the instruction. 255 stands for all others then.
         """
-        if all(spec.id < 255 for spec in self.instructions):
-            return (*range(255), -1)
         used = [spec.id for spec in self.instructions[:255]]
+        used = [*range(255)] if max(self.by_id, default=0) < 255 else used
         return (*used, *[-1] * (256 - len(used)))
 
     def key_of(self, identity: int | None) -> int:

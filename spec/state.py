@@ -25,9 +25,6 @@ NOT_KNOWN = -(1 << 62)
 OTHERS = -1
 """Stands for the address of every device that was not addressed yet."""
 
-_Made: TypeAlias = tuple[str, tuple[str, ...], bool, bool]
-"""A variable, its words, whether it has a sign, whether it may be not known."""
-
 
 class VariableSpec(msgspec.Struct, frozen=True):
     """One variable: its name and kind, and its smallest and largest value.
@@ -275,7 +272,7 @@ def after(state: State, values: Assigned) -> State:
 class State(msgspec.Struct, frozen=True, gc=False):
     """The values of the variables of a grammar; `state_class` makes the class that has them."""
 
-    made_of: ClassVar[tuple[_Made, ...]] = ()
+    made_of: ClassVar[tuple[Any, ...]] = ()
     variables: ClassVar[tuple[str, ...]] = ()
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     signed: ClassVar[frozenset[str]] = frozenset()
@@ -345,46 +342,48 @@ class State(msgspec.Struct, frozen=True, gc=False):
         return cls.of({n: cls.value(n, c) for n, c in zip(cls.variables, codes, strict=True)})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        declared = self.made_of, self.at_rest, self.wheels
-        return _restored, (*declared, msgspec.structs.astuple(self))
+        return _restored, (self.made_of, msgspec.structs.astuple(self))
 
 
-def _restored(
-    made_of: tuple[_Made, ...], at_rest: Condition | None, wheels: Any, values: tuple[Any, ...]
-) -> State:
-    return _class(made_of, at_rest, wheels)(*values)
+def _restored(made_of: tuple[Any, ...], values: tuple[Any, ...]) -> State:
+    return _class(*made_of)(*values)
 
 
 def state_class(
     variables: Iterable[VariableSpec], at_rest: Condition | None, wheels: Any = None
 ) -> type[State]:
-    """The class of the states with these variables; with `at_rest` they also have `moving`."""
-    made_of = tuple((v.name, v.words, v.low < 0, v.unknown) for v in variables)
+    """The class of the states with these variables; with `at_rest` they also have `moving`.
+
+    Grammars that differ only in the ranges of their variables have the same one.
+    """
+    alike = [replace(v, kind="whole", low=-(v.low < 0), high=0, bits="") for v in variables]
     if wheels:
-        (words,) = (words for name, words, *_ in made_of if name == wheels.by)
+        (words,) = (spec.words for spec in alike if spec.name == wheels.by)
         wheels = replace(wheels, still=next(word for word in words if word not in wheels.turns))
-    return _class(made_of, at_rest, wheels)
+    return _class(tuple(alike), at_rest, wheels)
 
 
 @lru_cache(maxsize=64)
-def _class(made_of: tuple[_Made, ...], at_rest: Condition | None, wheels: Any) -> type[State]:
-    what = "The state" if at_rest is None else "The motion state"
+def _class(
+    variables: tuple[VariableSpec, ...], at_rest: Condition | None, wheels: Any
+) -> type[State]:
     kinds: list[tuple[str, Any]] = []
-    for name, words, _, unknown in made_of:
-        kind = str if words else int
-        kinds.append((name, kind | None if unknown else kind))
+    for spec in variables:
+        kind = str if spec.words else int
+        kinds.append((spec.name, kind | None if spec.unknown else kind))
     if at_rest is not None:
         kinds.append(("moving", bool))
+    what = "The state" if at_rest is None else "The motion state"
     made: Any = msgspec.defstruct(
         "State",
         kinds,
         bases=(State,),
         namespace={
             "__doc__": f"{what} that the instructions so far predict (topic `/state`).",
-            "made_of": made_of,
-            "variables": tuple(name for name, *_ in made_of),
-            "words": {name: words for name, words, *_ in made_of if words},
-            "signed": frozenset(name for name, _, signed, _ in made_of if signed),
+            "made_of": (variables, at_rest, wheels),
+            "variables": tuple(spec.name for spec in variables),
+            "words": {spec.name: spec.words for spec in variables if spec.words},
+            "signed": frozenset(spec.name for spec in variables if spec.low < 0),
             "at_rest": at_rest,
             "wheels": wheels,
         },

@@ -26,7 +26,7 @@ from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_tex
 from bilprov.conformance.learning.reference import Output
 from bilprov.conformance.machines.wp_method import Mealy
 from bilprov.spec.emit.c import c_header
-from bilprov.spec.emit.python_stub import python_stub
+from bilprov.spec.emit.python import python_stub
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol, load
 from tests.support.commands import command

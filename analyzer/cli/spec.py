@@ -170,7 +170,7 @@ def stub(options: EmitOption) -> None:
     It has a method for each instruction, with the types of its fields and of its answer. Type
     checkers and editors read it.
     """
-    from bilprov.spec.emit.python_stub import python_stub
+    from bilprov.spec.emit.python import python_stub
 
     options.write(python_stub(protocol_in_use()))
 

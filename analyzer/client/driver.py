@@ -18,15 +18,15 @@ from bilprov.analyzer.transport.errors import first_bytes
 from bilprov.captures.schemas import MS
 from bilprov.spec.by_effect import change_by
 from bilprov.spec.codec import Judgement, build, judge, spaced
-from bilprov.spec.fields import Outcome
-from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.python_names import (
+from bilprov.spec.emit.python import (
     answer_names,
     method_names,
     parameter_names,
     read_by_name,
     taken_type,
 )
+from bilprov.spec.fields import Outcome
+from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.replies import Reply, read_reply, reply_size
 
 

@@ -142,7 +142,7 @@ def _of_itself(protocol: Protocol, held: Held, asked: Judgement) -> tuple[bool, 
         return False, [_unused_code(protocol, held.byte)]
     else:
         # Traffic without such an answer does not load the readings: they take milliseconds.
-        from bilprov.spec.open_points import other_choices
+        from bilprov.spec.readings import other_choices
 
         said = f"the device says {protocol.codes[held.byte].name}"
         choices = {choice.code: choice.reading for choice in other_choices(protocol, asked)}

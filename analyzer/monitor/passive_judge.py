@@ -2,7 +2,7 @@
 
 An anomaly of severity error is a violation. A warning is legal: the device follows another reading
 of the document, or is slow. The answers that other readings allow are those of the test suite
-(`spec.open_points`). What cannot be judged is counted separately and never counted as correct.
+(`spec.readings`). What cannot be judged is counted separately and never counted as correct.
 The judge uses no port and no clock.
 """
 
@@ -27,8 +27,8 @@ from bilprov.analyzer.decode.records import (
 from bilprov.captures.schemas import MS, Chunk, Line, Look
 from bilprov.spec.codec import Judgement
 from bilprov.spec.fields import Outcome
-from bilprov.spec.open_points import SILENCE_READING, other_choices
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.readings import SILENCE_READING, other_choices
 from bilprov.spec.state import State
 
 _KEPT = 1 << 16  # frames remembered of each kind: a limit for the memory of long, varied sessions

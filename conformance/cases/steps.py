@@ -17,9 +17,8 @@ from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
 from bilprov.conformance.oracle.verdicts import Accepted
 from bilprov.spec.codec import all_data, bad_data, raw_frame
 from bilprov.spec.fields import Outcome
-from bilprov.spec.open_points import other_answers
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.readings import POINTS
+from bilprov.spec.readings import POINTS, other_answers
 
 
 class FrameClass(StrEnum):

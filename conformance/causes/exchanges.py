@@ -21,7 +21,7 @@ from bilprov.conformance.oracle.sight import facets_of
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.spec.codec import Judgement, judge
 from bilprov.spec.motion import MOTIONS, Moment, Wheels, visible_motion
-from bilprov.spec.open_points import open_after
+from bilprov.spec.readings import open_after
 
 ANSWER, MOTION, WHEELS = "answer", "motion", "wheels"
 """The facets besides the values that are set; no variable has these names but the kind of motion.

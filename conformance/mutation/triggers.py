@@ -17,7 +17,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import Event
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Moment, visible_motion
-from bilprov.spec.open_points import open_point, points_after
+from bilprov.spec.readings import open_point, points_after
 from bilprov.spec.state import Effect
 
 Subject = Callable[[Event], Any]

@@ -1,4 +1,4 @@
-"""The choices of one device at the open points (`spec.open_points`), and those that are allowed.
+"""The choices of one device at the open points (`spec.readings`), and those that are allowed.
 
 A device that shows another choice than the default everywhere gets the verdict of the point's
 reading (`spec.readings`), one that shows two choices fails.

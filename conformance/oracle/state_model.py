@@ -11,9 +11,8 @@ from dataclasses import dataclass, field, replace
 
 from bilprov.conformance.oracle.choices import Choices
 from bilprov.spec.motion import MOTIONS, Moment
-from bilprov.spec.open_points import open_after
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.readings import Behaviour, OpenPoint
+from bilprov.spec.readings import Behaviour, OpenPoint, open_after
 from bilprov.spec.state import Effect, State
 
 

@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 from msgspec.structs import asdict, astuple
 
 from bilprov.spec.data import DataSpec, FieldSpec
+from bilprov.spec.emit.python import each_once, snake_case
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Check, Layout
 from bilprov.spec.protocol import NO_ANSWER, Protocol, ResponseSpec
-from bilprov.spec.python_names import each_once, snake_case
 from bilprov.spec.replies import GIVES_UP
 from bilprov.spec.state import AllOf, Changed, Effect, From
 

@@ -24,8 +24,8 @@ from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.mutation.variants import variants
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.codec import build, judge
-from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
+from bilprov.spec.readings import other_choices
 from bilprov.spec.replies import build_reply, read_reply
 from tests.support import ROOT
 from tests.support.decoding import capture_session

@@ -28,8 +28,8 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.pytest_plugin.bench import Client
+from bilprov.spec.emit.python import RESERVED
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.python_names import RESERVED
 from tests.support import ROOT
 from tests.support.grammars import mutated
 from tests.support.robots import PATIENCE, served_here, simulate

@@ -18,9 +18,9 @@ from bilprov.analyzer.grammar_file import dissector_program, load_protocol
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Direction
 from bilprov.spec.codec import all_data, bad_data, build, judge, raw_frame
+from bilprov.spec.emit.python import snake_case
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.python_names import snake_case
 from bilprov.spec.replies import build_reply
 from tests.support.decoding import Event, capture_session, decoded
 from tests.support.drawn_layouts import drawn_layout

@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.grammar_file import load_protocol
-from bilprov.spec.emit.python_stub import RENEW, python_stub
+from bilprov.spec.emit.python import RENEW, method_names, parameter_names, python_stub, snake_case
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.python_names import method_names, parameter_names, snake_case
 from tests.support import ROOT
 
 STUB = ROOT / "analyzer" / "client" / "robot.pyi"

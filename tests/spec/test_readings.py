@@ -9,9 +9,8 @@ import pytest
 
 from bilprov.spec.codec import judge
 from bilprov.spec.explain import check
-from bilprov.spec.open_points import other_choices
 from bilprov.spec.protocol import Protocol, load
-from bilprov.spec.readings import ERRATA, EXAMPLES, POINTS, READINGS, Reading
+from bilprov.spec.readings import ERRATA, EXAMPLES, POINTS, READINGS, Reading, other_choices
 from tests.support import ROOT
 from tests.support.commands import command
 from tests.vectors import ERRATA_IN_BYTES, ERRATUM_IDS, READING_IDS

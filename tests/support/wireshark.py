@@ -20,9 +20,9 @@ from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.recorder import session_metadata
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import MS, Chunk, Line
+from bilprov.spec.emit.python import snake_case
 from bilprov.spec.emit.wireshark import lua_dissector
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.python_names import snake_case
 from tests.support.captures import write_capture
 
 WALL = 1_790_000_000_123_456_789

@@ -21,9 +21,8 @@ from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import fitted, movers, moving_to, setting
 from bilprov.spec.fields import Outcome
 from bilprov.spec.motion import Moment
-from bilprov.spec.open_points import open_after
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.readings import POINTS, Behaviour, OpenPoint
+from bilprov.spec.readings import POINTS, Behaviour, OpenPoint, open_after
 from bilprov.spec.state import Effect, State
 
 _LOOK = 50 * MS  # between two looks while the line is silent
