@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
 from typing import Any, NamedTuple
 
-from bilprov.spec.codec import build, judge
+from bilprov.spec.codec import Steps, build, judge
 from bilprov.spec.protocol import InstructionSpec, Protocol
-from bilprov.spec.state import Changed, Effect, From, State, Step, assigned, ways_on
+from bilprov.spec.state import Changed, From, State, Step, assigned, ways_on
 
 
 def fitted(protocol: Protocol, spec: InstructionSpec, state: State) -> bytes:
@@ -251,17 +250,11 @@ def link_check(protocol: Protocol, taken: int | None = None) -> LinkCheck:
     return LinkCheck(frame, unused, short)
 
 
-@dataclass(frozen=True, slots=True)
-class Movement:
+class Movement(NamedTuple):
     """What frames make a robot do; `speed` is the greatest that is set, None if none is."""
 
-    motions: frozenset[str] = frozenset()
-    speed: int | None = None
-
-    def __or__(self, other: Movement) -> Movement:
-        """What both make it do."""
-        speeds = [speed for speed in (self.speed, other.speed) if speed is not None]
-        return Movement(self.motions | other.motions, max(speeds, default=None))
+    motions: frozenset[str]
+    speed: int | None
 
 
 def all_movement(protocol: Protocol) -> Movement:
@@ -277,21 +270,16 @@ def movement_of(protocol: Protocol, frames: Iterable[bytes]) -> Movement:
 
     No more of them are taken once they do all that the protocol can.
     """
-    car, every, found = protocol.car, all_movement(protocol), Movement()
-    known: set[bytes] = set()
+    car, every, steps = protocol.car, all_movement(protocol), Steps(protocol)
+    found = Movement(frozenset(), None)
     for frame in frames:
-        if frame in known:
-            continue
-        judged = judge(protocol, frame)
-        if not judged.valid or judged.instruction is None:
-            continue
-        known.add(frame)
-        effect = judged.instruction.effect
-        after = car.drive(effect.apply(protocol.power_on, dict(judged.fields)))
-        found |= Movement(
-            frozenset({after.motion} & {*car.turns}),
-            after.speed if effect.sets(car.speed) else None,
-        )
+        step = steps[frame]
+        sets = dict(step.sets) if step.judgement.valid else {}
+        new = sets.get(car.speed)
+        fast = new.high if isinstance(new, Changed) else new
+        speeds = [speed for speed in (found.speed, fast) if speed is not None]
+        motions = found.motions.union(m for m in car.turns if m == sets.get(car.by))
+        found = Movement(motions, max(speeds, default=None))
         if found == every:
             break
     return found
@@ -323,31 +311,27 @@ def effect_words(protocol: Protocol, frames: Iterable[bytes] | None = None) -> s
         every = all_movement(protocol) if frames is None else movement_of(protocol, frames)
         return movement_words(protocol, every)
     judged = [judge(protocol, frame) for frame in dict.fromkeys(frames or ())]
-    sent: list[tuple[InstructionSpec, dict[str, Any] | None]]
-    sent = [(one.instruction, dict(one.fields)) for one in judged if one.valid and one.instruction]
-    unknown = len(sent) < len(judged)
+    sent = [(one.instruction, dict(one.fields)) for one in judged if one.valid]
+    some: list[Any] = sent
     if frames is None:
-        sent = [(spec, None) for spec in protocol.instructions]
-    effects = ((spec.effect, fields) for spec, fields in sent)
-    words = [*_set_words(protocol, effects), *_other_words(spec for spec, _ in sent)]
+        some = [(spec, None) for spec in protocol.instructions]
+    words = [*_set_words(protocol, some), *_other_words(spec for spec, _ in some)]
     told = [f"it may {', '.join(words)}"] if words else []
-    if unknown:
+    if len(sent) < len(judged):
         told.append("what the faulty instructions change is not known")
     return "; ".join(told)
 
 
-def _set_words(
-    protocol: Protocol, effects: Iterable[tuple[Effect, dict[str, Any] | None]]
-) -> Iterator[str]:
+def _set_words(protocol: Protocol, sent: Iterable[tuple[Any, Any]]) -> Iterator[str]:
     """What is set to what: of all values of the fields where these are None."""
     found: dict[str, list[Any]] = {}
-    for effect, fields in effects:
-        for name, value in effect.assignments:
+    for instruction, fields in sent:
+        for name, value in instruction.effect.assignments:
             ends = found.setdefault(name, [])
             if isinstance(value, From) and fields is None:
                 ends += [word for word, _ in value.words] or protocol.limits[name]
             elif isinstance(value, From):
-                ends.append(value.value(fields[value.field]) if fields else 0)
+                ends.append(value.value(fields[value.field]))
             elif isinstance(value, Changed) or value is None:
                 spec = protocol.variables[name]
                 ends += spec.words or (spec.low, spec.high)

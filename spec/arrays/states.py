@@ -36,7 +36,8 @@ class StateTables:
 
     def __init__(self, protocol: Protocol, kinds: int) -> None:
         self._state = protocol.state_type
-        self._layout = protocol.layout
+        self._layout, part = protocol.layout, protocol.layout.part("address")
+        self._broadcast = part.broadcast if part else None
         self._variables = tuple(protocol.variables.values())
         ends = [end for spec in self._variables for end in (spec.low, spec.high)]
         self._number = np.result_type(np.int16, *(np.min_scalar_type(-abs(v) - 1) for v in ends))
@@ -84,8 +85,7 @@ class StateTables:
         found[0] = self._state.code(variable, getattr(before.state, variable))
         to = self._to(data, requests)
         for address in np.unique(to).tolist():
-            rows = self._heard_by(address, to)
-            codes = self._state_of(address, before.by_address).codes
+            rows, codes = self._heard_by(address, to, before.by_address)
             column = self._column(variable, data, requests.rows(rows), codes)
             mine = to[rows] == address
             found[1 + rows[mine]] = column[1:][mine]
@@ -100,8 +100,7 @@ class StateTables:
             return before
         found = {}
         for address in {*before.by_address, *map(self._known_as, np.unique(to))}:
-            rows = self._heard_by(address, to)
-            codes = self._state_of(address, before.by_address).codes
+            rows, codes = self._heard_by(address, to, before.by_address)
             found[address] = self._last(data, requests.rows(rows), codes)
         return Known(found[self._known_as(to[-1])], found)
 
@@ -111,21 +110,16 @@ class StateTables:
         assert part is not None
         return part_values(part, data, requests.offset, requests.end)
 
-    @property
-    def _broadcast(self) -> int | None:
-        part = self._layout.part("address")
-        return part.broadcast if part else None
-
     def _known_as(self, address: int) -> int:
         """The address under which the state after a request is known."""
         return OTHERS if address == self._broadcast else int(address)
 
-    def _state_of(self, address: int, known: Mapping[int, State]) -> State:
-        return known.get(self._known_as(address), known[OTHERS])
-
-    def _heard_by(self, address: int, to: Places) -> Places:
-        """The requests for a device; what is sent to all is for each."""
-        return np.flatnonzero((to == address) | (to == self._broadcast))
+    def _heard_by(
+        self, address: int, to: Places, known: Mapping[int, State]
+    ) -> tuple[Places, Sequence[int]]:
+        """The requests for a device, those to all too, and the values of its variables before."""
+        state = known.get(self._known_as(address), known[OTHERS])
+        return np.flatnonzero((to == address) | (to == self._broadcast)), state.codes
 
     def _column(
         self, variable: str, data: Bytes, requests: Requests, before: Sequence[int]

@@ -146,12 +146,13 @@ class Driven(Simulator):
 
     def __init__(self, protocol: Protocol) -> None:
         super().__init__(protocol, Fault("noting", "test", "", react=self._note))
-        self.done = Movement()
+        self.done = Movement(frozenset(), None)
 
     def _note(self, device: object, event: Event, reaction: Reaction) -> Reaction:
         after = reaction.state
         if after.motion != Motion.STOPPED:
-            self.done |= Movement(frozenset({after.motion}), after.speed)
+            motions, speed = self.done
+            self.done = Movement(motions | {after.motion}, max(speed or 0, after.speed))
         return reaction
 
 
