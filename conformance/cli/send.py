@@ -67,7 +67,7 @@ def send(options: SendOptions) -> int:
             from bilprov.conformance.cli.shell.items import send_items
 
             return send_items(protocol, options, settings, timeout)
-        from bilprov.conformance.cli.shell.session import drive
+        from bilprov.conformance.cli.shell.items import drive
 
         return drive(protocol, options, settings, timeout)
 

@@ -22,7 +22,7 @@ from bilprov.conformance.dut.simulator import Simulator
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.conformance.dut.boards.paced import PacedBoard
+    from bilprov.conformance.dut.boards.simavr import PacedBoard
 
 
 def _address_at(ctx: click.Context, param: click.Parameter, text: str | None) -> int | None:
@@ -144,8 +144,7 @@ def _simulated(protocol: Protocol, options: SimulateOptions) -> Simulator | Simu
 def _board(protocol: Protocol, firmware: Path, start: int | None) -> Iterator[PacedBoard]:
     """Run firmware at the pace of the wall clock. Raises EmulatorError if it cannot be run."""
     from bilprov.conformance.dut.boards import EmulatorError
-    from bilprov.conformance.dut.boards.paced import PacedBoard
-    from bilprov.conformance.dut.boards.simavr import SimavrBoard
+    from bilprov.conformance.dut.boards.simavr import PacedBoard, SimavrBoard
 
     with closing(SimavrBoard(firmware, start)) as board:
         board.look(0)  # boots it

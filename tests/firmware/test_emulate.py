@@ -16,8 +16,7 @@ import serial
 from click.testing import CliRunner
 
 from bilprov import __main__ as front_door
-from bilprov.conformance.dut.boards.paced import HELD, PacedBoard
-from bilprov.conformance.dut.boards.simavr import SimavrBoard
+from bilprov.conformance.dut.boards.simavr import HELD, PacedBoard, SimavrBoard
 from tests.support.firmware import AVR, built, compiled
 from tests.support.robots import MS, PATIENCE, Served, emulate
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.boards import uno
+from bilprov.conformance.dut.boards import simavr as uno
 from bilprov.conformance.dut.boards.firmware import read_firmware
 from bilprov.conformance.dut.boards.libsimavr import Avr
 from bilprov.conformance.dut.boards.simavr import SimavrBoard
