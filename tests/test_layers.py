@@ -109,7 +109,6 @@ HOMES = {
     "pytest": (
         "conformance/pytest_plugin/__init__.py",
         "conformance/pytest_plugin/session.py",
-        "conformance/pytest_plugin/case_item.py",
     ),
     "_pytest": (),
 }

@@ -63,13 +63,10 @@ def send(options: SendOptions) -> int:
             # Items are shown with looks only where these are asked for, as at a port.
             probe = own if protocol.wheels and (typed or not items) else None
             options = replace(options, target=port, probe=probe, yes=True)  # it moves nothing
-        if items:
-            from bilprov.conformance.cli.shell.items import send_items
+        from bilprov.conformance.cli.shell.items import drive, send_items
 
-            return send_items(protocol, options, settings, timeout)
-        from bilprov.conformance.cli.shell.items import drive
-
-        return drive(protocol, options, settings, timeout)
+        done = send_items if items else drive
+        return done(protocol, options, settings, timeout)
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from bilprov.conformance.pytest_plugin.bench import Client
+    from bilprov.conformance.pytest_plugin.session import Client
 
 _SESSION = "bilprov-robot"
 MARKER = "conformance: one case of the robot's conformance suite (bilprov)"
@@ -66,7 +66,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def robot(request: pytest.FixtureRequest) -> Iterator[Client]:
-    """The robot at --robot-port, as a `bench.Client`: homed before and after the test.
+    """The robot at --robot-port, as a `session.Client`: homed before and after the test.
 
     Skips the test where there is no --robot-port.
     """

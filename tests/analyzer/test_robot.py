@@ -27,7 +27,7 @@ from bilprov.analyzer.transport.signals import ENDINGS, SUSPENDING
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.pytest_plugin.bench import Client
+from bilprov.conformance.pytest_plugin.session import Client
 from bilprov.spec.emit.python import RESERVED
 from bilprov.spec.protocol import Protocol, load
 from tests.support import ROOT

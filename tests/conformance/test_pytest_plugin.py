@@ -186,7 +186,7 @@ def test_only_the_selected_cases_run(
 
 def test_what_is_deselected_is_not_sent(run: pytest.Pytester) -> None:
     run.makeconftest(
-        "from bilprov.conformance.pytest_plugin import bench\n"
+        "from bilprov.conformance.pytest_plugin import session as bench\n"
         "put = bench.Bench.end\n"
         "def end(self, result):\n"
         "    with open('ran', 'a') as file: file.write(result.id + '\\n')\n"

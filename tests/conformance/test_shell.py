@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -314,49 +313,21 @@ def test_a_port_that_is_unplugged_at_the_prompt_is_told_in_one_sentence(protocol
     assert "Traceback" not in terminal.shown
 
 
-def test_tab_completes_and_the_history_outlives_the_shell(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    state = {"XDG_STATE_HOME": str(tmp_path / "state")}
-    with prompted(protocol, **state) as (_, terminal):
+def test_tab_completes_and_the_arrows_recall_lines(protocol: Protocol) -> None:
+    with prompted(protocol) as (device, terminal):
         terminal.wait_for("led 0>")
         for typed, shown in [("led", "LED"), (" ", "rgb="), ("5; rotater", "RotateRight")]:
             terminal.type(typed + TAB)
             terminal.wait_for(shown)
         terminal.type("\r")
         terminal.wait_for("rotate_right speed 0 led 5>")
-        assert terminal.end(CTRL_D) == 0
-    with prompted(protocol, **state) as (device, terminal):
-        terminal.wait_for("led 0>")
-        terminal.type(f"{UP}\r")
+        terminal.type("stop; LED 0\r")
+        terminal.wait_for("stopped speed 0 led 0>")
+        terminal.type(f"{UP}{UP}\r")
         terminal.wait_for("rotate_right speed 0 led 5>")
         assert terminal.end(CTRL_D) == 0
 
-    assert device.heard.strip(b"\x00") == b"\x81\x05\x60"
-
-
-@pytest.mark.parametrize("home", ["/dev/null", "relative"])
-def test_a_history_that_cannot_be_kept_is_no_reason_to_fail(protocol: Protocol, home: str) -> None:
-    with prompted(protocol, XDG_STATE_HOME=home, HOME="/dev/null") as (_, terminal):
-        terminal.wait_for("led 0>")
-        terminal.type("LED 5\r")
-        terminal.wait_for("led 5>")
-        terminal.type(UP)
-        terminal.wait_for("LED 5")
-        assert terminal.end(CTRL_C + CTRL_D) == 0
-
-
-def test_lines_are_done_whose_history_cannot_be_kept_any_more(
-    protocol: Protocol, tmp_path: Path
-) -> None:
-    state = tmp_path / "state"
-    with prompted(protocol, XDG_STATE_HOME=str(state)) as (_, terminal):
-        terminal.wait_for("led 0>")
-        shutil.rmtree(state)
-        terminal.type("LED 5\r")
-        terminal.wait_for("led 5>")
-        assert terminal.end(CTRL_D) == 0
-    assert "Traceback" not in terminal.shown
+    assert device.heard.strip(b"\x00") == b"\x81\x05\x60\x00\x81\x00\x81\x05\x60"
 
 
 def test_on_a_terminal_without_a_cursor_it_is_plain_and_a_mistake_ends_nothing(

@@ -122,7 +122,7 @@ def test_no_two_instructions_or_fields_have_one_name_and_none_is_a_keyword(horn_
 # What a type checker sees of the car's methods, and of what is read by a register's name.
 SEEN = """\
 from bilprov import Robot
-from bilprov.conformance.pytest_plugin.bench import Client
+from bilprov.conformance.pytest_plugin.session import Client
 from servo import Servo
 
 def drive(robot: Robot, client: Client) -> float:

@@ -8,19 +8,16 @@ from __future__ import annotations
 import asyncio
 import signal
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 
 from prompt_toolkit import PromptSession
 from prompt_toolkit.application import get_app
 from prompt_toolkit.completion import CompleteEvent, Completer, Completion
 from prompt_toolkit.document import Document
 from prompt_toolkit.formatted_text import StyleAndTextTuples
-from prompt_toolkit.history import FileHistory, History, InMemoryHistory
 from prompt_toolkit.key_binding import KeyBindings
 from prompt_toolkit.patch_stdout import patch_stdout
 
 from bilprov.analyzer.cli.options import note
-from bilprov.analyzer.cli.settings import state_folder
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR
 from bilprov.analyzer.transport.signals import SUSPENDING, Stopper
 from bilprov.conformance.cli.shell.driving import Driving
@@ -82,7 +79,6 @@ class Prompt:
             completer=_Completer(protocol, driving),
             complete_while_typing=False,
             enable_suspend=True,
-            history=_history(),
             key_bindings=_keys(),
             reserve_space_for_menu=_MENU,
         )
@@ -171,28 +167,8 @@ class _Completer(Completer):
         return candidates(self._protocol, self._words, document.text_before_cursor)
 
 
-class _FileHistory(FileHistory):
-    """A history in a file; a line that cannot be kept there, as on a full disk, is left out."""
-
-    def store_string(self, string: str) -> None:
-        with suppress(OSError):
-            super().store_string(string)
-
-
 def _keys() -> KeyBindings:
     r"""Ctrl-\, which is no signal while a line is typed, ends the shell as the signal does."""
     keys = KeyBindings()
     keys.add("c-\\")(lambda event: signal.raise_signal(signal.SIGQUIT))
     return keys
-
-
-def _history() -> History:
-    """The lines typed before, in the user's state folder; kept in memory if that cannot be used."""
-    folder = state_folder()
-    with suppress(OSError):
-        if folder:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            file = folder / "shell_history"
-            file.open("a+b").close()  # raises where it cannot be read or written
-            return _FileHistory(file)
-    return InMemoryHistory()

@@ -54,24 +54,6 @@ _LEFT = _Motor(("D", 7), ("B", 0), ("D", 6), duty=0x47, connected=0x80)
 _RIGHT = _Motor(("B", 1), ("B", 2), ("D", 5), duty=0x48, connected=0x20)
 
 
-def look(memory: Callable[[int], int], now: int) -> Look:
-    """What wheels and LED do, read from the pins and the PWM registers; `now` in ns."""
-    left, right = _LEFT.speed(memory), _RIGHT.speed(memory)
-    return CarLook(
-        t=now,
-        moving=bool(left or right),
-        motion=_motion(left, right),
-        led=memory(_PORTS["C"]) & memory(_PORTS["C"] - 1) & _LIGHT,
-        left=left,
-        right=right,
-    )
-
-
-def unread(memory: Callable[[int], int]) -> bool:
-    """Whether the serial receiver holds a byte that the firmware has not read."""
-    return bool(memory(_UCSR0A) & _RXC0)
-
-
 def _motion(left: int, right: int) -> str:
     if left * right < 0:
         return "rotate_right" if left > 0 else "rotate_left"
@@ -162,7 +144,11 @@ class SimavrBoard:
     def look(self, now: int) -> Look:
         """What the pins and the PWM registers say at `now`."""
         self._run(now)
-        return look(self.memory, now)
+        left, right = _LEFT.speed(self.memory), _RIGHT.speed(self.memory)
+        lit = self.memory(_PORTS["C"]) & self.memory(_PORTS["C"] - 1) & _LIGHT
+        return CarLook(
+            now, bool(left or right), _motion(left, right), led=lit, left=left, right=right
+        )
 
     def memory(self, address: int) -> int:
         """The byte at an address of the chip's data space: a register, or RAM."""
@@ -176,7 +162,7 @@ class SimavrBoard:
     @property
     def unread(self) -> bool:
         """Whether a byte has arrived that the firmware has not read."""
-        return unread(self._powered.memory)
+        return bool(self.memory(_UCSR0A) & _RXC0)
 
     def close(self) -> None:
         """End the emulator."""
