@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import compress, repeat
 from typing import Any, NamedTuple, TypeAlias
 
@@ -99,13 +99,10 @@ class StateColumns:
     def __init__(self, kind: type[State], count: int, made: Callable[[str], NDArray[Any]]) -> None:
         self.kind = kind
         self._count = count
-        self._made = made
-        self._columns: dict[str, NDArray[Any]] = {}
+        self._made = cache(made)
 
     def __getitem__(self, variable: str) -> NDArray[Any]:
-        if variable not in self._columns:
-            self._columns[variable] = self._made(variable)
-        return self._columns[variable]
+        return self._made(variable)
 
     @property
     def moving(self) -> Mask:
@@ -113,9 +110,7 @@ class StateColumns:
         at_rest = self.kind.at_rest
         if at_rest is None:
             return np.zeros(self._count, np.bool_)
-        terms = [
-            self[name] == self.kind.code(name, value) for name, value in at_rest.values.items()
-        ]
+        terms = [self[name] == self.kind.code(name, one) for name, one in at_rest.values.items()]
         both = np.logical_or if isinstance(at_rest, AnyOf) else np.logical_and
         found: Mask = np.logical_not(both.reduce(terms))
         return found
@@ -316,10 +311,8 @@ class Batch(ABC):
     @property
     def serious(self) -> Selection:
         """The rows with an anomaly that is a warning or an error."""
-        other = [bool(serious_faults(record)) for record in self.others.listed]
-        return Selection(
-            self.hosts.faults.serious, self.devices.faults.serious, np.array(other, np.bool_)
-        )
+        other = np.array([bool(serious_faults(one)) for one in self.others.listed], np.bool_)
+        return Selection(self.hosts.faults.serious, self.devices.faults.serious, other)
 
 
 class Records(Batch):
@@ -360,14 +353,14 @@ class Records(Batch):
         """The host's rows."""
         listed = [record for record in self._listed if isinstance(record, HostRecord)]
         judged = [record.judgement for record in listed]
-        size = np.array([len(record.data) for record in listed], np.int64)
+        data, offset, size = _bytes_of(listed)
         return HostRows(
             t=times([record.t for record in listed]),
             end=times([record.end for record in listed]),
             known=times([record.known for record in listed]),
             kind=np.array([KINDS.index(record.kind) for record in listed], np.uint8),
-            data=np.frombuffer(b"".join([record.data for record in listed]), np.uint8),
-            offset=np.cumsum(size) - size,
+            data=data,
+            offset=offset,
             size=size,
             verdict=_verdicts(judged),
             sequence=_numbers([record.sequence for record in listed]),
@@ -451,17 +444,14 @@ def _states_of(records: Sequence[HostRecord] | Sequence[DeviceRecord]) -> StateC
     kind = type(records[0].state) if records else State
 
     def made(variable: str) -> NDArray[Any]:
-        values = [kind.code(variable, getattr(record.state, variable)) for record in records]
-        return np.array(values) if values else np.zeros(0, np.int64)
+        return np.array([kind.code(variable, getattr(one.state, variable)) for one in records])
 
     return StateColumns(kind, len(records), made)
 
 
 def _answer_bytes(records: Sequence[DeviceRecord]) -> AnswerBytes:
     """The bytes and names of answers."""
-    data = [record.data for record in records]
-    size = np.array([len(part) for part in data], np.int64)
-    offset = np.cumsum(size) - size
+    data, offset, size = _bytes_of(records)
     # The place of a single byte is the byte; that of other answers counts their names.
     single = any(record.reply is None for record in records)
     names: list[str | None] = [None] * 256 if single else []
@@ -476,7 +466,7 @@ def _answer_bytes(records: Sequence[DeviceRecord]) -> AnswerBytes:
     head, tail = np.array(around, np.int64).reshape(-1, 2).T
     has_fields = np.array([bool(one.reply and one.reply.fields) for one in records], np.bool_)
     return AnswerBytes(
-        data=np.frombuffer(b"".join(data), np.uint8),
+        data=data,
         offset=offset,
         size=size,
         name=np.array(name, np.int64),
@@ -485,6 +475,15 @@ def _answer_bytes(records: Sequence[DeviceRecord]) -> AnswerBytes:
         fields_size=np.where(has_fields, size - head - tail, -1),
         address=_numbers([one.reply.address if one.reply else None for one in records]),
     )
+
+
+def _bytes_of(
+    records: Sequence[HostRecord] | Sequence[DeviceRecord],
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """The bytes of records one after the other, where each begins, and how many it has."""
+    data = [record.data for record in records]
+    size = np.array([len(part) for part in data], np.int64)
+    return np.frombuffer(b"".join(data), np.uint8), np.cumsum(size) - size, size
 
 
 def _verdicts(judged: Sequence[Judgement | None]) -> NDArray[np.uint8]:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 from msgspec import UNSET
-from msgspec.structs import replace
 
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
@@ -75,7 +74,8 @@ class Decoder:
         self._sequence = 0
         self._out_of_step: int | None = None  # when the open frame is given up
         self._lost_at: int | None = None  # when bytes were last known to be missing
-        self._unread_from: int | None = None  # since when nothing was read, until the next event
+        # Since when nothing was read, until the next event: until then nothing falls due.
+        self.unread_from: int | None = None
         self._timeout = timeout
         self._in_doubt = False  # whether it is not confirmed that the host's frames begin as taken
         self._host_until = 0  # when the host's last byte came, while that is in doubt
@@ -88,31 +88,22 @@ class Decoder:
         due = self._due()
         return due[0] if due else None
 
-    @property
-    def unread(self) -> bool:
-        """Whether nothing is read at this time, so that nothing falls due before the next event."""
-        return self._unread_from is not None
-
-    def go_on(self, now: int) -> None:
+    def go_on(self, now: int) -> bool:
         """Read again at `now` (ns): for all that is under way no time passed while nothing was.
 
         What came meanwhile has the time at which it was read, so how long it took is not known.
+        Returns whether nothing was read.
         """
-        if self._unread_from is None:
-            return
-        pause, self._unread_from = now - self._unread_from, None
+        if self.unread_from is None:
+            return False
+        pause, self.unread_from = now - self.unread_from, None
         start, end = self._framer.span if self._framer.missing else (0, 0)
         self._framer.resume(self._framer.held, start, end + pause)
-        waiting = self._pairing.waiting
-        later = [replace(w, end=w.end + pause, expires=w.expires + pause) for w in waiting]
-        waiting.clear()
-        waiting.extend(later)
-        held = [replace(one, t=one.t + pause) for one in self._pairing.held]
-        self._pairing.held.clear()
-        self._pairing.held.extend(held)
+        self._pairing.delay(pause)
         self._replies.delay(pause)
         if self._out_of_step is not None:
             self._out_of_step += pause
+        return True
 
     def until(self, now: int, out: list[Record]) -> None:
         """Append the records that fall due up to `now` (ns), in the order in which they are due."""
@@ -154,21 +145,12 @@ class Decoder:
         for byte in data:
             if waiting:
                 first = waiting[0]
-                latency = now - first.end
-                judgement = first.judgement
-                if byte == judgement.response.code and 0 <= latency <= late:
+                judgement, number, latency = first.judgement, first.sequence, now - first.end
+                answer = judgement.response
+                if byte == answer.code and 0 <= latency <= late:
                     del waiting[0]
                     out.append(
-                        DeviceRecord(
-                            now,
-                            byte,
-                            judgement.response,
-                            judgement,
-                            first.sequence,
-                            latency,
-                            True,
-                            state,
-                        )
+                        DeviceRecord(now, byte, answer, judgement, number, latency, True, state)
                     )
                     continue
             self._answer(byte, now, out)
@@ -179,10 +161,11 @@ class Decoder:
         """Handle a line event; after a loss, framing and pairing start anew."""
         lost = event.event in LOSSES
         if event.event == UNREAD:
-            self._unread_from = event.t
+            self.unread_from = event.t
         if event.event in ("unplugged", "reconnected"):
             taps: frozenset[Direction] = frozenset({event.tap} if event.tap else SIDES)
-            self._turn(self._away - taps if lost else self._away | taps)
+            self._away = self._away - taps if lost else self._away | taps
+            self._paired = self._both_heard and not self._away
         if lost or event.event == "unplugged":
             self._lost_at, self._out_of_step = event.t, None
             if lost and event.tap != "device":
@@ -193,11 +176,6 @@ class Decoder:
             for held in self._pairing.forget():
                 self._unsolicited(held, out)
         out.append(LineRecord(event, lost, self._state, anomalies.of_line(event, lost)))
-
-    def _turn(self, away: frozenset[Direction]) -> None:
-        """Pair what the two sides say, unless the port of one of them is away."""
-        self._away = away
-        self._paired = self._both_heard and not away
 
     def garbage(self, framed: Framed, reason: str, out: list[Record]) -> None:
         """Append the record of host bytes that belong to no frame; `reason` says why."""
@@ -273,16 +251,16 @@ class Decoder:
         self._state = state.state
         self._bus.resume(state.by_address or ())
         self._replies.forget()
-        self._pairing.waiting.clear()
+        self._pairing.forget()
         self._pairing.waiting.extend(
             Waiting(number, group.end, group.expires, self._steps[frame].judgement)
             for number, group, frame in state.instructions(self._protocol)
         )
-        self._pairing.held.clear()
         self._pairing.held.extend(Held(t, byte) for t, byte in state.held)
         self._out_of_step = state.out_of_step
         self._lost_at = state.lost_at
-        self._turn(frozenset(state.away))
+        self._away = frozenset(state.away)
+        self._paired = self._both_heard and not self._away
 
     @property
     def begun(self) -> list[Chunk]:
@@ -299,7 +277,7 @@ class Decoder:
 
     def _due(self) -> tuple[int, _Due] | None:
         """The next due time and its handler; at equal times the end of the frame comes first."""
-        if self._unread_from is not None:
+        if self.unread_from is not None:
             return None
         due: tuple[int, _Due] | None = None
         frame_end = self._framer.deadline
@@ -366,25 +344,25 @@ class Decoder:
         """Take what is held of an answer that is not continued, or that no request waits for."""
         heard = self._replies.take(self._pairing.waiting, self._pairing.gives_up, over=True)
         heard = heard or self._replies.take_rest(alone=not self._both_heard)
-        if heard is None:
-            return
-        self._reply(heard, out)
+        if heard:
+            self._reply(heard, out)
 
     def _reply(self, heard: Heard, out: list[Record]) -> None:
         """Pair an answer of several bytes with the oldest request that waits, if there is one."""
         response = heard.reply.response
         held = Held(heard.start, response.code if response else -1, heard.reply)
+        sets = reported(self._protocol, heard.reply)
         if self._paired and self._pairing.waiting and not heard.loose:
             waiting = self._pairing.waiting.popleft()
             if waiting.sequence == self._sequence - 1:  # else a newer request may have changed it
-                self._set(waiting.judgement.address, reported(self._protocol, heard.reply))
+                self._set(waiting.judgement.address, sets)
             self._pair(held, waiting, out)
         elif heard.loose and heard.reply.reason:
             self._unpaired(held, anomalies.ALONE, out)
         elif self._paired:
             self._unsolicited(held, out)
         else:
-            self._set(heard.reply.address, reported(self._protocol, heard.reply))
+            self._set(heard.reply.address, sets)
             self._unpaired(held, anomalies.ALONE, out)
 
     def _framed(self, framed: Framed, out: list[Record]) -> None:

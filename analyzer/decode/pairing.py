@@ -118,6 +118,12 @@ class Pairing:
         end = self.held[0].t + self._skew
         return end if frame_deadline is None else max(end, frame_deadline + self._skew)
 
+    def delay(self, pause: int) -> None:
+        """Let all have come so much (ns) later."""
+        later = [replace(w, end=w.end + pause, expires=w.expires + pause) for w in self.waiting]
+        self.waiting = deque(later)
+        self.held = deque(replace(one, t=one.t + pause) for one in self.held)
+
     def forget(self) -> list[Held]:
         """Clear both queues, because bytes were lost, and return the answers that were held."""
         self.waiting.clear()

@@ -74,7 +74,7 @@ class Session:
         self._protocol = protocol
         self._timeout = timeout
         self._skew = skew
-        self._heard = tuple(sorted(heard))
+        self._settings = timeout, skew, tuple(sorted(heard))
         self.decoder = Decoder(
             protocol,
             timeout=timeout,
@@ -94,14 +94,10 @@ class Session:
         return self._resync.deadline if self._resync else self.decoder.deadline
 
     @property
-    def _settings(self) -> tuple[int, int, tuple[Direction, ...]]:
-        return self._timeout, self._skew, self._heard
-
-    @property
     def regular(self) -> bool:
         """Whether it is known where frames begin, and nothing odd is under way."""
         hunts = self._resync is not None or self._unsynced_since is not None
-        return not hunts and not self.decoder.unread and self.decoder.regular
+        return not hunts and self.decoder.unread_from is None and self.decoder.regular
 
     def feed(self, event: Chunk | Line) -> list[Record]:
         """Take an event and return the records it completes.
@@ -113,10 +109,8 @@ class Session:
         out: list[Record] = []
         self._until(event.t, out)
         self._time = event.t
-        if self.decoder.unread:
-            self.decoder.go_on(event.t)
-            if self._unsynced_since is not None:
-                self._unsynced_since = event.t  # whether the host was silent is not known
+        if self.decoder.go_on(event.t) and self._unsynced_since is not None:
+            self._unsynced_since = event.t  # whether the host was silent is not known
         self._event(event, out)
         return out
 
@@ -145,13 +139,13 @@ class Session:
 
         None while frame boundaries are looked for, or nothing is read.
         """
-        if self._resync or self.decoder.unread or not self.decoder.settled:
+        if self._resync or self.decoder.unread_from is not None or not self.decoder.settled:
             return None
         return self.decoder.save(
             time=self._time,
             timeout=self._timeout,
             skew=self._skew,
-            heard=self._heard,
+            heard=self._settings[2],
             unsynced_since=self._unsynced_since,
             spoken=self._spoken,
         )
@@ -220,15 +214,22 @@ class Session:
         if found.grammar != self._protocol.sha256 or not found.whole:
             return None
         state = checkpoint.decoded(found.decoder, self._protocol)
-        if state is None or (state.timeout, state.skew, state.heard) != self._settings:
-            return None
-        return state
+        fits = state and (state.timeout, state.skew, state.heard) == self._settings
+        return state if fits else None
 
     def _host(self, data: bytes, now: int, out: list[Record]) -> None:
-        """Pass host bytes to resynchronisation one by one, and once it has ended to the decoder."""
-        if self._unsynced_since is not None:
-            self._synchronise(self._unsynced_since, now)
-            self._unsynced_since = None
+        """Pass host bytes to resynchronisation one by one, and once it has ended to the decoder.
+
+        That begins with them where it is not known that they begin a frame.
+        """
+        since, self._unsynced_since = self._unsynced_since, None
+        if since is not None and now - since < self._timeout:  # else silence tells that one begins
+            if self._protocol.plain:
+                self._resync = Resync(
+                    self._protocol, self._timeout, self._skew, since, answered=self._spoken
+                )
+            else:  # a frame of another layout is found by its sync or its check
+                self.decoder.doubt(now)
         at = 0
         while self._resync and at < len(data):
             self._resync.host(data[at], now)
@@ -237,21 +238,6 @@ class Session:
                 self._end_hunt(self._resync, out)
         if at < len(data):
             self.decoder.host(data[at:], now, out)
-
-    def _synchronise(self, since: int, now: int) -> None:
-        """Look for frame boundaries from `now` on, unless silence shows that a frame begins."""
-        if now - since >= self._timeout:
-            return
-        if not self._protocol.plain:  # a frame of another layout is found by its sync or its check
-            self.decoder.doubt(now)
-            return
-        self._resync = Resync(
-            self._protocol,
-            timeout=self._timeout,
-            skew=self._skew,
-            since=since,
-            answered=self._spoken,
-        )
 
     def _give_up_hunt(self, out: list[Record]) -> None:
         """End resynchronisation, if it is running, without more evidence."""
@@ -303,7 +289,7 @@ class Resync:
     """
 
     def __init__(
-        self, protocol: Protocol, *, timeout: int, skew: int, since: int, answered: bool
+        self, protocol: Protocol, timeout: int, skew: int, since: int, *, answered: bool
     ) -> None:
         self._timeout = timeout
         # A pause longer than any adapter causes, after which a device may cut a frame short
