@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.analyzer.decode.batch import sliced
-from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
+from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
 from bilprov.analyzer.decode.column_batch import ColumnBatch, Decoding
 from bilprov.analyzer.decode.decoder import TURNS
 from bilprov.analyzer.decode.pairing import MOST, waiting_frames
@@ -111,6 +111,13 @@ class Reads(NamedTuple):
                 yield Chunk(t, direction, self.data[begin:end].tobytes())  # type: ignore[arg-type]
 
 
+def _reads_before(pieces: Sequence[tuple[int, bytes]]) -> Reads:
+    """Reads of batches before: when (ns) each came, and its bytes."""
+    data = np.frombuffer(b"".join(piece for _, piece in pieces), np.uint8)
+    upto = np.cumsum([len(piece) for _, piece in pieces], dtype=np.int64)
+    return Reads(data, np.array([t for t, _ in pieces], np.int64), upto, np.full(len(upto), -1))
+
+
 class Carry(NamedTuple):
     """What one batch leaves to the next.
 
@@ -156,36 +163,29 @@ class ColumnDecoder:
             return None  # the open frame ends early; its end was put off while nothing was read
         asked = list(state.instructions(self._decoding.protocol))
         waiting = b"".join(frame for *_, frame in asked)
-        data = np.frombuffer(waiting + b"".join(one.data for one in begun), np.uint8)
-        found = self._requests.cut(data[: len(waiting)], 0)
+        host = _reads_before([(state.time, waiting), *((one.t, one.data) for one in begun)])
+        found = self._requests.cut(host.data[: len(waiting)], 0)
         if found.end < len(waiting):
             return None  # a faulty request waits, too
-        reads = np.cumsum([len(waiting), *(len(one.data) for one in begun)], dtype=np.int64)
-        times = np.array([state.time, *(one.t for one in begun)], np.int64)
-        held = np.array(state.held, np.int64).reshape(-1, 2)
         return Carry(
-            Reads(data, times, reads, np.full(len(reads), -1)),
+            host,
             len(waiting),
             found.whole,
             np.array([group.end for _, group, _ in asked], np.int64),
             np.array([number for number, *_ in asked], np.int64),
-            Reads(
-                held[:, 1].astype(np.uint8),
-                held[:, 0],
-                np.arange(1, len(held) + 1),
-                np.full(len(held), -1),
-            ),
+            _reads_before([(t, bytes([byte])) for t, byte in state.held]),
             replace(state, waiting=(), held=(), frame=b"", frame_start=0, frame_end=0),
         )
 
     def state(self, carry: Carry) -> DecoderState:
         """A Carry as the state of a session, without what is `begun`."""
-        held = [(chunk.t, byte) for chunk in carry.device.chunks("device") for byte in chunk.data]
-        return replace(
-            carry.rest,
-            waiting=self._waiting(carry),
-            held=tuple(held) if self._plain else (),
-        )
+        frames = sliced(carry.host.data, carry.waiting.offset, carry.waiting.end)
+        times = zip(carry.end.tolist(), (carry.end + self._longest).tolist(), strict=True)
+        rows = zip(carry.sequence.tolist(), times, frames, repeat(False), strict=False)
+        waiting = waiting_frames(rows, numbered=not self._plain)
+        answers = carry.device.chunks("device") if self._plain else ()
+        held = tuple((chunk.t, byte) for chunk in answers for byte in chunk.data)
+        return replace(carry.rest, waiting=waiting, held=held)
 
     def begun(self, carry: Carry) -> list[Chunk]:
         """The bytes of the frame and of the answer that are not complete, as they came."""
@@ -205,13 +205,6 @@ class ColumnDecoder:
         frame = b"".join(one.data for one in held)
         return replace(state, frame=frame, frame_start=held[0].t, frame_end=held[-1].t)
 
-    def _waiting(self, carry: Carry) -> tuple[WaitingFrames, ...]:
-        """The waiting frames, neighbours with equal times together."""
-        frames = sliced(carry.host.data, carry.waiting.offset, carry.waiting.end)
-        times = zip(carry.end.tolist(), (carry.end + self._longest).tolist(), strict=True)
-        rows = zip(carry.sequence.tolist(), times, frames, repeat(False), strict=False)
-        return waiting_frames(rows, numbered=not self._plain)
-
     def deadline(self, carry: Carry) -> int | None:
         """When (ns) something falls due without an event, None if nothing does."""
         due = [int(end) + self._longest for end in carry.end[:1]]
@@ -220,8 +213,7 @@ class ColumnDecoder:
             open_until = int(carry.host.t[-1]) + self._timeout
             due.append(open_until)
         if len(carry.device.data) and self._plain:
-            skew = self._decoding.skew
-            due.append(max(int(carry.device.t[0]), open_until) + skew)
+            due.append(max(int(carry.device.t[0]), open_until) + self._decoding.skew)
         elif len(carry.device.data):
             due.append(int(carry.device.t[-1]) + self._held)
         return min(due, default=None)
@@ -322,7 +314,10 @@ class ColumnDecoder:
         count, replies, waiting = int(frames[cut]), int(answered[cut]), int(asked_by[cut])
         begun, low = int(taken[cut]), int(heard[cut])
         new = requests.rows(slice(count))
-        known = self._known(rest)
+        # The states from which decoding goes on.
+        known, protocol = Known(rest.state, None), self._decoding.protocol
+        if protocol.layout.part("address") and self._requests.states.has_effects:
+            known = Known(rest.state, {OTHERS: protocol.power_on, **dict(rest.by_address or ())})
         line_event = line_event[line_event < cut]
         batch = ColumnBatch(
             decoding=self._decoding,
@@ -389,15 +384,6 @@ class ColumnDecoder:
         given_up: Mask = early[:-1] & (t - first[:-1] >= self._held)
         given_up |= told.bytes[1:] - heard[1:] > MOST
         return given_up if self._held else given_up | early[1:]
-
-    def _known(self, rest: DecoderState) -> Known:
-        """The states from which decoding goes on."""
-        bus = self._decoding.protocol.layout.part("address") is not None
-        by_address = dict(rest.by_address or ()) if bus else None
-        if by_address is not None and self._requests.states.has_effects:
-            by_address.setdefault(OTHERS, self._decoding.protocol.power_on)
-            return Known(rest.state, by_address)
-        return Known(rest.state, None)
 
 
 _SHORT = 4  # bytes of a read

@@ -17,6 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection
 from contextlib import suppress
+from functools import partial
 from typing import NamedTuple, NoReturn
 
 from bilprov.captures.text import printable
@@ -234,10 +235,7 @@ class _Parser:
     # Conditions
 
     def _any(self) -> Part:
-        return self._joined("or", "||", self._every)
-
-    def _every(self) -> Part:
-        return self._joined("and", "&&", self._condition)
+        return self._joined("or", "||", partial(self._joined, "and", "&&", self._condition))
 
     def _joined(self, word: str, sign: str, part: Callable[[], Part]) -> Part:
         parts = [part()]
@@ -279,9 +277,8 @@ class _Parser:
             self._at = before
             return None
         words = token.text.lower()
-        if negation:
-            return Part("sign", negation.start, token.end, f"not {words}")
-        return token._replace(kind="sign", text=words)
+        start = (negation or token).start
+        return Part("sign", start, token.end, f"not {words}" if negation else words)
 
     # Operands
 

@@ -330,7 +330,11 @@ class PassiveJudge:
             if fault.severity is Severity.ERROR and record.answered:
                 self._violate(fault, record.answered.clause, record.answered.reading)
             elif fault.severity is Severity.WARNING and record.answered:
-                self._legal(fault, self._reading(fault, record.byte, record.answered))
+                reading = "R-answer-deadline" if fault.kind == "slow" else "R-answer-point"
+                if fault.kind == "disagreeing":
+                    choices = other_choices(self._protocol, record.answered)
+                    reading = next(one.reading for one in choices if one.code == record.byte)
+                self._legal(fault, reading)
 
     def _unpaired(self, record: DeviceRecord) -> None:
         """Judge a device byte that answers no instruction, or none that was heard."""
@@ -341,8 +345,7 @@ class PassiveJudge:
         if uncertain or not errors or record.t < self._in_step_from:
             self._findings.not_judged[_UNSEEN if self._paired else _DEAF] += 1
             return
-        clause = self._protocol.clauses.responses
-        self._violate(errors[0], clause, "R-unsolicited")
+        self._violate(errors[0], self._protocol.clauses.responses, "R-unsolicited")
 
     def _unanswered(self, fault: Anomaly) -> None:
         if fault.instruction is None or fault.instruction not in self._pending:
@@ -360,19 +363,19 @@ class PassiveJudge:
             self._legal(fault, SILENCE_READING)
 
     def _line(self, record: LineRecord) -> None:
-        event = record.value
-        taps: set[str] = {event.tap} if event.tap else set(SIDES)
-        if event.event == "unplugged":
+        event, tap = record.value.event, record.value.tap
+        taps: set[str] = {tap} if tap else set(SIDES)
+        if event == "unplugged":
             self._away |= taps
-        elif event.event == "reconnected":
+        elif event == "reconnected":
             self._away -= taps
-        if event.event == UNREAD:
-            self._unread_from = record.t
-            self._out_of_step()
-            self._stopped_by = None
-        if record.lost or self._away:
+        lost = record.lost or bool(self._away)
+        if lost:
             self._give_up(_LOST)
             self._heard = record.t
+        if event == UNREAD:
+            self._unread_from = record.t
+        if lost or event == UNREAD:
             self._out_of_step()
             self._stopped_by = None
 
@@ -388,13 +391,6 @@ class PassiveJudge:
         """Count what is legal, by its reading; the readings are those of the car's document."""
         declared = _LATE if fault.kind == "slow" else fault.kind
         self._findings.readings[reading if self._protocol.plain else declared] += 1
-
-    def _reading(self, fault: Anomaly, byte: int, answered: Judgement) -> str:
-        """The reading under which an answer with a warning is legal."""
-        if fault.kind != "disagreeing":
-            return "R-answer-deadline" if fault.kind == "slow" else "R-answer-point"
-        choices = other_choices(self._protocol, answered)
-        return next(choice.reading for choice in choices if choice.code == byte)
 
     def _violate(self, fault: Anomaly, clause: str, reading: str) -> None:
         if not self._protocol.plain:  # the readings are those of the car's document

@@ -26,7 +26,7 @@ from bilprov.analyzer.decode.batch import (
     OtherRows,
     Selection,
 )
-from bilprov.analyzer.decode.records import LineRecord, serious_faults
+from bilprov.analyzer.decode.records import LineRecord, serious_kinds
 from bilprov.captures.schemas import MS
 from bilprov.spec.arrays.layouts import OUTCOMES, VALID
 from bilprov.spec.fields import Timing
@@ -62,8 +62,7 @@ class Rates:
         if not len(t):
             return
         self._reach(int(t[0]))
-        high = self._reach(int(t[-1]))
-        low = self._bucket(int(t[0]))
+        high, low = self._reach(int(t[-1])), self._bucket(int(t[0]))
         if low == high:
             self._counts[name][low] += len(t) if amounts is None else int(amounts.sum())
             return
@@ -294,11 +293,9 @@ class Totals:
 
     def add(self, batch: Batch, chosen: Selection | None = None) -> None:
         """Count the chosen rows (None: all) of a batch, which follows those before it."""
-        self._add_others(batch.others, None if chosen is None else chosen.other)
-        heard = [
-            *self._add_hosts(batch.hosts, None if chosen is None else chosen.host),
-            *self._add_devices(batch.devices, None if chosen is None else chosen.device),
-        ]
+        host, device, other = chosen or (None, None, None)
+        self._add_others(batch.others, other)
+        heard = self._add_hosts(batch.hosts, host) + self._add_devices(batch.devices, device)
         self._follow(batch.hosts, heard)
 
     def merge(self, other: Totals) -> None:
@@ -440,11 +437,10 @@ class Totals:
 
     def _add_others(self, others: OtherRows, mask: Mask | None) -> None:
         for place, record in enumerate(others.listed):
-            if mask is None or mask[place]:
-                for fault in serious_faults(record) if record.faults else ():
-                    side = record.value.tap if isinstance(record, LineRecord) else ""
-                    self._faults[side, None, fault.kind] += 1
-                    self.rates.count("faults", others.t[place : place + 1])
+            side = record.value.tap if isinstance(record, LineRecord) else ""
+            for kind in serious_kinds(record) if mask is None or mask[place] else ():
+                self._faults[side, None, kind] += 1
+                self.rates.count("faults", others.t[place : place + 1])
 
     def _add_kinds(
         self,
