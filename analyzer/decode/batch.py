@@ -171,30 +171,17 @@ class HostRows:
         return sliced(self.data, start, start + self.size[rows])
 
 
-class AnswerBytes(NamedTuple):
-    """The bytes of answers: each has `size` bytes of `data` from `offset` on.
-
-    `name` is the place of its name in `names`; an answer that is damaged has none (None), nor has
-    an unused byte, whose place is the byte itself. The fields of its data are in `fields_size`
-    bytes from `fields_at` on; -1 where it has no fields. `address` is whose it is, -1 if not known.
-    """
-
-    data: NDArray[np.uint8]
-    offset: NDArray[np.int64]
-    size: NDArray[np.int64]
-    name: Integers
-    names: Sequence[str | None]
-    fields_at: NDArray[np.int64]
-    fields_size: NDArray[np.int64]
-    address: NDArray[np.int64]
-
-
 @dataclass(frozen=True, eq=False)
 class DeviceRows:
     """The device's rows, one an answer: when it came (`t`, ns), and which instruction it answers.
 
     That one's number (`sequence`, -1 where it answers none), key (`header`) and verdict. `byte` is
-    the answer's code (-1: it has none), and `answers` has its bytes. `latency` (ns) is from the
+    the answer's code (-1: it has none). It has `size` bytes of `data` from `offset` on. `name` is
+    the place of its name in `names`; an answer that is damaged has none (None), nor has an unused
+    byte, whose place is the byte itself. The fields of its data are in `fields_size` bytes from
+    `fields_at` on; -1 where it has no fields. `address` is whose it is, -1 if not known.
+
+    `latency` (ns) is from the
     instruction's last byte on, and `agrees` 1 where the answer is the expected one, 0 where not, -1
     where nothing is expected. `odd` rows have an anomaly: `samples` gives records of some of them
     (with a state that may be another), and `sort` numbers, which are equal where the kinds of the
@@ -212,7 +199,14 @@ class DeviceRows:
     states: StateColumns
     samples: Callable[[NDArray[np.int64]], Sequence[DeviceRecord]]
     sort: Callable[[NDArray[np.int64]], Integers]
-    answers: AnswerBytes
+    data: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    size: NDArray[np.int64]
+    name: Integers
+    names: Sequence[str | None]
+    fields_at: NDArray[np.int64]
+    fields_size: NDArray[np.int64]
+    address: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.t)
@@ -376,7 +370,21 @@ class Records(Batch):
         """The device's rows."""
         listed = [record for record in self._listed if isinstance(record, DeviceRecord)]
         answered = [record.answered for record in listed]
-        agrees = [-1 if record.agrees is None else int(record.agrees) for record in listed]
+        data, offset, size = _bytes_of(listed)
+        # The place of a single byte is the byte; that of other answers counts their names.
+        single = any(record.reply is None for record in listed)
+        names: list[str | None] = [None] * 256 if single else []
+        name = [record.byte for record in listed]
+        places: dict[str | None, int] = {}
+        for row, record in enumerate(listed):
+            if single:
+                names[record.byte] = record.name
+            else:
+                name[row] = places.setdefault(record.name, len(places))
+        replies = [record.reply for record in listed]
+        around = [(one.head, one.tail) if one else (0, 0) for one in replies]
+        head, tail = np.array(around, np.int64).reshape(-1, 2).T
+        has_fields = np.array([bool(one and one.fields) for one in replies], np.bool_)
         return DeviceRows(
             t=times([record.t for record in listed]),
             byte=np.array([record.byte for record in listed], np.int64),
@@ -384,12 +392,19 @@ class Records(Batch):
             header=np.array([one.key if one else 0 for one in answered], np.uint8),
             verdict=_verdicts(answered),
             latency=times([record.latency or 0 for record in listed]),
-            agrees=np.array(agrees, np.int8),
+            agrees=_numbers([record.agrees for record in listed]).astype(np.int8),
             odd=np.array([bool(record.faults) for record in listed], np.bool_),
             states=_states_of(listed),
             samples=lambda rows: [listed[row] for row in rows.tolist()],
             sort=lambda rows: rows,
-            answers=_answer_bytes(listed),
+            data=data,
+            offset=offset,
+            size=size,
+            name=np.array(name, np.int64),
+            names=names or list(places),
+            fields_at=offset + head,
+            fields_size=np.where(has_fields, size - head - tail, -1),
+            address=_numbers([one.address if one else None for one in replies]),
         )
 
     @cached_property
@@ -447,34 +462,6 @@ def _states_of(records: Sequence[HostRecord] | Sequence[DeviceRecord]) -> StateC
         return np.array([kind.code(variable, getattr(one.state, variable)) for one in records])
 
     return StateColumns(kind, len(records), made)
-
-
-def _answer_bytes(records: Sequence[DeviceRecord]) -> AnswerBytes:
-    """The bytes and names of answers."""
-    data, offset, size = _bytes_of(records)
-    # The place of a single byte is the byte; that of other answers counts their names.
-    single = any(record.reply is None for record in records)
-    names: list[str | None] = [None] * 256 if single else []
-    name = [record.byte for record in records]
-    places: dict[str | None, int] = {}
-    for row, record in enumerate(records):
-        if single:
-            names[record.byte] = record.name
-        else:
-            name[row] = places.setdefault(record.name, len(places))
-    around = [(one.reply.head, one.reply.tail) if one.reply else (0, 0) for one in records]
-    head, tail = np.array(around, np.int64).reshape(-1, 2).T
-    has_fields = np.array([bool(one.reply and one.reply.fields) for one in records], np.bool_)
-    return AnswerBytes(
-        data=data,
-        offset=offset,
-        size=size,
-        name=np.array(name, np.int64),
-        names=names or list(places),
-        fields_at=offset + head,
-        fields_size=np.where(has_fields, size - head - tail, -1),
-        address=_numbers([one.reply.address if one.reply else None for one in records]),
-    )
 
 
 def _bytes_of(

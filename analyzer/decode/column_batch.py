@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.batch import (
     INSTRUCTION,
-    AnswerBytes,
     Batch,
     DeviceRows,
     HostRows,
@@ -141,16 +140,14 @@ class ColumnBatch(Batch):
             states=StateColumns(timelines.kind, len(after), lambda n: timelines[n].take(after)),
             samples=alone._samples,
             sort=sort,
-            answers=AnswerBytes(
-                data=self.heard,
-                offset=answers.offset,
-                size=answers.size,
-                name=answers.code,
-                names=tables.answers.names,
-                fields_at=fields_at,
-                fields_size=fields_size,
-                address=tables.answers.addresses(self.asked.kind, self.heard, answers),
-            ),
+            data=self.heard,
+            offset=answers.offset,
+            size=answers.size,
+            name=answers.code,
+            names=tables.answers.names,
+            fields_at=fields_at,
+            fields_size=fields_size,
+            address=tables.answers.addresses(self.asked.kind, self.heard, answers),
         )
 
     @cached_property

@@ -128,7 +128,6 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
         "id": partial(_part_of, protocol, rows, "id"),
         "len": length,
         "address": partial(_part_of, protocol, rows, "address"),
-        "hex": lambda: Octets(rows.data, rows.offset, rows.size),
         "data": data,
         "direction": lambda: _one("host"),
         "kind": lambda: Words(rows.kind, KINDS),
@@ -138,17 +137,16 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
     }
     odd = (rows.verdict != VALID) | rows.uncertain
     judged = _of_judgements(protocol, rows, rows.due, attrgetter("judgement"))
-    fields = _of_fields(protocol, carried, rows.data, len(rows), register)
+    fields = _of_fields(protocol, rows, carried, register)
     return _columns(own, _of_both(rows, odd, start), judged, fields)
 
 
 def _device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> Columns:
     """The columns of the device's rows."""
-    answers = rows.answers
-    there = answers.fields_size >= 0
+    there = rows.fields_size >= 0
 
     def response() -> Column:
-        named = np.array([word is not None for word in answers.names]).take(answers.name)
+        named = np.array([word is not None for word in rows.names]).take(rows.name)
         return Numbers(rows.byte, (rows.byte >= 0) | named)
 
     def carried() -> Iterator[_Carried]:
@@ -165,7 +163,7 @@ def _device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> 
             yield of(data, unasked[[one is data for one in ways]])
 
     def of(data: DataSpec, found: NDArray[np.int64]) -> _Carried:
-        return _Carried(data, found, answers.fields_at[found], answers.fields_size[found])
+        return _Carried(data, found, rows.fields_at[found], rows.fields_size[found])
 
     def register(name: str) -> Column:
         reading = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.reads]
@@ -174,11 +172,10 @@ def _device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> 
         return _told(name, told, found, len(rows))
 
     own: Makers = {
-        "address": lambda: Numbers(answers.address, answers.address >= 0),
-        "hex": lambda: Octets(answers.data, answers.offset, answers.size),
+        "address": lambda: Numbers(rows.address, rows.address >= 0),
         "direction": lambda: _one("device"),
         "kind": lambda: _one("response"),
-        "name": lambda: Words(answers.name, answers.names),
+        "name": lambda: Words(rows.name, rows.names),
         "response": response,
         "faulty": lambda: _truth(rows.answering & (rows.verdict != VALID) | rows.faults.serious),
         "answers": lambda: Numbers(rows.sequence, rows.answering),
@@ -187,7 +184,7 @@ def _device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> 
         "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
     }
     judged = _of_judgements(protocol, rows, None, attrgetter("answered"))
-    fields = _of_fields(protocol, carried, answers.data, len(rows), register)
+    fields = _of_fields(protocol, rows, carried, register)
     return _columns(own, _of_both(rows, rows.odd, start), judged, fields)
 
 
@@ -238,6 +235,7 @@ def _of_both(rows: HostRows | DeviceRows, odd: Mask, start: int | None) -> Maker
         return Words(np.where(known, column, len(words[name])), (*words[name], None))
 
     makers: Makers = {
+        "hex": lambda: Octets(rows.data, rows.offset, rows.size),
         "reason": reason,
         "uncertain": uncertain,
         "faults": lambda: Words(rows.faults.code, list(map(frozenset, rows.faults.kinds))),
@@ -326,12 +324,12 @@ class _Carried(NamedTuple):
 
 def _of_fields(
     protocol: Protocol,
+    of: HostRows | DeviceRows,
     carried: Callable[[], Iterable[_Carried]],
-    data: NDArray[np.uint8],
-    count: int,
     register: Callable[[str], Column],
 ) -> Makers:
     """The fields of the rows of one side by their keys, and the named registers."""
+    count, data = len(of), of.data
 
     def made(name: str, kind: Kind) -> Column:
         value, present = np.zeros(count, np.int64), np.zeros(count, np.bool_)

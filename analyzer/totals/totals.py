@@ -410,15 +410,15 @@ class Totals:
         t, agrees = devices.t[rows], devices.agrees[rows]
         if not len(t):
             return []
-        size = devices.answers.size[rows]
+        size = devices.size[rows]
         self.device_bytes += int(size.sum())
         self.rates.count("device_bytes", t, size)
         self.agreeing += int(np.count_nonzero(agrees == 1))
         self.disagreeing += int(np.count_nonzero(agrees == 0))
-        name = devices.answers.name[rows]
+        name = devices.name[rows]
         names = [
             name or (f"unused {place}" if self._protocol.plain else DAMAGED)
-            for place, name in enumerate(devices.answers.names)
+            for place, name in enumerate(devices.names)
         ]
         given = np.bincount(name)
         for place in np.flatnonzero(given).tolist():
