@@ -287,7 +287,7 @@ class ColumnDecoder:
                 # An answer within an open frame may end that: see `Decoder`.
                 within = early & (said.bytes > taken)
                 within &= device.newest(len(events)) > host.newest(len(events))
-            # A late answer that is wrong may be to the next request: see `Pairing.passes_over`.
+            # A late answer that is wrong may be to the next request: see `passes_over`.
             late = np.flatnonzero(answer_t - asked_end[pairs] > self._decoding.late)
             wrong = late[~self._answers.agree(asked.rows(late), answers.rows(late))]
             if len(wrong):

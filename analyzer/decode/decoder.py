@@ -7,19 +7,23 @@ appends the records to the list that it gets, since a list costs less per record
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 from msgspec import UNSET
+from msgspec.structs import replace
 
 from bilprov.analyzer.decode import anomalies
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
 from bilprov.analyzer.decode.pairing import (
+    MOST,
     Heard,
     Held,
-    Pairing,
     ReplyFramer,
     Waiting,
+    passes_over,
+    told,
     waiting_frames,
 )
 from bilprov.analyzer.decode.records import (
@@ -29,12 +33,12 @@ from bilprov.analyzer.decode.records import (
     LineRecord,
     Record,
 )
-from bilprov.captures.schemas import Chunk, Direction, Line
+from bilprov.captures.schemas import MS, Chunk, Direction, Line
 from bilprov.spec.codec import FRAMING_FAULTS, Judgement, Steps
 from bilprov.spec.fields import Outcome
 from bilprov.spec.framing import Framed, Framer, Kind, frame_size
 from bilprov.spec.protocol import NO_ANSWER, Protocol
-from bilprov.spec.replies import reported
+from bilprov.spec.replies import GIVES_UP, reported
 from bilprov.spec.state import OTHERS, Assigned, State, after
 
 # Line events after which bytes are known to be missing.
@@ -67,7 +71,14 @@ class Decoder:
         self._framer = Framer(protocol, timeout)
         self._replies = ReplyFramer(protocol, answer_pause)
         self._skew = skew
-        self._pairing = Pairing(protocol, skew)
+        # The queues of the instructions that wait for an answer and of the answers held for one,
+        # the oldest first; one of them is empty at any time, and the other has MOST at most.
+        self._waiting: deque[Waiting] = deque()
+        self._held: deque[Held] = deque()
+        self._late = round(protocol.timing.answer_deadline * MS)
+        self._longest = round(protocol.timing.answer_longest * MS)
+        # A device may take longer than we do to give up on a frame (R-truncation-timeout).
+        self._truncation_longest = round(protocol.timing.truncation_longest * MS)
         self._steps = Steps(protocol)
         self._state = protocol.power_on
         self._bus = BusState(protocol)
@@ -80,7 +91,7 @@ class Decoder:
         self._in_doubt = False  # whether it is not confirmed that the host's frames begin as taken
         self._host_until = 0  # when the host's last byte came, while that is in doubt
         # Whether nothing falls due in the moment in which a frame or its answer has come.
-        self._unhurried = min(timeout, self._pairing.longest) > 0
+        self._unhurried = min(timeout, self._longest) > 0
 
     @property
     def deadline(self) -> int | None:
@@ -99,7 +110,9 @@ class Decoder:
         pause, self.unread_from = now - self.unread_from, None
         start, end = self._framer.span if self._framer.missing else (0, 0)
         self._framer.resume(self._framer.held, start, end + pause)
-        self._pairing.delay(pause)
+        later = [replace(w, end=w.end + pause, expires=w.expires + pause) for w in self._waiting]
+        self._waiting = deque(later)
+        self._held = deque(replace(one, t=one.t + pause) for one in self._held)
         self._replies.delay(pause)
         if self._out_of_step is not None:
             self._out_of_step += pause
@@ -121,7 +134,7 @@ class Decoder:
                 self._framed(framed, out)
             self._read_replies(out)
             return
-        lengths, held, unhurried = self._protocol.lengths, self._pairing.held, self._unhurried
+        lengths, held, unhurried = self._protocol.lengths, self._held, self._unhurried
         at, size = 0, len(data)
         while at < size:
             missing = self._framer.missing
@@ -141,7 +154,7 @@ class Decoder:
             self._replies.feed(data, now)
             self._read_replies(out)
             return
-        waiting, late, state = self._pairing.waiting, self._pairing.late, self._state
+        waiting, late, state = self._waiting, self._late, self._state
         for byte in data:
             if waiting:
                 first = waiting[0]
@@ -173,8 +186,9 @@ class Decoder:
                     self.garbage(framed, anomalies.LOST, out)
             # It is not known whether what waits is answered; what is held comes before all that
             # follows.
-            for held in self._pairing.forget():
-                self._unsolicited(held, out)
+            self._waiting.clear()
+            while self._held:
+                self._unsolicited(self._held.popleft(), out)
         out.append(LineRecord(event, lost, self._state, anomalies.of_line(event, lost)))
 
     def garbage(self, framed: Framed, reason: str, out: list[Record]) -> None:
@@ -186,8 +200,8 @@ class Decoder:
         """End the recording at `now` (ns): cut the open frame short and release held answers."""
         for framed in self._framer.drop(now, "truncated"):
             self._framed(framed, out)
-        while self._pairing.held:
-            self._unsolicited(self._pairing.held.popleft(), out)
+        while self._held:
+            self._unsolicited(self._held.popleft(), out)
         self._read_replies(out)
         while self._replies.held:
             self._give_up_reply(now, out)
@@ -213,14 +227,13 @@ class Decoder:
 
         Then columns can go on from here, if there is room for more to wait.
         """
-        longest = self._pairing.longest
         return (
             self._unhurried
             and not self._in_doubt
-            and max(len(self._pairing.waiting), len(self._pairing.held)) < self._pairing.most
+            and max(len(self._waiting), len(self._held)) < MOST
             and not self._away
             and not any(
-                w.judgement.truncated or w.expires != w.end + longest for w in self._pairing.waiting
+                w.judgement.truncated or w.expires != w.end + self._longest for w in self._waiting
             )
         )
 
@@ -234,10 +247,8 @@ class Decoder:
             frame=self._framer.held,
             frame_start=start,
             frame_end=end,
-            waiting=waiting_frames(
-                (one.told for one in self._pairing.waiting), numbered=not self._protocol.plain
-            ),
-            held=tuple((held.t, held.byte) for held in self._pairing.held),
+            waiting=waiting_frames(map(told, self._waiting), numbered=not self._protocol.plain),
+            held=tuple((held.t, held.byte) for held in self._held),
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,
             away=tuple(sorted(self._away)),
@@ -251,12 +262,11 @@ class Decoder:
         self._state = state.state
         self._bus.resume(state.by_address or ())
         self._replies.forget()
-        self._pairing.forget()
-        self._pairing.waiting.extend(
+        self._waiting = deque(
             Waiting(number, group.end, group.expires, self._steps[frame].judgement)
             for number, group, frame in state.instructions(self._protocol)
         )
-        self._pairing.held.extend(Held(t, byte) for t, byte in state.held)
+        self._held = deque(Held(t, byte) for t, byte in state.held)
         self._out_of_step = state.out_of_step
         self._lost_at = state.lost_at
         self._away = frozenset(state.away)
@@ -288,10 +298,11 @@ class Decoder:
         reply_end = self._replies.deadline
         if reply_end is not None and (due is None or reply_end < due[0]):
             due = reply_end, self._give_up_reply
-        patience = self._pairing.patience(frame_end)
-        if patience is not None and (due is None or patience < due[0]):
-            due = patience, self._give_up_answer
-        waiting = self._pairing.waiting
+        if self._held:  # the oldest may be the answer to the open frame
+            patience = max(self._held[0].t, frame_end or 0) + self._skew
+            if due is None or patience < due[0]:
+                due = patience, self._give_up_answer
+        waiting = self._waiting
         if waiting and (due is None or waiting[0].expires < due[0]):
             due = waiting[0].expires, self._give_up_waiting
         return due
@@ -308,7 +319,7 @@ class Decoder:
         (R-truncation-timeout).
         """
         self._out_of_step = None
-        held = self._pairing.held
+        held = self._held
         expected = self._steps[self._framer.held].judgement.response.code
         if held and held[0].byte == expected:
             for framed in self._framer.drop(now, "truncated"):
@@ -320,29 +331,26 @@ class Decoder:
             self._unpaired(held.popleft(), anomalies.OUT_OF_STEP, out)
 
     def _give_up_answer(self, now: int, out: list[Record]) -> None:
-        self._unsolicited(self._pairing.held.popleft(), out)
+        self._unsolicited(self._held.popleft(), out)
 
     def _give_up_waiting(self, now: int, out: list[Record]) -> None:
-        waiting = self._pairing.waiting.popleft()
-        out.append(FaultRecord(anomalies.unanswered(waiting, now), self._state))
+        out.append(FaultRecord(anomalies.unanswered(self._waiting.popleft(), now), self._state))
 
     def _read_replies(self, out: list[Record]) -> None:
         """Read the answers that are whole, and pair them."""
-        waiting = self._pairing.waiting
         while self._replies.held:
-            if self._paired and not waiting:
+            if self._paired and not self._waiting:
                 return  # the request may be delayed in the other adapter
-            heard = self._replies.take(waiting, self._pairing.gives_up)
+            heard = self._replies.take(self._waiting, self._late // GIVES_UP)
             if heard is None:
                 return
             for _ in range(heard.passed):
-                passed = waiting.popleft()
-                out.append(FaultRecord(anomalies.unanswered(passed, heard.end), self._state))
+                self._give_up_waiting(heard.end, out)
             self._reply(heard, out)
 
     def _give_up_reply(self, now: int, out: list[Record]) -> None:
         """Take what is held of an answer that is not continued, or that no request waits for."""
-        heard = self._replies.take(self._pairing.waiting, self._pairing.gives_up, over=True)
+        heard = self._replies.take(self._waiting, self._late // GIVES_UP, over=True)
         heard = heard or self._replies.take_rest(alone=not self._both_heard)
         if heard:
             self._reply(heard, out)
@@ -352,8 +360,8 @@ class Decoder:
         response = heard.reply.response
         held = Held(heard.start, response.code if response else -1, heard.reply)
         sets = reported(self._protocol, heard.reply)
-        if self._paired and self._pairing.waiting and not heard.loose:
-            waiting = self._pairing.waiting.popleft()
+        if self._paired and self._waiting and not heard.loose:
+            waiting = self._waiting.popleft()
             if waiting.sequence == self._sequence - 1:  # else a newer request may have changed it
                 self._set(waiting.judgement.address, sets)
             self._pair(held, waiting, out)
@@ -378,7 +386,7 @@ class Decoder:
         self._out_of_step = None
         step = self._steps[data]
         judgement = step.judgement
-        if self._paired and judgement.answer_due and not self._pairing.waiting:
+        if self._paired and judgement.answer_due and not self._waiting:
             while unasked := self._replies.take_before(end - self._skew):
                 self._reply(unasked, out)
         sequence = self._sequence
@@ -387,16 +395,20 @@ class Decoder:
         note = self._note(kind, judgement) if judgement.framed else ""
         out.append(HostRecord(start, end, known, kind, data, judgement, sequence, state, note))
         if self._paired and judgement.response is not NO_ANSWER:
-            pairing = self._pairing
-            waiting = pairing.wait(sequence, end, judgement)
-            if pairing.held:
-                self._pair(pairing.held.popleft(), waiting, out)
-            else:
-                if len(pairing.waiting) >= pairing.most:
-                    oldest = pairing.waiting.popleft()
-                    early = anomalies.unanswered(oldest, known, pairing.most)
-                    out.append(FaultRecord(early, state))
-                pairing.waiting.append(waiting)
+            expires = end + self._longest
+            if judgement.truncated:
+                expires += self._truncation_longest
+            queue = self._waiting
+            if queue and queue[-1].expires > expires:
+                expires = queue[-1].expires  # answers come in order: none is given up before
+            waiting = Waiting(sequence, end, expires, judgement)
+            if self._held:
+                self._pair(self._held.popleft(), waiting, out)
+                return
+            if len(queue) >= MOST:
+                early = anomalies.unanswered(queue.popleft(), known, MOST)
+                out.append(FaultRecord(early, state))
+            queue.append(waiting)
 
     def _set(self, address: int | None, sets: Assigned) -> State:
         """Predict what these variables are now, of the device at an address; returns its state."""
@@ -421,8 +433,7 @@ class Decoder:
         if not self._paired:
             self._unpaired(held, anomalies.ALONE, out)
             return
-        pairing = self._pairing
-        if not pairing.waiting:
+        if not self._waiting:
             if self._framer.missing and self._out_of_step is None:
                 answer = self._protocol.codes.get(byte)
                 ok = answer is not None and answer.outcome is Outcome.VALID
@@ -432,14 +443,13 @@ class Decoder:
                 by_data = (Outcome.VALID, Outcome.BAD_DATA)
                 if ok or self._steps[whole].judgement.outcome in by_data:
                     self._out_of_step = now + QUIET
-            if len(pairing.held) >= pairing.most:
-                self._unsolicited(pairing.held.popleft(), out)
-            pairing.held.append(held)
+            if len(self._held) >= MOST:
+                self._unsolicited(self._held.popleft(), out)
+            self._held.append(held)
             return
-        if pairing.passes_over(held):
-            passed = pairing.waiting.popleft()
-            out.append(FaultRecord(anomalies.unanswered(passed, now), self._state))
-        self._pair(held, pairing.waiting.popleft(), out)
+        if passes_over(held, self._waiting, self._late):
+            self._give_up_waiting(now, out)
+        self._pair(held, self._waiting.popleft(), out)
 
     def _pair(self, held: Held, waiting: Waiting, out: list[Record]) -> None:
         record = anomalies.answer_record(
@@ -452,7 +462,7 @@ class Decoder:
     def _unsolicited(self, held: Held, out: list[Record]) -> None:
         # Before the first instruction it is a banner: R-unsolicited.
         why = anomalies.UNSOLICITED if self._sequence else anomalies.EARLY
-        if self._lost_at is not None and held.t - self._lost_at <= self._pairing.late:
+        if self._lost_at is not None and held.t - self._lost_at <= self._late:
             why = anomalies.NEAR_LOSS
         self._unpaired(held, why, out)
 

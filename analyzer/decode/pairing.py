@@ -8,7 +8,6 @@ requests that wait for one. It uses no port and no clock.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Final, NamedTuple
@@ -17,10 +16,9 @@ import msgspec
 from msgspec.structs import replace
 
 from bilprov.analyzer.decode.checkpoint import WaitingFrames
-from bilprov.captures.schemas import MS
 from bilprov.spec.codec import Judgement
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.replies import GIVES_UP, Reply, read_reply, repeated_id, reply_size
+from bilprov.spec.replies import Reply, read_reply, repeated_id, reply_size
 
 MOST: Final = 1 << 15
 """Instructions that wait at a time, and answers that are held: several times what a line carries.
@@ -41,12 +39,6 @@ class Waiting(msgspec.Struct, frozen=True, gc=False):
     expires: int
     judgement: Judgement
 
-    @property
-    def told(self) -> tuple[int, tuple[int, int], bytes, bool]:
-        """What `waiting_frames` has of it."""
-        judgement = self.judgement
-        return self.sequence, (self.end, self.expires), judgement.frame, judgement.truncated
-
 
 class Held(msgspec.Struct, frozen=True, gc=False):
     """A device byte, or an answer of several, and its time (ns).
@@ -59,77 +51,27 @@ class Held(msgspec.Struct, frozen=True, gc=False):
     reply: Reply | None = None
 
 
-class Pairing:
-    """Queues of the instructions that wait for an answer and of the answers held for one.
+def passes_over(held: Held, waiting: Sequence[Waiting], late: int) -> bool:
+    """Whether the byte answers the second waiting instruction rather than the first.
 
-    `skew` (ns) is how much earlier than its instruction's last byte an answer may be timestamped.
-    `waiting` and `held` are the queues, the oldest first; one of them is empty at any time, and the
-    other has `most` entries at most.
+    This is so only where the first may have gone unanswered, because it was cut short
+    (R-truncated-known) or its answer is overdue (after `late` ns), and only if the byte is wrong
+    for the first and right for the second. Without this rule one lost answer would shift all later
+    pairs until the line is idle.
     """
+    if len(waiting) < 2:
+        return False
+    first, second = waiting[0], waiting[1]
+    overdue = first.judgement.truncated or held.t - first.end > late
+    codes = first.judgement.response.code, second.judgement.response.code
+    return overdue and codes[0] != held.byte == codes[1]
 
-    def __init__(self, protocol: Protocol, skew: int) -> None:
-        timing = protocol.timing
-        self._skew = skew
-        self.most = MOST
-        self.late = round(timing.answer_deadline * MS)
-        self.gives_up = self.late // GIVES_UP
-        self.longest = round(timing.answer_longest * MS)
-        # A device may take longer than we do to give up on a frame (R-truncation-timeout).
-        self._truncation_longest = round(timing.truncation_longest * MS)
-        self.waiting: deque[Waiting] = deque()
-        self.held: deque[Held] = deque()
 
-    def wait(self, sequence: int, end: int, judgement: Judgement) -> Waiting:
-        """The Waiting of an instruction that ended (whole or cut short) at `end` (ns)."""
-        expires = end + self.longest
-        if judgement.truncated:
-            expires += self._truncation_longest
-        waiting = self.waiting
-        if waiting and waiting[-1].expires > expires:
-            expires = waiting[-1].expires  # answers come in order: none is given up before
-        return Waiting(sequence, end, expires, judgement)
-
-    def passes_over(self, held: Held) -> bool:
-        """Whether the byte answers the second waiting instruction rather than the first.
-
-        This is so only where the first may have gone unanswered, because it was cut short
-        (R-truncated-known) or its answer is overdue, and only if the byte is wrong for the first
-        and right for the second. Without this rule one lost answer would shift all later pairs
-        until the line is idle.
-        """
-        if len(self.waiting) < 2:
-            return False
-        first, second = self.waiting[0], self.waiting[1]
-        overdue = first.judgement.truncated or held.t - first.end > self.late
-        return (
-            overdue
-            and held.byte != first.judgement.response.code
-            and held.byte == second.judgement.response.code
-        )
-
-    def patience(self, frame_deadline: int | None) -> int | None:
-        """When (ns) the oldest held answer is given up, None if none is held.
-
-        `frame_deadline` is when the open frame is cut short, None between frames: the held byte may
-        be the answer to that frame.
-        """
-        if not self.held:
-            return None
-        end = self.held[0].t + self._skew
-        return end if frame_deadline is None else max(end, frame_deadline + self._skew)
-
-    def delay(self, pause: int) -> None:
-        """Let all have come so much (ns) later."""
-        later = [replace(w, end=w.end + pause, expires=w.expires + pause) for w in self.waiting]
-        self.waiting = deque(later)
-        self.held = deque(replace(one, t=one.t + pause) for one in self.held)
-
-    def forget(self) -> list[Held]:
-        """Clear both queues, because bytes were lost, and return the answers that were held."""
-        self.waiting.clear()
-        held = list(self.held)
-        self.held.clear()
-        return held
+def told(waiting: Waiting) -> tuple[int, tuple[int, int], bytes, bool]:
+    """What `waiting_frames` has of an instruction."""
+    judgement = waiting.judgement
+    times = waiting.end, waiting.expires
+    return waiting.sequence, times, judgement.frame, judgement.truncated
 
 
 def waiting_frames(
