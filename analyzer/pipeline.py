@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from operator import add
 from typing import TYPE_CHECKING
 
-from bilprov.analyzer.decode.batch import Counts
 from bilprov.analyzer.decode.checkpoint import encoded_or_none
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line
@@ -29,7 +28,7 @@ class Pipeline:
     The raw bytes are written to the capture at once. Decoding may wait for `patience` (ns), up to
     16 KiB: much is decoded faster at once than in pieces. On a line that is `busy` it waits for
     0.1 s at least. The judge gets the records in the window of `shown`, whether they pass its
-    filter or not. `counts` are of all that was decoded.
+    filter or not. `counts` are of all that was decoded: frames, answers and faults.
     """
 
     decoder: StreamDecoder
@@ -38,7 +37,7 @@ class Pipeline:
     judge: PassiveJudge | None = None
     patience: int = 0
     busy: bool = False
-    counts: Counts = field(default=Counts(0, 0, 0))
+    counts: tuple[int, ...] = (0, 0, 0)
     _pending: list[Chunk | Line] = field(default_factory=list)
     _bytes: int = 0
 
@@ -119,5 +118,5 @@ class Pipeline:
                     if self.shown.window.has(record.t):
                         self.judge.record(record)
             self.shown.show(batch)
-            self.counts = Counts(*map(add, self.counts, batch.counts))
+            self.counts = tuple(map(add, self.counts, batch.counts))
         return batches

@@ -28,8 +28,8 @@ from bilprov.analyzer.doctor.examination import examined, heard
 from bilprov.analyzer.doctor.finding import INDENT, Finding, Grade, conclusion, drawn, title
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.output.console import heading
-from bilprov.analyzer.screen.browser import Browser, Told
-from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
+from bilprov.analyzer.screen.browser import Browser
+from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed, Told
 from bilprov.analyzer.screen.recording import Recording
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Machine

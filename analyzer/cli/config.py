@@ -51,28 +51,25 @@ def config(options: ConfigOptions) -> None:
 
 VARIABLE = "_BILPROV_COMPLETE"  # of the environment; tells that a shell asks
 
-# How to install the completion script permanently in each shell.
-INSTALL = {
-    "bash": 'eval "$(bilprov completion bash)" in ~/.bashrc',
-    "zsh": 'eval "$(bilprov completion zsh)" in ~/.zshrc, after compinit',
-    "fish": "bilprov completion fish > ~/.config/fish/completions/bilprov.fish",
-}
-
 
 class CompletionOptions(msgspec.Struct, frozen=True):
     """The options of `completion`."""
 
-    shell: str = argument(type=click.Choice(list(INSTALL)))
+    shell: str = argument(type=click.Choice(["bash", "zsh", "fish"]))
 
 
-@command(
-    CompletionOptions, epilog="\n\n".join(f"{shell}: {line}" for shell, line in INSTALL.items())
-)
+@command(CompletionOptions)
 def completion(options: CompletionOptions) -> None:
     """Examples:
       bilprov completion bash
 
-    It completes subcommands, options and values.
+    It completes subcommands, options and values. To install it:
+
+    bash: eval "$(bilprov completion bash)" in ~/.bashrc
+
+    zsh: eval "$(bilprov completion zsh)" in ~/.zshrc, after compinit
+
+    fish: bilprov completion fish > ~/.config/fish/completions/bilprov.fish
     """
     script = get_completion_class(options.shell)
     assert script is not None

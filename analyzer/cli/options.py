@@ -94,6 +94,11 @@ max_drive_option = partial(
 half_duplex_option = partial(
     flag, "One tap was on a wire with both directions: separate them, as sniff --half-duplex."
 )
+only_reading_option = partial(
+    flag,
+    "Send only what the grammar knows to change nothing. A device that can be stopped is stopped "
+    "all the same.",
+)
 yes_option = partial(flag, "The robot may move: do not ask.")
 
 LINE = ("baud", "parity", "stopbits")
@@ -348,11 +353,3 @@ def require_reading(protocol: Protocol, frames: Iterable[bytes]) -> None:
         why = change_by(protocol, frame)
         if why:
             raise click.UsageError(f"{why}: --only-reading sends what changes nothing")
-
-
-def only_reading_option() -> Any:
-    """The option that sends nothing that changes something."""
-    return flag(
-        "Send only what the grammar knows to change nothing. A device that can be stopped is "
-        "stopped all the same."
-    )

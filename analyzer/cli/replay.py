@@ -206,8 +206,7 @@ class _Replay:
 
     def look_through(self) -> None:
         """Show the capture on the screen until it is left."""
-        from bilprov.analyzer.screen.browser import Told
-        from bilprov.analyzer.screen.feeds import capture_feed
+        from bilprov.analyzer.screen.feeds import Told, capture_feed
         from bilprov.analyzer.screen.terminal import shown
 
         capture, options = self.capture, self.options

@@ -5,10 +5,11 @@ from __future__ import annotations
 import gc
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 import click
 import msgspec
@@ -57,6 +58,7 @@ from bilprov.captures.text import quantity
 from bilprov.spec.errors import UserError
 from bilprov.spec.protocol import Protocol
 
+Tell: TypeAlias = Callable[[str], object]
 COLLECT_IDLE, COLLECT_BUSY = 1.0, 60.0  # s between collections of garbage
 LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
@@ -169,14 +171,19 @@ def sniff(options: SniffOptions) -> int:
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
             note(source.served)
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # it would stop the reader at any moment; `_listen` collects
+        stack.callback(gc.unfreeze)
+        stack.callback(gc.enable)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
         chosen = Shown(Output(), test, options.shown.count)
         pipeline = Pipeline(StreamDecoder(protocol, **decoding), chosen, recorder, judge, BATCH)
 
-        def listened(tell: Callable[[str], object]) -> str:
+        def listened(tell: Tell) -> str:
             """Listen to the end, and finish the capture; `tell` is told at once what is lost."""
             pipeline.events([Line(0, "open", "", title)])
-            lost = _listen(source, pipeline, stopper, options.duration, tell, wait=wait)
+            lost = _listen(options, source, pipeline, stopper, tell)
             pipeline.events(source.rest())
             pipeline.events([Line(source.seen, "close")])  # of later it is not known what came
             pipeline.finish()
@@ -187,8 +194,7 @@ def sniff(options: SniffOptions) -> int:
         if quiet:
             lost = listened(say)
         elif style == "live":
-            from bilprov.analyzer.screen.browser import Told
-            from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput
+            from bilprov.analyzer.screen.feeds import AllShown, Feed, ScreenOutput, Told
             from bilprov.analyzer.screen.recording import Recording
             from bilprov.analyzer.screen.terminal import shown
 
@@ -257,13 +263,7 @@ def _opened(
 
 
 def _listen(
-    source: Source,
-    pipeline: Pipeline,
-    stopper: Stopper,
-    duration: float | None,
-    tell: Callable[[str], object],
-    *,
-    wait: bool,
+    options: SniffOptions, source: Source, pipeline: Pipeline, stopper: Stopper, tell: Tell
 ) -> str:
     """Process events until the end, and return in a sentence what was lost, "" for nothing.
 
@@ -271,68 +271,44 @@ def _listen(
     another one, or it is to `wait` for it; the capture cannot be written. With `wait` a port that
     is there again is not lost.
     """
+    wait, duration = options.wait, options.duration
     end = None if duration is None else round(duration * 1e9)
     lost: dict[str, str] = {}
     recorder, told = pipeline.recorder, False
-    with collecting_when_idle() as collect:
-        while not (stopper.stopped or pipeline.shown.full or (source.ended and not wait)):
-            now, due = source.now(), pipeline.deadline
-            if due is None or due > source.seen:
-                pipeline.tick(now)
-            else:
-                pipeline.advance(source.seen)
-                due = pipeline.deadline
-            if recorder and recorder.failure and not told:
-                told = True
-                unsaved = isinstance(recorder, Spool)
-                why = "the session cannot be saved" if unsaved else recorder.failure
-                tell(f"{why}; listening goes on, without recording")
-            if end is not None and now >= end:
-                break
-            waits = [max(0.0, (at - now) / 1e9) for at in (due, end) if at is not None]
-            events = source.poll(min([LONGEST_WAIT, *waits]), [stopper.fileno()])
-            collect(not events)
-            pipeline.busy = source.busy
-            pipeline.events(events)
-            for event in events:
-                if not isinstance(event, Line):
-                    continue
-                if event.event == "unplugged":
-                    lost[event.tap] = event.detail
-                    doing = "waiting for" if source.ended else "listening goes on without"
-                    if wait or not source.ended:
-                        tell(f"{doing} the {event.tap}: {event.detail}")
-                elif event.event == "reconnected":
-                    tell(f"{event.detail}, and listened to")
-                    if wait:
-                        lost.pop(event.tap, None)
-                elif event.event == "overrun":
-                    lost["overrun"] = (
-                        f"bytes of the {event.tap} were lost on the way: {event.detail}"
-                    )
-    return "; ".join(lost.values())
-
-
-@contextmanager
-def collecting_when_idle() -> Iterator[Callable[[bool], None]]:
-    """Turn the garbage collector off in the block, where it would stop the reader at any moment.
-
-    The block gets a function to call again and again with whether nothing is to be done now: then
-    garbage is collected, at most once a second, and on a line that is never idle once a minute.
-    """
-    gc.collect()
-    gc.freeze()
-    gc.disable()
     collected = time.monotonic()
-
-    def collect(idle: bool) -> None:
-        nonlocal collected
-        if time.monotonic() - collected > (COLLECT_IDLE if idle else COLLECT_BUSY):
+    while not (stopper.stopped or pipeline.shown.full or (source.ended and not wait)):
+        now, due = source.now(), pipeline.deadline
+        if due is None or due > source.seen:
+            pipeline.tick(now)
+        else:
+            pipeline.advance(source.seen)
+            due = pipeline.deadline
+        if recorder and recorder.failure and not told:
+            told = True
+            unsaved = isinstance(recorder, Spool)
+            why = "the session cannot be saved" if unsaved else recorder.failure
+            tell(f"{why}; listening goes on, without recording")
+        if end is not None and now >= end:
+            break
+        waits = [max(0.0, (at - now) / 1e9) for at in (due, end) if at is not None]
+        events = source.poll(min([LONGEST_WAIT, *waits]), [stopper.fileno()])
+        if time.monotonic() - collected > (COLLECT_BUSY if events else COLLECT_IDLE):
             gc.collect()
             collected = time.monotonic()
-
-    try:
-        yield collect
-    finally:
-        gc.enable()
-        gc.unfreeze()
+        pipeline.busy = source.busy
+        pipeline.events(events)
+        for event in events:
+            if not isinstance(event, Line):
+                continue
+            if event.event == "unplugged":
+                lost[event.tap] = event.detail
+                doing = "waiting for" if source.ended else "listening goes on without"
+                if wait or not source.ended:
+                    tell(f"{doing} the {event.tap}: {event.detail}")
+            elif event.event == "reconnected":
+                tell(f"{event.detail}, and listened to")
+                if wait:
+                    lost.pop(event.tap, None)
+            elif event.event == "overrun":
+                lost["overrun"] = f"bytes of the {event.tap} were lost on the way: {event.detail}"
+    return "; ".join(lost.values())

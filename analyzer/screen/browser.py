@@ -7,7 +7,6 @@ import shlex
 import time
 from asyncio import sleep
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
 
@@ -29,13 +28,12 @@ from bilprov.analyzer.grammar_file import grammar_words
 from bilprov.analyzer.output.row_columns import RowStyle, TimeStyle
 from bilprov.analyzer.replay.recorder import new_name
 from bilprov.analyzer.screen.details import FieldTree
-from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed
+from bilprov.analyzer.screen.feeds import DRAW_EVERY, Feed, Told
 from bilprov.analyzer.screen.frame_list import FrameList
 from bilprov.analyzer.screen.keys import ALIASES, BINDINGS, Help
 from bilprov.analyzer.screen.panes import figures, head_line, picture, status_line
 from bilprov.analyzer.screen.prompt import REFUSAL, Prompt, Question, row_of
 from bilprov.analyzer.screen.recording import View, export, new_file, rows_file
-from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.text import printable, quantity
 from bilprov.spec.codec import spaced
 
@@ -50,24 +48,6 @@ _STYLES: dict[TimeStyle, str] = {
     TimeStyle.ABSOLUTE: "the time of day here",
     TimeStyle.UTC: "the time of day in UTC",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """What the screen shows beside the rows.
-
-    `title` names the file or the ports, `start_wall` is the wall clock (ns since 1970) at t = 0,
-    `line` has the settings of the line. `expression` and `test` are the filter to begin with. A
-    capture is played `rate` times as fast as it was recorded, at 0 without pauses.
-    """
-
-    title: str
-    start_wall: int
-    line: LineSettings
-    rows: RowStyle = field(default_factory=RowStyle)
-    expression: str = ""
-    test: Filter | None = None
-    rate: float = 1.0
 
 
 class _WholeCells(ScrollBarRender):
@@ -272,8 +252,8 @@ class Browser(App[str | None]):
         doing = "following" if self.follows else ""
         if self._playing:
             doing = f"playing {self._playing() / 1e9:.1f} s"
-        told = self.told.title, str(self.told.line)
-        self._write(self.head, head_line(*told, feed, self.frames, doing, self.filter_text, width))
+        head = head_line(self.told, feed, self.frames, doing, self.filter_text, width)
+        self._write(self.head, head)
         work = self._working("filter", "export")
         doing = f"{work.name} {work.progress or 0:.0f}%" if work else ""
         self._write(self.status, status_line(doing, feed, self.said, width))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import Output, Shown, Window
+from bilprov.analyzer.output.row_columns import RowStyle
 from bilprov.analyzer.replay.capture_decoding import (
     WHOLE,
     Opened,
@@ -23,6 +24,7 @@ from bilprov.analyzer.replay.capture_decoding import (
 )
 from bilprov.analyzer.replay.recorder import Recorder, Spool
 from bilprov.analyzer.screen.recording import Recording
+from bilprov.analyzer.transport.line_settings import LineSettings
 from bilprov.captures.reader import appended
 from bilprov.spec.protocol import Protocol
 
@@ -97,6 +99,24 @@ class Feed:
     def join(self) -> None:
         """Wait for the end. Raises what the work raised."""
         self.start().result()
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What the screen shows beside the rows.
+
+    `title` names the file or the ports, `start_wall` is the wall clock (ns since 1970) at t = 0,
+    `line` has the settings of the line. `expression` and `test` are the filter to begin with. A
+    capture is played `rate` times as fast as it was recorded, at 0 without pauses.
+    """
+
+    title: str
+    start_wall: int
+    line: LineSettings
+    rows: RowStyle = field(default_factory=RowStyle)
+    expression: str = ""
+    test: Filter | None = None
+    rate: float = 1.0
 
 
 def capture_feed(

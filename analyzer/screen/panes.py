@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.text import Text
 
 from bilprov.analyzer.output.stats_tables import FEWEST, spark
-from bilprov.analyzer.screen.feeds import Feed, Rates
+from bilprov.analyzer.screen.feeds import Feed, Rates, Told
 from bilprov.analyzer.screen.frame_list import FrameList
 from bilprov.analyzer.screen.keys import BINDINGS, DEVICE_FAULT, HOST_FAULT, LINE_FAULT, RECORDS
 from bilprov.analyzer.totals.totals import Totals
@@ -134,13 +134,7 @@ _LEAST = "  ? help  q quit"  # the keys beside what is told
 
 
 def head_line(
-    title: str,
-    line: str,
-    feed: Feed,
-    frames: FrameList,
-    doing: str,
-    expression: str,
-    width: int,
+    told: Told, feed: Feed, frames: FrameList, doing: str, expression: str, width: int
 ) -> Text:
     """What is shown, by which grammar, and recorded, and how many rows of how many, never cut.
 
@@ -148,8 +142,8 @@ def head_line(
     """
     left = Text(f"/ {printable(expression)}  " if expression else "", "bold cyan", end="")
     protocol = feed.recording.protocol
-    grammar = f" · {printable(protocol.name)} {printable(protocol.version)} · {line}"
-    left = Text.assemble(left, (printable(title), "bold"), (grammar, "dim"))
+    grammar = f" · {printable(protocol.name)} {printable(protocol.version)} · {told.line}"
+    left = Text.assemble(left, (printable(told.title), "bold"), (grammar, "dim"))
     if feed.captured:
         left.append(f"  {RECORDS} {printable(feed.captured)}")
     shown, rows = frames.count - frames.view.first, feed.recording.rows - feed.recording.first

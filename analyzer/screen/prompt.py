@@ -33,51 +33,28 @@ class Question(NamedTuple):
     label: str
     hint: str
     read: Callable[[str], Any]
-    given: Callable[[Any], None]
+    given: Callable[[Any], object]
     completions: Callable[[str, int], list[Completion]] = lambda text, at: []
-
-
-class _Line(Input):
-    """One line of text: Tab completes the word before the cursor, Enter gives it.
-
-    `submit` is called while Enter is handled, so that no key typed behind it comes first.
-    """
-
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", show=False)]
-
-    def __init__(self, submit: Callable[[], None]) -> None:
-        # Keys may have been typed by the time that the focus arrives.
-        super().__init__(compact=True, select_on_focus=False, id="line")
-        self.complete: Callable[[str, int], list[Completion]] = lambda text, at: []
-        self._submit = submit
-
-    async def action_submit(self) -> None:
-        """Give the line."""
-        self._submit()
-
-    def action_complete(self) -> None:
-        """Write what all completions begin with."""
-        text, cursor = self.value, self.cursor_position
-        offered = self.complete(text, cursor)
-        if offered:
-            start, words = offered[0].start, [one.text for one in offered]
-            common = commonprefix([word.lower() for word in words])  # noqa: RUF071 - no paths
-            if len(common) > cursor - start or len(words) == 1:
-                self.value = text[:start] + words[0][: len(common)] + text[cursor:]
-                self.cursor_position = start + len(common)
 
 
 class Prompt(Vertical):
     """Asks one question at a time; it is hidden until `ask` is called.
 
-    `left` is called when it is hidden again.
+    Tab completes the word before the cursor, Enter gives the line, at once, so that no key typed
+    behind it comes first. `left` is called when it is hidden again.
     """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("tab", "complete", show=False, priority=True),
+        Binding("enter", "give", show=False, priority=True),
+    ]
 
     def __init__(self, left: Callable[[], None]) -> None:
         super().__init__(id="prompt")
         self._left = left
-        self._question: Question | None = None
-        self.line = _Line(self._submit)
+        self._question = Question("", "", str, str)
+        # Keys may have been typed by the time that the focus arrives.
+        self.line = Input(compact=True, select_on_focus=False, id="line")
         self._label, self._under = Static(id="label", markup=False), Static(markup=False)
 
     def compose(self) -> ComposeResult:
@@ -92,7 +69,6 @@ class Prompt(Vertical):
         self._question = question
         self.display = True
         self._label.update(f"{question.label} ")
-        self.line.complete = question.completions
         self.line.value = text
         self.line.cursor_position = len(text)
         self.screen.set_focus(self.line)
@@ -111,21 +87,30 @@ class Prompt(Vertical):
         if self.display:
             self._tell(event.value)
 
-    def _submit(self) -> None:
-        question = self._question
-        assert question is not None
+    def action_give(self) -> None:
+        """Give the line, if it will do."""
         try:
-            value = question.read(self.line.value.strip())
+            value = self._question.read(self.line.value.strip())
         except ValueError as error:
             self._refuse(error)
         else:
             self.leave()
-            question.given(value)
+            self._question.given(value)
+
+    def action_complete(self) -> None:
+        """Write what all completions begin with."""
+        text, cursor = self.line.value, self.line.cursor_position
+        offered = self._question.completions(text, cursor)
+        if offered:
+            start, words = offered[0].start, [one.text for one in offered]
+            common = commonprefix([word.lower() for word in words])  # noqa: RUF071 - no paths
+            if len(common) > cursor - start or len(words) == 1:
+                self.line.value = text[:start] + words[0][: len(common)] + text[cursor:]
+                self.line.cursor_position = start + len(common)
 
     def _tell(self, text: str) -> None:
         """Say what may come next, or what the text lacks."""
         question = self._question
-        assert question is not None
         offered = question.completions(text, self.line.cursor_position) if text.strip() else []
         words = "  ".join(one.text for one in offered)
         if len(offered) == 1:

@@ -11,8 +11,8 @@ from typing import Any
 from textual.drivers.linux_driver import LinuxDriver
 
 from bilprov.analyzer.output.console import NARROW
-from bilprov.analyzer.screen.browser import Browser, Told
-from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.browser import Browser
+from bilprov.analyzer.screen.feeds import Feed, Told
 from bilprov.analyzer.transport.signals import Stopper
 
 _SWITCH = 0.00005  # s after which a thread yields to the reader of a line (Python: 5 ms)

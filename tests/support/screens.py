@@ -17,8 +17,8 @@ import pytest
 from textual.pilot import Pilot
 
 from bilprov.analyzer.decode.batch import Batch
-from bilprov.analyzer.screen.browser import Browser, Told
-from bilprov.analyzer.screen.feeds import Feed
+from bilprov.analyzer.screen.browser import Browser
+from bilprov.analyzer.screen.feeds import Feed, Told
 from bilprov.analyzer.screen.recording import Recording
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.spec.protocol import Protocol
