@@ -63,11 +63,8 @@ def info(options: InfoOptions) -> None:
 
     capture = open_capture(options.file)
     summary = summarized(capture, protocol_in_use())
-    show_as(
-        "json" if options.as_json else options.style,
-        lambda: summary,
-        lambda: drawn(summary, carried=bool(capture.grammar_text)),
-    )
+    style, carried = "json" if options.as_json else options.style, bool(capture.grammar_text)
+    show_as(style, lambda: summary, lambda: drawn(summary, carried=carried))
 
 
 class CheckOptions(msgspec.Struct, frozen=True):
@@ -269,8 +266,7 @@ def diff(options: DiffOptions) -> int:
 
     promise_verdict()
     output, paths = options.output, (options.first, options.second)
-    outputs = [] if output is None else [("--json", output)]
-    require_writable(outputs, paths, force=options.force)
+    require_writable([("--json", output)], paths, force=options.force)
     captures, protocol = opened_captures(paths)
     with reading(captures) as progress:
         comparison = compared(captures, protocol, progress, round(options.tolerance * 1e6))

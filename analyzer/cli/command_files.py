@@ -167,7 +167,7 @@ json_option = partial(
 
 
 def require_writable(
-    outputs: Iterable[tuple[str, str]],
+    outputs: Iterable[tuple[str, str | None]],
     inputs: Iterable[str] = (),
     *,
     force: bool = True,
@@ -175,8 +175,8 @@ def require_writable(
 ) -> None:
     """Raise UsageError, in one sentence, for an output that cannot be written.
 
-    `outputs` are the option and the path of each, `inputs` files, or recordings in parts, that must
-    not be overwritten; nor may the grammar in use.
+    `outputs` are the option and the path of each, None where it is not given; `inputs` files, or
+    recordings in parts, that must not be overwritten; nor may the grammar in use.
     Without `force` none may exist; a pipe or a device is not overwritten, and with `regular` it is
     refused.
     """
@@ -185,6 +185,8 @@ def require_writable(
     inputs += [str(part) for one in inputs for part in kept_parts(Path(one)).values()]
     taken: dict[Path, str] = {}
     for name, path in outputs:
+        if path is None:
+            continue
         file = Path(path)
         if path == STANDARD_OUTPUT:
             if regular:

@@ -183,10 +183,10 @@ class PortName(click.ParamType):  # type: ignore[type-arg]  # takes arguments si
         return items or [CompletionItem(incomplete, type="file")]
 
 
-def is_setting(ctx: click.Context | None, parameter: click.Parameter | str | None) -> bool:
+def is_setting(ctx: click.Context, parameter: click.Parameter | None) -> bool:
     """Whether a parameter has its value from the settings, and not from the command line."""
-    name = str(parameter.name if isinstance(parameter, click.Parameter) else parameter)
-    return ctx is not None and ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
+    name = str(parameter and parameter.name)
+    return ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
 
 
 def as_set() -> str:

@@ -27,7 +27,7 @@ from bilprov.analyzer.cli.typed_input import decoded_chunks, file_or_bytes, reco
 from bilprov.analyzer.decode.decoded_share import DecodedShare, decoded_share
 from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_protocol, not_carried
 from bilprov.analyzer.grammar_name import GrammarName
-from bilprov.analyzer.output.console import facts, heading, parts_of, show_as
+from bilprov.analyzer.output.console import facts, heading, parts_of, show_as, table
 from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
 from bilprov.captures.text import quantity
@@ -92,10 +92,15 @@ def grammars(options: FormatOption) -> None:
 
     Each has its document, and the settings of the line that this asks for.
     """
-    from bilprov.analyzer.output.protocol import drawn_grammars, grammars_json
+    from bilprov.analyzer.transport.line_settings import line_settings
 
-    shipped = [load_protocol(name) for name in SHIPPED]
-    show_as(options.style, lambda: grammars_json(shipped), lambda: drawn_grammars(shipped))
+    kept, rows = [], []
+    for one in map(load_protocol, SHIPPED):
+        about = parts_of(one, "name", "version", "document")
+        kept.append(about | {"line": msgspec.to_builtins(one.line), "sha256": one.sha256})
+        rows.append((one.name, one.version, str(line_settings(one)), one.document))
+    columns = ("name", "version", "line", "document")
+    show_as(options.style, lambda: kept, lambda: [table(columns, rows)])
 
 
 def _require_document(protocol: Protocol, what: str) -> None:

@@ -68,8 +68,7 @@ def stats(options: StatsOptions) -> None:
     from bilprov.analyzer.totals.totals import Totals
 
     json_file = options.json_file
-    outputs = [] if json_file is None else [("--json", json_file)]
-    require_writable(outputs, inputs=options.files, force=options.force)
+    require_writable([("--json", json_file)], inputs=options.files, force=options.force)
     protocol, counted = _counted(options)
     each, together = [], Totals(protocol)
     for capture, totals in counted:

@@ -221,22 +221,16 @@ def say(sentence: str) -> None:
 _CLICK_BEGINS = ("Missing ", "No such ", "Invalid value", "Got unexpected ", "Option ", "Could not")
 
 
-def plain_words(text: str) -> str:
-    """Convert what click says about a value to one line, in words for people who do not program."""
-    line = " ".join(text.split()).rstrip(".")
-    for kind, words in (("integer", "not a whole number"), ("float", "not a number")):
-        line = re.sub(rf"is not a valid {kind}(?: range)?\b", f"is {words}", line)
-    return line
-
-
 def _usage(error: click.ClickException) -> str:
-    """Convert click's message to one sentence that also says what to do next."""
+    """Convert click's message to one plain sentence that also says what to do next."""
     text = error.message if isinstance(error, _NO_SUCH) else error.format_message()
-    text = plain_words(text)
+    text = " ".join(text.split()).rstrip(".")
+    for kind, words in (("integer", "not a whole number"), ("float", "not a number")):
+        text = re.sub(rf"is not a valid {kind}(?: range)?\b", f"is {words}", text)
     if isinstance(error, click.BadParameter) and error.ctx and error.param:
         from bilprov.analyzer.cli.settings import as_set, is_setting
 
-        if is_setting(error.ctx, error.param.name):
+        if is_setting(error.ctx, error.param):
             text = f"{text}, {as_set()}"
     if text.startswith(_CLICK_BEGINS):
         text = text[0].lower() + text[1:]

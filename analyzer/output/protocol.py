@@ -11,7 +11,6 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from bilprov.analyzer.output.console import facts, heading, parts_of, table
-from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.text import quantity
 from bilprov.spec.checks import CheckFunction, Fletcher, Sum, Xor
 from bilprov.spec.codec import judge, spaced
@@ -175,24 +174,6 @@ def _defaults(protocol: Protocol) -> Iterator[tuple[str, str]]:
     yield "line", f"{line.baud} baud, 8 data bits, parity {line.parity}, {line.stopbits:g} stop"
     for name, value in asdict(timing).items():
         yield name.replace("_", " "), f"{value:g} ms"
-
-
-def drawn_grammars(protocols: Sequence[Protocol]) -> Iterator[RenderableType]:
-    """Yield the table of the kit's grammars."""
-    rows = [(p.name, p.version, str(line_settings(p)), p.document) for p in protocols]
-    yield table(("name", "version", "line", "document"), rows)
-
-
-def grammars_json(protocols: Sequence[Protocol]) -> list[dict[str, Any]]:
-    """The kit's grammars for machines."""
-    return [
-        {
-            **parts_of(protocol, "name", "version", "document"),
-            "line": asdict(protocol.line),
-            "sha256": protocol.sha256,
-        }
-        for protocol in protocols
-    ]
 
 
 def protocol_json(protocol: Protocol) -> dict[str, Any]:

@@ -362,16 +362,12 @@ class Browser(App[str | None]):
 
     def action_fault(self, step: int) -> None:
         """Go to the next fault, or to the one before."""
-        row = self.frames.row
-        view = self.frames.view
-        if row is None:
-            return
+        view, row = self.frames.view, self.frames.row
         for _ in range(self.frames.repeat or 1):
-            found = view.next_fault(row) if step > 0 else view.fault_before(row)
-            if found is None or view.position(found) >= self.frames.count:
+            row = None if row is None else view.fault(row, step)
+            if row is None or view.position(row) >= self.frames.count:
                 self._say(f"no fault comes {'after' if step > 0 else 'before'} this")
                 return
-            row = found
             self._go_to(row)
 
     def action_go(self) -> None:

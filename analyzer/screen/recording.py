@@ -312,13 +312,12 @@ class View:
         """The position of a row, or of the next one that passes."""
         return row if self._passing is None else self._passing.before(row)
 
-    def next_fault(self, row: int) -> int | None:
-        """The first row after a row that has an anomaly and passes; None if there is none."""
-        return self._recording.faults.next(row + 1, self._passing)
-
-    def fault_before(self, row: int) -> int | None:
-        """The last row before a row that has an anomaly and passes; None if there is none."""
-        found = self._recording.faults.last(row, self._passing)
+    def fault(self, row: int, step: int) -> int | None:
+        """The next row with an anomaly that passes; with step -1 the one before; None without."""
+        faults = self._recording.faults
+        if step > 0:
+            return faults.next(row + 1, self._passing)
+        found = faults.last(row, self._passing)
         return found if found is not None and found >= self._recording.first else None
 
 

@@ -90,8 +90,8 @@ def test_a_view_has_the_rows_whose_lines_pass(
     assert (view.count, view.seen) == (len(rows), count)
     faulty = [row for row in rows if row in set(recording.faults.slice(0, count))]
     at = data.draw(st.integers(0, count))
-    assert view.next_fault(at) == min((row for row in faulty if row > at), default=None)
-    assert view.fault_before(at) == max((row for row in faulty if row < at), default=None)
+    assert view.fault(at, 1) == min((row for row in faulty if row > at), default=None)
+    assert view.fault(at, -1) == max((row for row in faulty if row < at), default=None)
     assert view.position(at) == sum(row < at for row in rows)
 
 
@@ -140,7 +140,7 @@ def test_the_oldest_rows_can_be_let_go(protocol: Protocol) -> None:
     late = View(recording, view.test)
     late.catch_up()
     assert late.rows(late.first, late.count) == view.rows(view.first, view.count)
-    assert view.fault_before(recording.first) is None
+    assert view.fault(recording.first, -1) is None
 
 
 def test_rows_that_go_while_a_filter_looks_are_none_of_its_rows(protocol: Protocol) -> None:
