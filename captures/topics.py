@@ -28,23 +28,14 @@ from bilprov.captures.schemas import (
     Log,
     Look,
     Response,
+    Timed,
     look_class,
 )
 from bilprov.spec import grammar
 from bilprov.spec.state import State, state_class
 
-Written: TypeAlias = (
-    Instruction
-    | Response
-    | FramedResponse
-    | State
-    | Log
-    | Line
-    | CaseMark
-    | Look
-    | Asked
-    | Checkpoint
-)
+Written: TypeAlias = Timed | State | Log
+"""A value that becomes a message on the topic of its type."""
 
 HOST_RAW = "/host/raw"
 DEVICE_RAW = "/device/raw"
@@ -131,37 +122,27 @@ _STAND_FOR: dict[type, type[msgspec.Struct]] = {
 }
 
 
-def topic_of(value: Written) -> Topic:
-    """The topic of a value."""
-    return _topic_of(type(value))
-
-
 @cache
-def _topic_of(kind: type[msgspec.Struct]) -> Topic:
+def topic_of(kind: type[Written]) -> Topic:
+    """The topic of the values of a class."""
     standing = next((base for base in (State, Look) if issubclass(kind, base)), kind)
     return BY_VALUE[_STAND_FOR.get(standing, standing)]
 
 
 def encoded(value: Written) -> bytes:
     """Encode a value as the JSON of its message; fields that are None are left out."""
-    return msgspec.json.encode(
-        {
-            key: item
-            for key, name in _keys(type(value))
-            if (item := getattr(value, name)) is not None
-        }
-    )
+    items = ((key, getattr(value, name)) for key, name in _keys(type(value)))
+    return msgspec.json.encode({key: item for key, item in items if item is not None})
 
 
 @cache
 def _keys(value: type[msgspec.Struct]) -> tuple[tuple[str, str], ...]:
     """The keys of a value's messages in order, each with the field that it has."""
-    return tuple(
-        (key, name)
-        for name in value.__struct_fields__
-        for key in (name, BESIDE.get(name))
-        if key is not None
-    )
+    return tuple((key, field) for field in value.__struct_fields__ for key in _keys_of(field))
+
+
+def _keys_of(field: str) -> tuple[str, ...]:
+    return (field, BESIDE[field]) if field in BESIDE else (field,)
 
 
 @cache
@@ -174,9 +155,16 @@ def json_schema(value: type[msgspec.Struct]) -> bytes:
 def _flat(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
     if "$ref" in schema:
         return _flat(definitions[schema["$ref"].rpartition("/")[2]], definitions)
-    if "anyOf" in schema:
-        return _one_of(schema, definitions)
     flat = dict(schema)
+    if "anyOf" in flat:
+        kinds = [kind for kind in flat.pop("anyOf") if kind.get("type") != "null"]
+        if all("enum" in kind for kind in kinds):
+            words = sorted(word for kind in kinds for word in kind["enum"])
+            return {"type": "string", "enum": words, **flat}
+        (kind,) = kinds
+        if flat.get("default", "") is None:
+            del flat["default"]
+        return {**_flat(kind, definitions), **flat}
     if "enum" in flat:
         flat["type"] = "string"
     if flat["type"] == "object":
@@ -186,31 +174,14 @@ def _flat(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]
     return flat
 
 
-def _one_of(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    rest = {name: item for name, item in schema.items() if name != "anyOf"}
-    kinds = [kind for kind in schema["anyOf"] if kind.get("type") != "null"]
-    if all("enum" in kind for kind in kinds):
-        words = sorted(word for kind in kinds for word in kind["enum"])
-        return {"type": "string", "enum": words, **rest}
-    (kind,) = kinds
-    if rest.get("default", "") is None:
-        del rest["default"]
-    return {**_flat(kind, definitions), **rest}
-
-
 def _properties(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
     properties: dict[str, Any] = {}
+    required: list[str] = []
     for field, item in schema.get("properties", {}).items():
-        for name in (field, BESIDE.get(field)):
-            if name is not None:
-                properties[name] = _flat(item, definitions)
-                if name in TIMES:
-                    properties[name]["description"] = TIMES[name]
-    required = [
-        name
-        for field in schema.get("required", ())
-        if {"type": "null"} not in schema["properties"][field].get("anyOf", ())
-        for name in (field, BESIDE.get(field))
-        if name is not None
-    ]
+        for key in _keys_of(field):
+            properties[key] = _flat(item, definitions)
+            if key in TIMES:
+                properties[key]["description"] = TIMES[key]
+        if field in schema.get("required", ()) and {"type": "null"} not in item.get("anyOf", ()):
+            required += _keys_of(field)
     return {"properties": properties, "required": required}

@@ -20,7 +20,7 @@ from bilprov.analyzer.replay.capture_decoding import capture_protocol
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.evidence import Evidence, open_evidence
+from bilprov.captures.reader import Evidence, open_evidence
 from bilprov.captures.schemas import CaseMark, look_class
 from bilprov.captures.text import quantity
 from bilprov.conformance.api import Options, run_suite

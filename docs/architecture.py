@@ -69,7 +69,7 @@ PLACES = {
     "analyzer.totals": Place(4, 0.7, 0.15),
     "analyzer": Place(5, 0, 0.21),
     "analyzer.decode": Place(5, 0.23, 0.62),
-    "captures.evidence": Place(0, 0, 0.38),
+    "captures.reader": Place(0, 0, 0.38),
     "captures.storage": Place(0, 0.42, 0.16),
     "captures": Place(0, 0.62, 0.38),
     "spec.emit": Place(0, 0, 0.12),

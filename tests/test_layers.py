@@ -32,12 +32,10 @@ ROOMS = (
     ("captures",),  # closing, errors, schemas, text, topics: values
     ("captures.storage",),
     (
-        "captures.evidence",
+        "captures.reader",
         "captures.background",
-        "captures.chunked_file",
         "captures.parts",
         "captures.recorded",
-        "captures.reader",
         "captures.writer",
     ),
     ("analyzer",),  # files, foreign, grammar_file, version

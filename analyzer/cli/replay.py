@@ -28,7 +28,7 @@ from bilprov.analyzer.cli.options import (
     timeout_option,
 )
 from bilprov.analyzer.cli.streams import promise_verdict
-from bilprov.analyzer.decode.records import Anomaly, FaultRecord, HostRecord, Record, Severity
+from bilprov.analyzer.decode.records import FaultRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.outputs import Shown, opened_output
 from bilprov.analyzer.pipeline import Pipeline
@@ -311,11 +311,7 @@ class _Replay:
             note("the recording holds no answers: there is nothing to compare with")
             return 3
         found = list(differences(self.protocol, recorded, now))
-        for difference in found:
-            about = difference.instruction
-            frame = None if about is None else sent[about].frame
-            t, error = frame.t if frame else 0, Severity.ERROR
-            fault = Anomaly(t, "difference", error, difference.reason, about)
+        for fault in found:
             pipeline.shown.output.show(Records([FaultRecord(fault, self.protocol.power_on)]))
         count = quantity(len(sent), "instruction")
         note(f"{count} sent, {quantity(len(found), 'difference')}")

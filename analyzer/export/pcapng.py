@@ -20,18 +20,16 @@ from __future__ import annotations
 import struct
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
 from itertools import repeat
 from operator import itemgetter
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.decode.session import BOTH
-from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.export.rows import Chosen
-from bilprov.analyzer.output.outputs import Window
 from bilprov.analyzer.replay.capture_decoding import (
     TEXT_BATCH,
     capture_decoder,
@@ -44,9 +42,6 @@ from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Line
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
-
-if TYPE_CHECKING:
-    from bilprov.analyzer.filters.filter import Filter
 
 LINKTYPE_RTAC_SERIAL = 250
 
@@ -98,85 +93,63 @@ def write_pcapng(chosen: Chosen, stream: BinaryIO) -> None:
     An instruction that passes the filter brings its answer, so that a reader can pair them. Raises
     OSError if the stream cannot be written, CaptureError if the capture cannot be read.
     """
-    capture, protocol, test, window, progress, _ = chosen
+    capture, protocol = chosen.capture, chosen.protocol
     stream.write(_section(capture, protocol))
     for tap in _TAPS:
         stream.write(_interface(capture, protocol, tap))
-    decoder = capture_decoder(capture, protocol)
-    packets = _Packets(test, window, paired=heard(capture) >= BOTH)
-    for events in event_batches(capture.batches(), progress, window, TEXT_BATCH):
-        packets.take(decoder.decode(events))
-        settled = packets.settled(decoder, int(events.t[-1]))
-        stream.write(_blocks(settled, capture.start))
-    packets.take(decoder.finish())
-    stream.write(_blocks(packets.rest(), capture.start))
+    for packets in _packets(chosen):
+        stream.write(b"".join(_block(packet, capture.start + packet.t) for packet in packets))
 
 
-class _Packets:
-    """Chooses among decoded rows, and makes packets of them in the order of time.
+def _packets(chosen: Chosen) -> Iterator[Sequence[Packet]]:
+    """Yield the packets of the rows that are chosen, in the order of time.
 
     A frame is decoded when it is known to be over, an answer when it is known what it answers: so
-    packets wait until nothing that is older can follow. `paired` is true if both directions were
-    heard.
+    packets wait until nothing that is older can follow.
     """
-
-    def __init__(self, test: Filter | None, window: Window, *, paired: bool) -> None:
-        self._test = test
-        self._window = window
-        self._paired = paired
-        # Chosen instructions whose answers may follow; bounded, since a device may never answer.
-        self._asked: deque[int] = deque(maxlen=_MOST_ASKED)
-        self._waiting: list[Packet] = []
-
-    def take(self, batches: Iterable[Batch]) -> None:
-        """Make packets of the next batches."""
-        for batch in batches:
-            self._waiting += self._of(batch)
-
-    def settled(self, decoder: StreamDecoder, now: int) -> list[Packet]:
-        """Hand out the packets that nothing older can follow, after all events up to `now` (ns)."""
+    decoder = capture_decoder(chosen.capture, chosen.protocol)
+    # Chosen instructions whose answers may follow; bounded, since a device may never answer.
+    asked: deque[int] = deque(maxlen=_MOST_ASKED)
+    waiting: list[Packet] = []
+    read = chosen.capture.batches()
+    for events in event_batches(read, chosen.progress, chosen.window, TEXT_BATCH):
+        waiting += _made(decoder.decode(events), chosen, asked)
         state = decoder.saved()
-        if state is None:  # frame boundaries are looked for among bytes that may be old
-            return []
-        until = min([now, *(t for t, _ in state.held)])
-        if state.frame:
-            until = min(until, state.frame_end)
-        packets = self.rest()
-        settled = bisect_right(packets, until, key=itemgetter(0))
-        self._waiting = packets[settled:]
-        return packets[:settled]
+        if state:  # else frame boundaries are looked for among bytes that may be old
+            until = min([int(events.t[-1]), *(t for t, _ in state.held)])
+            if state.frame:
+                until = min(until, state.frame_end)
+            waiting.sort(key=itemgetter(0))  # it is stable: what comes at one time keeps its order
+            settled = bisect_right(waiting, until, key=itemgetter(0))
+            yield waiting[:settled]
+            del waiting[:settled]
+    waiting += _made(decoder.finish(), chosen, asked)
+    yield sorted(waiting, key=itemgetter(0))
 
-    def rest(self) -> list[Packet]:
-        """Hand out all packets."""
-        packets, self._waiting = self._waiting, []
-        packets.sort(key=itemgetter(0))  # it is stable: what comes at one time keeps its order
-        return packets
 
-    def _of(self, batch: Batch) -> Iterator[Packet]:
-        """Yield the packets of the rows that pass, and those of the answers that they bring."""
+def _made(batches: Iterable[Batch], chosen: Chosen, asked: deque[int]) -> Iterator[Packet]:
+    """Yield the packets of the rows that pass, and those of the answers that they bring."""
+    paired = heard(chosen.capture) >= BOTH
+    for batch in batches:
         passing: Iterable[bool] = repeat(True)
-        if self._test is not None:
-            passing = batch.in_order(self._test.selection(batch)).tolist()
+        if chosen.test is not None:
+            passing = batch.in_order(chosen.test.selection(batch)).tolist()
         for record, passes in zip(batch.records(), passing, strict=False):
-            if not self._window.has(record.t):
+            if not chosen.window.has(record.t):
                 continue
             if isinstance(record, DeviceRecord):
-                brought = self._brought(record.instruction)
+                number = record.instruction
+                while asked and number is not None and asked[0] < number:
+                    asked.popleft()  # answers come in order
+                brought = bool(asked) and asked[0] == number
                 if passes or brought:
-                    yield _of_answer(record, stray=self._paired and not brought)
+                    yield _of_answer(record, stray=paired and not brought)
             elif passes and isinstance(record, HostRecord):
                 if record.sequence is not None:
-                    self._asked.append(record.sequence)
+                    asked.append(record.sequence)
                 yield from _of_host(record)
             elif passes and isinstance(record, LineRecord):
                 yield _of_line(record.value)
-
-    def _brought(self, instruction: int | None) -> bool:
-        """Whether an answer's instruction is in the file, so that the answer is too."""
-        asked = self._asked
-        while asked and instruction is not None and asked[0] < instruction:
-            asked.popleft()  # answers come in order
-        return bool(asked) and asked[0] == instruction
 
 
 def _of_host(record: HostRecord) -> Iterator[Packet]:
@@ -216,11 +189,6 @@ _PACKET_FRONT = struct.Struct("<5I")
 _RTAC_FRONT = struct.Struct(">IIBBH")
 _LATEST = (1 << 64) - 1  # ns
 _LONGEST = 4_000  # characters of a text that a foreign capture may make long
-
-
-def _blocks(packets: Iterable[Packet], start: int) -> bytes:
-    """Packets as blocks; `start` is the wall clock (ns) at t = 0."""
-    return b"".join(_block(packet, start + packet.t) for packet in packets)
 
 
 def _block(packet: Packet, wall: int) -> bytes:

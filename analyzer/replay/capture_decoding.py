@@ -11,6 +11,7 @@ import math
 import select
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from bilprov.analyzer.decode import checkpoint
@@ -307,29 +308,16 @@ def opened_at(
     one it is opened again, as a whole. `timeout` is as in `capture_timeout`. A checkpoint that does
     not fit this protocol or these settings is not used. Raises CaptureError as `open_capture` does.
     """
-    if capture.indexed:
-        opened = _from_checkpoint(capture, protocol, start, timeout)
-        if opened is not None:
-            return opened
-        capture = open_capture(capture.path)
-    return opened_whole(capture, protocol, timeout)
-
-
-def _from_checkpoint(
-    capture: Capture, protocol: Protocol, start: int, timeout: int | None
-) -> Opened | None:
+    if not capture.indexed:
+        return opened_whole(capture, protocol, timeout)
     stored = capture.checkpoint_before(start, protocol.sha256)
-    if stored is None:
-        return None
-    state = checkpoint.decoded(stored.value.decoder, protocol)
-    if state is None or state.time > stored.value.t:
-        return None
-    decoder = capture_decoder(capture, protocol, timeout)
-    try:
-        decoder.resume(state)
-    except ValueError:  # it was saved with other settings
-        return None
-    return Opened(capture, decoder, stored)
+    state = checkpoint.decoded(stored.value.decoder, protocol) if stored else None
+    if stored and state and state.time <= stored.value.t:
+        decoder = capture_decoder(capture, protocol, timeout)
+        with suppress(ValueError):  # it was saved with other settings
+            decoder.resume(state)
+            return Opened(capture, decoder, stored)
+    return opened_whole(open_capture(capture.path), protocol, timeout)
 
 
 def event_batches(

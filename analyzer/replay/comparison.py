@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 from bilprov.analyzer.decode.records import (
     UNCERTAIN,
+    Anomaly,
     DeviceRecord,
     FaultRecord,
     HostRecord,
@@ -125,15 +126,7 @@ class Exchanges:
         return b"".join(one.unasked for one in self.rest)
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """One difference, in words, and the sequence of its instruction (None: it belongs to none)."""
-
-    instruction: int | None
-    reason: str
-
-
-def differences(protocol: Protocol, recorded: Exchanges, now: Exchanges) -> Iterator[Difference]:
+def differences(protocol: Protocol, recorded: Exchanges, now: Exchanges) -> Iterator[Anomaly]:
     """Yield the instructions that were answered differently than in the recording.
 
     An instruction is skipped if the recording ends before its answer.
@@ -142,30 +135,27 @@ def differences(protocol: Protocol, recorded: Exchanges, now: Exchanges) -> Iter
     for sequence, was in recorded.instructions().items():
         assert was.frame is not None
         again = sent.get(sequence)
-        words = f"instruction {sequence}, {_described(was.frame)}"
+        reason = ""
         if again is None or again.frame is None:
-            yield Difference(sequence, f"{words}: it was not sent")
-            return
-        if again.key != was.key:
-            yield Difference(
-                sequence,
-                f"{words}: its bytes reached the device in other pieces "
-                f"({spaced(again.frame.data)}); what follows cannot be compared",
+            reason = "it was not sent"
+        elif again.key != was.key:
+            reason = (
+                "its bytes reached the device in other pieces "
+                f"({spaced(again.frame.data)}); what follows cannot be compared"
             )
+        elif was.told and was.code != again.code:
+            answers = answer_words(protocol, was.code), answer_words(protocol, again.code)
+            reason = "recorded {}, now {}".format(*answers)
+        if reason:
+            words = f"instruction {sequence}, {_described(was.frame)}: {reason}"
+            yield Anomaly(was.frame.t, "difference", Severity.ERROR, words, sequence)
+        if again is None or again.key != was.key:
             return
-        if was.told and was.code != again.code:
-            yield Difference(
-                sequence,
-                f"{words}: recorded {answer_words(protocol, was.code)}, "
-                f"now {answer_words(protocol, again.code)}",
-            )
     before, unasked = len(recorded.unasked), now.unasked
     if len(unasked) not in (0, before):
         said = unasked[:_SHOWN].hex(" ")
-        yield Difference(
-            None,
-            f"bytes that answer no instruction: recorded {before}, now {len(unasked)} ({said})",
-        )
+        words = f"bytes that answer no instruction: recorded {before}, now {len(unasked)} ({said})"
+        yield Anomaly(0, "difference", Severity.ERROR, words)
 
 
 def _described(frame: HostRecord) -> str:

@@ -50,8 +50,7 @@ from bilprov.analyzer.replay.capture_decoding import (
 from bilprov.analyzer.totals.timeline import Timeline
 from bilprov.analyzer.totals.totals import Totals
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.evidence import open_evidence
-from bilprov.captures.reader import Capture, open_capture, open_indexed
+from bilprov.captures.reader import Capture, open_capture, open_evidence, open_indexed
 from bilprov.captures.schemas import Chunk
 from bilprov.spec.errors import UserError
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from mcap.opcode import Opcode
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
@@ -42,8 +43,10 @@ class Stored(NamedTuple):
     lost: str
 
 
-@dataclass(frozen=True, eq=False)
-class Messages:
+_COLUMNS = ("start", "end", "channel", "sequence", "log_time")
+
+
+class Messages(Struct, frozen=True, eq=False):
     """Some messages, one row each, between which nothing is missing.
 
     `start` and `end` are where the data of each message are in `content`; `log_time` is in ns.
@@ -72,28 +75,14 @@ class Messages:
 
     def rows(self, rows: slice | NDArray[Any], lost: str = "") -> Messages:
         """Some of the rows, with what is missing before them."""
-        return Messages(
-            self.content,
-            self.start[rows],
-            self.end[rows],
-            self.channel[rows],
-            self.sequence[rows],
-            self.log_time[rows],
-            lost,
-        )
+        return replace(self, lost=lost, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     def and_then(self, other: Messages) -> Messages:
         """These rows and those of `other`."""
         at = len(self.content)
-        return Messages(
-            self.content + other.content,
-            np.append(self.start, other.start + at),
-            np.append(self.end, other.end + at),
-            np.append(self.channel, other.channel),
-            np.append(self.sequence, other.sequence),
-            np.append(self.log_time, other.log_time),
-            self.lost,
-        )
+        moved = replace(other, start=other.start + at, end=other.end + at)
+        both = {name: np.append(getattr(self, name), getattr(moved, name)) for name in _COLUMNS}
+        return replace(self, content=self.content + other.content, **both)
 
     def by_time(self) -> Messages:
         """The rows in order of time."""

@@ -87,7 +87,7 @@ def written_by_others(path: Path, choose: random.Random, length: int) -> None:
                 channel, data = choose.choice(ids[:2]), choose.randbytes(choose.choice([1, 2, 9]))
             elif draw < 0.99:
                 value = choose.choice(VALUES)
-                channel, data = ids[topic_of(value).channel - 1], encoded(value)
+                channel, data = ids[topic_of(type(value)).channel - 1], encoded(value)
             else:
                 channel, data = ids[choose.choice([0, 6])], choose.choice([b"{", bytes(70_000)])
             writer.add_message(channel, log_time, data, log_time, sequence=sequence - 1)

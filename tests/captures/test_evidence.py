@@ -15,8 +15,7 @@ from mcap.writer import Writer
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.evidence import open_evidence
-from bilprov.captures.reader import open_capture
+from bilprov.captures.reader import open_capture, open_evidence
 from bilprov.captures.storage.records import ATTACHMENT_BYTES
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.recheck import recheck

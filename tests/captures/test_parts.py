@@ -11,9 +11,8 @@ import pytest
 from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.evidence import open_evidence
 from bilprov.captures.parts import part_path, part_paths, said_of_parts
-from bilprov.captures.reader import Capture, open_capture, open_indexed
+from bilprov.captures.reader import Capture, open_capture, open_evidence, open_indexed
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.captures.writer import CaptureWriter
 from tests.support.robots import until

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.taps.relay import Noise
-from bilprov.captures.evidence import open_evidence
+from bilprov.captures.reader import open_evidence
 from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform, planned, select_cases
 from bilprov.conformance.dut.simulator import Simulator
