@@ -236,7 +236,9 @@ class Capture:
         from bilprov.captures.storage.messages import checkpoints_before
 
         recorded = self.metadata.get(topics.GRAMMAR_HASH)
-        if grammar and recorded and recorded != grammar:
+        if not self.contents.counts.get(topics.CHECKPOINT) or (
+            grammar and recorded and recorded != grammar
+        ):
             return None
         read = partial(checkpoints_before, time=self.start + t)
         for number in reversed(range(len(self.volumes) if self.indexed else 0)):
@@ -276,13 +278,14 @@ class Capture:
 
         whole = self.volumes[0].contents.metadata.get(topics.PART, "1") == "1"
         order = Order(0 if whole else None)
-        first = after.volume if after else 0
+        first, place = (after.volume, after.place) if after else (0, None)
+        if place:
+            order.expected = place.sequence + 1
         for number, volume in enumerate(self.volumes[first:], first):
-            begins_there = after is not None and number == first
             # What is missing before the part of a checkpoint is no loss behind it.
-            order.missing = "" if begins_there else volume.missing
-            place = after.place if after and begins_there else None
+            order.missing = "" if place else volume.missing
             blocks = _read_volume(volume, partial(self._walk, order, place))
+            place = None
             if number > first:
                 begin = next(blocks, None)
                 if begin and not begin.lost and _resumes(next(begin.single())):
@@ -295,16 +298,17 @@ class Capture:
         self, order: Order, place: Place | None, file: BufferedReader, contents: Contents
     ) -> Iterator[Messages]:
         """Yield the messages of a file, and count how much of it was passed."""
-        from bilprov.captures.storage.messages import put_in_order, stored_parts
+        from bilprov.captures.storage.blocks import blocks_of
+        from bilprov.captures.storage.messages import pieces, put_in_order
         from bilprov.captures.storage.survey import Survey
 
         if self.surveys is None:
-            blocks = stored_parts(file, contents, order, place)
+            blocks = blocks_of(pieces(file, contents, place))
         else:
             self.surveys.append(Survey(file, contents.size))
-            blocks = put_in_order(self.surveys[-1].blocks(), contents, order)
+            blocks = self.surveys[-1].blocks()
         before = 0
-        for block in blocks:
+        for block in put_in_order(blocks, contents, order):
             if self.surveys and self.surveys[-1].damaged:  # `whole` is None then
                 return
             self.walked[0] += file.tell() - before

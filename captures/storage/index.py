@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BufferedReader
 from typing import Final
@@ -35,17 +34,12 @@ _PASSED: Final = {
 _DATA_END = struct.Struct("<BQI")  # opcode, length; CRC over all data, 0 for none
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length; summary start, summary offset start, CRC
 _END = _FOOTER.size + len(MAGIC)
-_ENTRY = struct.Struct(
-    "<BQQQQQI"
-)  # opcode, length; times, offset and length of the chunk; map's length
-_MAP_ITEM = struct.Struct(
-    "<H8x"
-)  # a channel that the chunk has messages of, and where their index is
+_ENTRY = struct.Struct("<BQQQQQ")  # opcode, length; times, offset and length of the chunk
 
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """The index of a file: `entries` are the offsets of its chunks' entries in the `summary`.
+    """The index of a file: `chunks` are when each begins (log time, ns), and where it stands.
 
     `data_end` is the offset after the last chunk and attachment; `data_crc` is the checksum of all
     before, 0 if there is none.
@@ -53,8 +47,7 @@ class Index:
 
     data_end: int
     data_crc: int
-    summary: bytes = field(repr=False)
-    entries: list[int] = field(repr=False)
+    chunks: list[tuple[int, int]] = field(repr=False)
 
     def covers(self, file: BufferedReader) -> bool:
         """Whether the checksum over all data, which older kits did not write, is right."""
@@ -64,21 +57,6 @@ class Index:
             crc = zlib.crc32(data, crc)
             left -= len(data)
         return self.data_crc == crc
-
-    def chunks_before(self, time: int, channel: int) -> Iterator[int]:
-        """Yield the offsets of the chunks with messages on `channel` that begin before `time` (ns).
-
-        The last one in the file comes first.
-        """
-        for at in reversed(self.entries):
-            _, length, first, _, offset, _, map_length = _ENTRY.unpack_from(self.summary, at)
-            start = at + _ENTRY.size
-            if first >= time or start + map_length > at + 9 + length:
-                continue
-            if map_length % 10 == 0 and channel in {
-                of for (of,) in _MAP_ITEM.iter_unpack(self.summary[start : start + map_length])
-            }:
-                yield offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,17 +121,17 @@ def _read_index(file: BufferedReader, size: int) -> Contents:
     known = {topic.channel: (topic.name, topic.encoding) for topic in topics.TOPICS}
     table: dict[int, tuple[str, str]] = {}
     stated = None
-    entries: list[int] = []
+    chunks: list[tuple[int, int]] = []
     at, end, reached = 0, len(summary) - _END, about.end
     entry = _ENTRY.unpack_from
     while at < end:
         # The footer behind the records makes this front complete for the shortest record too.
-        opcode, length, _, _, offset, chunk, _ = entry(summary, at)
+        opcode, length, first, _, offset, chunk = entry(summary, at)
         if opcode == Opcode.CHUNK_INDEX:
             if offset < reached:
                 raise Damaged("a chunk's entry does not fit")
             reached = offset + chunk
-            entries.append(at)
+            chunks.append((first, offset))
         elif opcode == Opcode.CHANNEL:
             channel = parsed(opcode, summary[at + 9 : at + 9 + length], own=True)
             table[channel.id] = channel.topic, channel.message_encoding
@@ -188,7 +166,7 @@ def _read_index(file: BufferedReader, size: int) -> Contents:
         last=stated.message_end_time,
         counts={topic: counts.get(channel, 0) for channel, (topic, _) in table.items()},
         regions=((len(MAGIC), size),),
-        index=Index(data_end, data_crc, summary, entries),
+        index=Index(data_end, data_crc, chunks),
     )
 
 

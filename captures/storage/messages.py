@@ -18,7 +18,7 @@ from mcap.records import Attachment
 
 from bilprov.captures import topics
 from bilprov.captures.schemas import Checkpoint
-from bilprov.captures.storage.blocks import Messages, Piece, blocks_of, message_starts
+from bilprov.captures.storage.blocks import Messages, Piece, message_starts
 from bilprov.captures.storage.index import Contents
 from bilprov.captures.storage.records import MESSAGE_BYTES, Damaged, decoded
 from bilprov.captures.storage.recovery import SKIPPED, Lost, RecordFile
@@ -39,24 +39,13 @@ class Order:
     missing: str = ""
 
 
-def stored_parts(
-    file: BufferedReader, contents: Contents, order: Order, place: Place | None
-) -> Iterator[Messages]:
-    """Yield the messages of an open file: of our own files in file order, of others by time.
-
-    Those of a file that was opened by its index begin after a `place`, None for the start; a
-    damaged part of it is left out, as a survey would do. Raises Damaged if the file has changed
-    since the survey.
-    """
-    if place is not None:
-        order.expected = place.sequence + 1
-    yield from put_in_order(blocks_of(_pieces(file, contents, place)), contents, order)
-
-
 def put_in_order(
     blocks: Iterator[Messages], contents: Contents, order: Order
 ) -> Iterator[Messages]:
-    """Yield those messages of a file's blocks that are to be read, in order."""
+    """Yield those messages of a file's blocks that are to be read.
+
+    Those of our own files come in file order, those of others by time.
+    """
     blocks = _in_file_order(blocks, contents.counted, order)
     return blocks if contents.own or contents.in_order else _by_time(blocks)
 
@@ -98,7 +87,9 @@ def checkpoints_before(
     source = RecordFile(file, contents.size)
     source.own = True
     channel = topics.BY_VALUE[Checkpoint].channel
-    for offset in contents.index.chunks_before(time, channel) if contents.index else ():
+    for first, offset in reversed(contents.index.chunks if contents.index else ()):
+        if first >= time:
+            continue
         try:
             found = source.record(offset)
             starts, _ = message_starts(found.content)
@@ -153,7 +144,13 @@ def _in_file_order(blocks: Iterator[Messages], counted: bool, order: Order) -> I
         order.expected = None
 
 
-def _pieces(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[Piece]:
+def pieces(file: BufferedReader, contents: Contents, place: Place | None) -> Iterator[Piece]:
+    """Yield the messages of an open file.
+
+    Those of a file that was opened by its index begin after a `place`, None for the start; a
+    damaged part of it is left out, as a survey would do. Raises Damaged if the file has changed
+    since the survey.
+    """
     surveyed = contents.index is None
     source = RecordFile(file, contents.size)
     # A survey has checked each record of the regions, which only must still be complete.

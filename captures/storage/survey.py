@@ -74,10 +74,10 @@ class Survey:
                 self._take(found)
                 if len(found.starts):
                     yield Piece(found.content, found.starts, "")
-                if found.opcode == Opcode.FOOTER:
-                    self._extend(start, self._size)
-                else:
-                    self._extend(start, found.end)
+                if self._regions and self._regions[-1][1] == start:
+                    start, _ = self._regions.pop()
+                end = self._size if found.opcode == Opcode.FOOTER else found.end
+                self._regions.append((start, end))
             start = found.end
 
     def contents(self) -> Contents:
@@ -103,7 +103,12 @@ class Survey:
         own = self._records.own
         first, earliest, last = self._times or (0, 0, 0)
         first = first if own else earliest
-        stated = (start for start in map(stated_number, self._starts()) if start is not None)
+        starts = [
+            self._guarded_start,
+            (self._metadata or {}).get(topics.START_KEY),
+            *(one.metadata.get(topics.CHANNEL_START_KEY) for one in self._channels.values()),
+        ]
+        stated = (start for start in map(stated_number, starts) if start is not None)
         return Contents(
             size=self._size,
             regions=tuple(self._regions),
@@ -122,24 +127,14 @@ class Survey:
             damage=tuple(self._notes),
         )
 
-    def _starts(self) -> Iterator[str]:
-        if self._guarded_start is not None:
-            yield self._guarded_start
-        if self._metadata and topics.START_KEY in self._metadata:
-            yield self._metadata[topics.START_KEY]
-        for channel in self._channels.values():
-            if topics.CHANNEL_START_KEY in channel.metadata:
-                yield channel.metadata[topics.CHANNEL_START_KEY]
-
     def _table(self) -> dict[int, tuple[str, str]]:
         table = {
-            record.id: (printable(record.topic), printable(record.message_encoding))
-            for record in self._channels.values()
+            one.id: (printable(one.topic), printable(one.message_encoding))
+            for one in self._channels.values()
         }
-        if self._records.own:
-            for topic in topics.TOPICS:
-                if topic.channel not in self._verified:
-                    table[topic.channel] = (topic.name, topic.encoding)
+        for topic in topics.TOPICS if self._records.own else ():
+            if topic.channel not in self._verified:
+                table[topic.channel] = (topic.name, topic.encoding)
         return table
 
     def _take(self, found: Found) -> None:
@@ -215,12 +210,6 @@ class Survey:
                 else f"all from byte {lost.start} on is"
             )
             self._note(f"{where} damaged and left out ({lost.damage})")
-
-    def _extend(self, start: int, end: int) -> None:
-        if self._regions and self._regions[-1][1] == start:
-            self._regions[-1] = (self._regions[-1][0], end)
-        else:
-            self._regions.append((start, end))
 
     def _note(self, sentence: str) -> None:
         if len(self._notes) < DAMAGE_NOTES:
