@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from dataclasses import replace as with_changes
@@ -12,14 +12,14 @@ from functools import partial
 from io import BufferedReader, FileIO
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from mcap.opcode import Opcode
 
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import Volume, kept_parts, merged, volumes_of
-from bilprov.captures.schemas import Checkpoint, Chunk, Line, Look, Recorded
+from bilprov.captures.schemas import Asked, CaseMark, Checkpoint, Chunk, Line, Look, Recorded
 from bilprov.captures.storage.records import MAGIC, Damaged, decoded
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import since, stated_number
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from mcap.records import Attachment
 
     from bilprov.captures.events import Events
+    from bilprov.captures.recorded import Values
     from bilprov.captures.storage.blocks import Messages, Stored
     from bilprov.captures.storage.index import Contents
     from bilprov.captures.storage.messages import Order, Place
@@ -38,9 +39,10 @@ TOPICS_SHOWN = 10
 
 Item = TypeVar("Item")
 _READ_AHEAD = 1 << 16  # bytes: a chunk of short messages is smaller, and takes ten small reads
-_EVENTS = {topics.LINE, topics.CHECKPOINT}
-_SIGHTS = {*_EVENTS, topics.LOOKS}
-_RECORDED = {*_SIGHTS, topics.CASES, topics.ASKS}
+_Kinds: TypeAlias = Mapping[str, type]
+_EVENTS: _Kinds = {topics.LINE: Line, topics.CHECKPOINT: Checkpoint}
+_SIGHTS: _Kinds = {**_EVENTS, topics.LOOKS: topics.CarLook}
+_RECORDED: _Kinds = {**_SIGHTS, topics.CASES: CaseMark, topics.ASKS: Asked}
 _DECIDES = attrgetter("own", "in_order", "counted", "metadata", "channels")
 """What of a file's contents decides how its messages are read."""
 
@@ -124,9 +126,7 @@ class Capture:
         `resumes` is a Resumption, with the `gap` right before it if there is one. Raises
         CaptureError if the file changed since it was opened or cannot be read.
         """
-        for value in self._values(after, _EVENTS):
-            if isinstance(value, Chunk | Line):
-                yield value
+        return self._one_by_one(after, _EVENTS)
 
     def batches(self, after: StoredCheckpoint | None = None) -> Iterator[Events]:
         """Yield the same as `events`, in the same order, as arrays of some 64 k to 256 k rows.
@@ -135,7 +135,7 @@ class Capture:
         """
         from bilprov.captures.recorded import batches_of
 
-        return batches_of(self.start, self._topics, self._blocks(after), _EVENTS)
+        return batches_of(self._values(after, _EVENTS))
 
     @property
     def passed(self) -> int:
@@ -160,9 +160,7 @@ class Capture:
 
     def sights(self, after: StoredCheckpoint | None = None) -> Iterator[Chunk | Line | Look]:
         """Yield the events and the looks of a conformance run, in order, as `events` does."""
-        for value in self._values(after, _SIGHTS):
-            if isinstance(value, Chunk | Line | Look):
-                yield value
+        return self._one_by_one(after, _SIGHTS)
 
     def recorded(
         self, after: StoredCheckpoint | None = None, looks: type[Look] = topics.CarLook
@@ -172,7 +170,7 @@ class Capture:
         Texts and numbers are as stored, so that a copy has them too; `looks` is the class of looks
         at the device.
         """
-        return self._values(after, _RECORDED, as_stored=True, looks=looks)
+        return self._one_by_one(after, {**_RECORDED, topics.LOOKS: looks}, as_stored=True)
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages of all topics that the file describes, or of those `wanted`, in order.
@@ -248,21 +246,20 @@ class Capture:
                     return StoredCheckpoint(value, place, number)
         return None
 
+    def _one_by_one(
+        self, after: StoredCheckpoint | None, wanted: _Kinds, *, as_stored: bool = False
+    ) -> Iterator[Any]:
+        from bilprov.captures.recorded import one_by_one
+
+        return one_by_one(self._values(after, wanted, as_stored=as_stored))
+
     def _values(
-        self,
-        after: StoredCheckpoint | None,
-        wanted: Collection[str],
-        as_stored: bool = False,
-        looks: type[Look] = topics.CarLook,
-    ) -> Iterator[Recorded]:
+        self, after: StoredCheckpoint | None, wanted: _Kinds, *, as_stored: bool = False
+    ) -> Values:
         from bilprov.captures.recorded import recorded_values
 
-        blocks = self._blocks(after)
-        return recorded_values(self.start, self._topics, blocks, wanted, as_stored, looks)
-
-    @property
-    def _topics(self) -> dict[int, str]:
-        return {channel: topic for channel, (topic, _) in self.contents.channels.items()}
+        names = {channel: topic for channel, (topic, _) in self.contents.channels.items()}
+        return recorded_values(self.start, names, self._blocks(after), wanted, as_stored)
 
     def _stored(self) -> Iterator[Stored]:
         for block in self._blocks():

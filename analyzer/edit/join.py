@@ -87,12 +87,11 @@ class Joined:
         for key in dict.fromkeys(key for one in abouts for key in one):
             if key in _OF_ONE or key in grammar:
                 continue
-            if len({one[key] for one in abouts if key in one}) == 1:
-                about[key] = next(one[key] for one in abouts if key in one)
-                continue
-            for number, one in enumerate(abouts, 1):
-                if key in one:
-                    about[f"{number}.{key}"] = one[key]
+            stated = {number: one[key] for number, one in enumerate(abouts, 1) if key in one}
+            if len({*stated.values()}) == 1:
+                _, about[key] = stated.popitem()
+            else:
+                about |= {f"{number}.{key}": text for number, text in stated.items()}
         about |= decoding_metadata(self.settings)
         names = [said_of(source.capture.path) for source in self.sources]
         about |= {f"{number}.file": name for number, name in enumerate(names, 1)}
