@@ -14,8 +14,6 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
-from mcap.opcode import Opcode
-
 from bilprov.captures import topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import Volume, kept_parts, merged, volumes_of
@@ -407,6 +405,8 @@ def appended(capture: Capture) -> Capture | None:
 
     None where no complete record was added. Raises CaptureError if the file cannot be read.
     """
+    from mcap.opcode import Opcode
+
     from bilprov.captures.storage.recovery import Lost, RecordFile
 
     volume = capture.volumes[0]
@@ -599,6 +599,8 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
 
 def _wrong_checksum(path: Path, unfinished: bool) -> str:
     """Which checksum outside of the chunks is wrong, "" for none."""
+    from mcap.opcode import Opcode
+
     from bilprov.captures.storage.index import read_index
     from bilprov.captures.storage.recovery import Found, RecordFile
 

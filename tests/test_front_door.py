@@ -46,7 +46,6 @@ UNUSED = {
     "spec emit wireshark": HEAVY - {"construct", "msgspec"},
     "export captures/samples/examples.mcap --format csv -o -": {
         "serial",
-        "mcap",
         "rich",
         "pyarrow",
     },

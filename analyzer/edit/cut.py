@@ -21,10 +21,10 @@ from __future__ import annotations
 
 import re
 from array import array
-from bisect import bisect_left
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import chain
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -349,9 +349,9 @@ def write_selected(
     part = _Part(copy, opened.decoder)
     values = timed(opened.recorded(copy.protocol), first_state(opened.decoder).time)
     for batch in batched(_before(values, end, [])):
-        if selected.meets(batch[0].now, batch[-1].now) or part.hunts:
+        if selected(batch[0].now, batch[-1].now) or part.hunts:
             for one in batch:
-                part.take([one], kept=selected.meets(one.now, one.now), counted=window.has(one.now))
+                part.take([one], kept=selected(one.now, one.now), counted=window.has(one.now))
         else:
             part.take(batch, kept=False, counted=window.has(batch[-1].now))
         # What is no event, such as the looks of a conformance run, is kept.
@@ -439,18 +439,15 @@ class _Part:
 
 
 class _Times:
-    """Spans of time (ns), each of which begins after the one before it has ended."""
+    """Spans of time (ns), in any order until `in_order`, behind which they are asked for."""
 
     def __init__(self) -> None:
         self._first, self._last = array("q"), array("q")
 
     def add(self, first: int, last: int) -> None:
-        """Add a span, which may begin before others that were added earlier."""
-        first, last = min(first, last), max(first, last)
-        while self._last and first <= self._last[-1]:
-            first, last = min(first, self._first.pop()), max(last, self._last.pop())
-        self._first.append(first)
-        self._last.append(last)
+        """Add a span."""
+        self._first.append(min(first, last))
+        self._last.append(max(first, last))
 
     def add_exchanges(self, exchanges: Iterable[Exchange]) -> None:
         """Add the spans of those that are selected."""
@@ -458,14 +455,23 @@ class _Times:
             if one.selected and one.frame:
                 self.add(one.frame.t, max(one.frame.known, one.until))
 
-    def meets(self, first: int, last: int) -> bool:
-        """Whether a span has some of this one."""
-        at = bisect_left(self._last, first)
-        return at < len(self._first) and self._first[at] <= last
+    def in_order(self) -> Callable[[int, int], bool]:
+        """What tells whether a span has some of another one, from a first to a last time."""
+        order = sorted(range(len(self._first)), key=self._first.__getitem__)
+        first = array("q", (self._first[at] for at in order))
+        latest = array("q", accumulate((self._last[at] for at in order), max))
+
+        def meets(begin: int, end: int) -> bool:
+            begun = bisect_right(first, end)
+            return begun > 0 and latest[begun - 1] >= begin
+
+        return meets
 
 
-def _selected_times(opened: Opened, window: Window, test: Filter, copy: Copy) -> _Times:
-    """When what is selected came, each instruction with its answer.
+def _selected_times(
+    opened: Opened, window: Window, test: Filter, copy: Copy
+) -> Callable[[int, int], bool]:
+    """Whether something selected came in a span of time, an instruction with its answer.
 
     An answer may be stamped `skew` before its instruction: it is known only then to have none.
     """
@@ -483,7 +489,7 @@ def _selected_times(opened: Opened, window: Window, test: Filter, copy: Copy) ->
         times.add_exchanges(pairs.settled())
     pairs.give_up()
     times.add_exchanges(pairs.rest)
-    return times
+    return times.in_order()
 
 
 def _before(values: Iterator[Timed], end: int | None, behind: list[Timed]) -> Iterator[Timed]:

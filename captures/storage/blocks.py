@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
-from bilprov.captures.storage.records import Damaged, records_in
+from bilprov.captures.storage.records import DESCRIPTIONS, MESSAGE_HEAD, RECORD_HEAD, Damaged
 
 BLOCK_MESSAGES: Final = 64 * 1024
 BLOCK_BYTES: Final = 4 * 1024 * 1024
@@ -214,3 +214,32 @@ def _heads(content: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:
     raw = np.ndarray((places,), np.dtype((np.void, _HEAD.itemsize)), content, strides=(1,))[starts]
     heads: NDArray[Any] = raw.view(_HEAD)
     return heads
+
+
+def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, start and end of the content of each record in a chunk's unpacked bytes.
+
+    Raises Damaged if a record is inconsistent, or if there are more than DESCRIPTIONS that are no
+    messages: an empty record has 9 bytes, so that a packed chunk may hold millions.
+    """
+    at = 0
+    total = len(content)
+    unpack = RECORD_HEAD.unpack_from
+    others = 0
+    while at < total:
+        if at + 9 > total:
+            raise Damaged("a chunk ends inside a record")
+        opcode, length = unpack(content, at)
+        start = at + 9
+        at = start + length
+        if at > total:
+            raise Damaged("a record in a chunk ends after the chunk")
+        if opcode != Opcode.MESSAGE:
+            others += 1
+            if others > DESCRIPTIONS:
+                raise Damaged(
+                    f"a chunk holds more than {DESCRIPTIONS} records that are not messages"
+                )
+        elif length < MESSAGE_HEAD.size:
+            raise Damaged("a message is shorter than its fields")
+        yield opcode, start, at

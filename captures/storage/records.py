@@ -1,13 +1,11 @@
-"""The limits of MCAP records, what is wrong with those that are rejected, and those of a chunk."""
+"""The limits of MCAP records, and what is wrong with those that are rejected."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from typing import Final, TypeVar
 
 import msgspec
-from mcap.opcode import Opcode
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 OWN_LIBRARY: Final = "bilprov "
@@ -48,32 +46,3 @@ class Damaged(Exception):
 
 class CutOff(Damaged):
     """A record ends after the end of the file, as usual in a capture that was not finished."""
-
-
-def records_in(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of the content of each record in a chunk's unpacked bytes.
-
-    Raises Damaged if a record is inconsistent, or if there are more than DESCRIPTIONS that are no
-    messages: an empty record has 9 bytes, so that a packed chunk may hold millions.
-    """
-    at = 0
-    total = len(content)
-    unpack = RECORD_HEAD.unpack_from
-    others = 0
-    while at < total:
-        if at + 9 > total:
-            raise Damaged("a chunk ends inside a record")
-        opcode, length = unpack(content, at)
-        start = at + 9
-        at = start + length
-        if at > total:
-            raise Damaged("a record in a chunk ends after the chunk")
-        if opcode != Opcode.MESSAGE:
-            others += 1
-            if others > DESCRIPTIONS:
-                raise Damaged(
-                    f"a chunk holds more than {DESCRIPTIONS} records that are not messages"
-                )
-        elif length < MESSAGE_HEAD.size:
-            raise Damaged("a message is shorter than its fields")
-        yield opcode, start, at
