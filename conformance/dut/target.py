@@ -23,8 +23,8 @@ from bilprov.analyzer.transport.replug import Place
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.link import Device, Environment, Observability
+from bilprov.conformance.dut.links import CheckedDevice, VirtualLink
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
-from bilprov.conformance.dut.virtual_link import CheckedDevice, VirtualLink
 from bilprov.spec.protocol import Protocol
 
 SIM, SIMAVR, PORT = "sim", "simavr", "port"

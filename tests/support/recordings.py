@@ -23,9 +23,9 @@ from bilprov.captures.schemas import Chunk
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.link import Environment, Observability
+from bilprov.conformance.dut.links import VirtualLink
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import Target
-from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
 from bilprov.spec.protocol import Protocol, grammar_hash

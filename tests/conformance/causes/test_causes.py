@@ -33,8 +33,8 @@ from bilprov.conformance.causes.features import Literal, features, matches
 from bilprov.conformance.causes.relations import Relation, relations
 from bilprov.conformance.causes.reproduction import Finder, shown_by, shown_in
 from bilprov.conformance.causes.trace import Done, Mark, Trace
+from bilprov.conformance.dut.links import VirtualLink
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
-from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.explanations import both, explained
 from bilprov.conformance.mutation.faults import fault_bank

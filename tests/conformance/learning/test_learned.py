@@ -12,9 +12,9 @@ from bilprov.analyzer.client.operations import Listen, Observation, Observe, Rec
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.link import Device, Observability
+from bilprov.conformance.dut.links import VirtualLink
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from bilprov.conformance.dut.target import device_target
-from bilprov.conformance.dut.virtual_link import VirtualLink
 from bilprov.conformance.learning.learner import (
     Difference,
     Learned,
