@@ -26,7 +26,7 @@ from bilprov.analyzer.client.probes import ASK, ProbeError
 from bilprov.analyzer.client.robot import Instructions
 from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.analyzer.transport.errors import LinkError
-from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
+from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.signals import ENDINGS, Stopper, handled, unhandled
 from bilprov.captures.schemas import MS, Look
 from bilprov.conformance.api import (
@@ -38,7 +38,6 @@ from bilprov.conformance.api import (
 )
 from bilprov.conformance.cases.levels import LEVELS, STANDARD, AnyCase
 from bilprov.conformance.dut.boards import EmulatorError
-from bilprov.conformance.dut.simulator import Fault
 from bilprov.conformance.dut.target import SIM, Target, open_target, target_named
 from bilprov.conformance.oracle.choices import parse_allowed
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
@@ -103,25 +102,28 @@ class Bench(RunListener):
     Nothing is opened before `open`. `close` stops a run that is still going, and homes. `unplanned`
     gets the results of cases that are not in `order`. `link` is the run's, once it has begun.
 
-    Raises ValueError, in one sentence, for a target or a probe that cannot be used.
+    `option` gives the plugin's options by name. Raises ValueError, in one sentence, for one that
+    cannot be used, and as `load_protocol` does.
     """
 
     link: dict[str, Any]
 
-    def __init__(
-        self,
-        protocol: Protocol,
-        target: str,
-        *,
-        options: Options,
-        settings: LineSettings,
-        probe: str | None,
-        fault: Fault | None,
-    ) -> None:
-        self.protocol, self.target, self.options = protocol, target, options
-        self._name = name = target_named(target)
+    def __init__(self, option: Callable[[str], Any]) -> None:
+        self.protocol = protocol = load_protocol(option("robot_grammar"))
+        require_family(protocol, "the suite")
+        self.target, self.options = option("robot_port"), _options(protocol, option)
+        self._name = name = target_named(self.target)
+        probe, fault = option("robot_probe"), option("robot_fault")
+        if fault is not None:
+            if self.target != SIM:
+                raise ValueError("--robot-fault is for --robot-port sim")
+            from bilprov.conformance.mutation.catalogue import find_fault
+
+            fault = find_fault(protocol, fault)
         if name.own_probe and probe not in (None, SIM):
-            raise ValueError(f"--robot-port {target} brings its own probe: leave --robot-probe out")
+            raise ValueError(
+                f"--robot-port {self.target} brings its own probe: leave --robot-probe out"
+            )
         if probe == ASK:
             raise ValueError(
                 f"--robot-probe {probe} cannot be used under pytest; run bilprov conform"
@@ -129,6 +131,7 @@ class Bench(RunListener):
         self.report: Report | None = None
         self.unplanned: list[CaseResult] = []
         self._stopper = Stopper()
+        settings = line_settings(protocol, option("robot_baud"))
         self._open_target = partial(
             open_target, protocol, name, self._stopper, settings=settings, probe=probe, fault=fault
         )
@@ -342,16 +345,7 @@ class RobotSession:
         if option("setuponly") or option("setupplan"):
             raise pytest.UsageError("a robot has no set-up to show: leave --robot-port out")
         try:
-            protocol = load_protocol(option("robot_grammar"))
-            require_family(protocol, "the suite")
-            self.bench = Bench(
-                protocol,
-                option("robot_port"),
-                options=_options(protocol, option),
-                settings=line_settings(protocol, option("robot_baud"), None, None),
-                probe=option("robot_probe"),
-                fault=_fault(protocol, option("robot_port"), option("robot_fault")),
-            )
+            self.bench = Bench(option)
             with ExitStack() as refused:
                 refused.callback(self.bench.close)
                 self._wanted = self._asked_for()
@@ -517,13 +511,3 @@ def _options(protocol: Protocol, option: Callable[[str], Any]) -> Options:
         level=level,
         allow=allow,
     )
-
-
-def _fault(protocol: Protocol, target: str, name: str | None) -> Fault | None:
-    if name is None:
-        return None
-    if target != SIM:
-        raise ValueError("--robot-fault is for --robot-port sim")
-    from bilprov.conformance.mutation.catalogue import find_fault
-
-    return find_fault(protocol, name)

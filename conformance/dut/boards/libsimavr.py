@@ -200,33 +200,29 @@ _WATCHDOG_RESET = _named("wdtr")
 
 
 def _library() -> ctypes.CDLL:
+    """The library, whose functions know their types. Raises EmulatorError."""
     try:
         library = ctypes.CDLL(_LIBRARY)
     except OSError as error:
         raise EmulatorError(f"simavr is not installed: {INSTALL}") from error
     try:
-        return _typed(library)
+        library.avr_make_mcu_by_name.restype = c_void_p
+        for name in ("avr_init", "avr_run", "avr_terminate"):
+            getattr(library, name).argtypes = [c_void_p]
+        library.avr_loadcode.argtypes = [c_void_p, c_char_p, c_uint32, c_uint32]
+        library.avr_io_getirq.restype = c_void_p
+        library.avr_io_getirq.argtypes = [c_void_p, c_uint32, c_int]
+        library.avr_irq_register_notify.argtypes = [c_void_p, _Notify, c_void_p]
+        library.avr_cycle_timer_register.argtypes = [c_void_p, c_uint64, _Timer, c_void_p]
+        library.avr_raise_irq.argtypes = [c_void_p, c_uint32]
+        library.avr_reset.argtypes = [c_void_p]
+        library.avr_core_watch_write.argtypes = [c_void_p, c_uint16, c_uint8]
+        library.avr_iomem_getirq.restype = c_void_p
+        library.avr_iomem_getirq.argtypes = [c_void_p, c_uint16, c_char_p, c_int]
+        library.avr_core_watch_read.restype = c_uint8
+        library.avr_core_watch_read.argtypes = [c_void_p, c_uint16]
+        library.avr_ioctl.argtypes = [c_void_p, c_uint32, c_void_p]
+        library.avr_global_logger_set(_QUIET)
     except AttributeError as error:
         raise EmulatorError(f"{_LIBRARY} lacks what version 1.6 has: try {INSTALL}") from error
-
-
-def _typed(library: ctypes.CDLL) -> ctypes.CDLL:
-    """Declare the types of its functions. Raises AttributeError for one that is missing."""
-    library.avr_make_mcu_by_name.restype = c_void_p
-    for name in ("avr_init", "avr_run", "avr_terminate"):
-        getattr(library, name).argtypes = [c_void_p]
-    library.avr_loadcode.argtypes = [c_void_p, c_char_p, c_uint32, c_uint32]
-    library.avr_io_getirq.restype = c_void_p
-    library.avr_io_getirq.argtypes = [c_void_p, c_uint32, c_int]
-    library.avr_irq_register_notify.argtypes = [c_void_p, _Notify, c_void_p]
-    library.avr_cycle_timer_register.argtypes = [c_void_p, c_uint64, _Timer, c_void_p]
-    library.avr_raise_irq.argtypes = [c_void_p, c_uint32]
-    library.avr_reset.argtypes = [c_void_p]
-    library.avr_core_watch_write.argtypes = [c_void_p, c_uint16, c_uint8]
-    library.avr_iomem_getirq.restype = c_void_p
-    library.avr_iomem_getirq.argtypes = [c_void_p, c_uint16, c_char_p, c_int]
-    library.avr_core_watch_read.restype = c_uint8
-    library.avr_core_watch_read.argtypes = [c_void_p, c_uint16]
-    library.avr_ioctl.argtypes = [c_void_p, c_uint32, c_void_p]
-    library.avr_global_logger_set(_QUIET)
     return library

@@ -299,15 +299,13 @@ class PacedBoard:
                 self._back = max(self._back, self._at) + self._byte_time
                 self._answers.append((self._back, answer))
             if self._board.crashed:
-                self._give_up()
-
-    def _give_up(self) -> None:
-        self.crashed = True
-        self._discard()
-        self._note(
-            f"the firmware crashed {self._at / 1e9:.3f} s after its start: its pins stay as they "
-            "are and nothing is answered until the port is opened again, which resets it"
-        )
+                self.crashed = True
+                self._discard()
+                self._note(
+                    f"the firmware crashed {self._at / 1e9:.3f} s after its start: its pins stay "
+                    "as they are and nothing is answered until the port is opened again, which "
+                    "resets it"
+                )
 
     def _discard(self) -> None:
         self._chunks.clear()
