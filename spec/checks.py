@@ -127,7 +127,14 @@ class Crc(Declared, frozen=True, dict=True):
     @cached_property
     def table(self) -> tuple[int, ...]:
         """What each value of the byte that leaves the register adds to the rest of it."""
-        return tuple(self._step(byte) for byte in range(256))
+        found, bits = [], max(8, self.width)
+        for byte in range(256):
+            value = (_mirrored(byte, 8) if self.reflected else byte) << bits - 8
+            for _ in range(8):
+                value = value << 1 ^ (self.poly << bits - self.width) * (value >> bits - 1 & 1)
+            value &= (1 << bits) - 1
+            found.append(_mirrored(value, bits) if self.reflected else value)
+        return tuple(found)
 
     @cached_property
     def first(self) -> int:
@@ -153,30 +160,15 @@ class Crc(Declared, frozen=True, dict=True):
     def _registers(self, data: bytes) -> Iterator[int]:
         """The register after the first 0, 1, 2, ... bytes, up to all."""
         table, bits = self.table, self.width + self.spare
-        if self.reflected:
-            return accumulate(
-                data,
-                lambda value, byte: value >> 8 ^ table[(value ^ byte) & 0xFF],
-                initial=self.first,
-            )
         most, top = (1 << bits) - 1, bits - 8
-        return accumulate(
-            data,
-            lambda value, byte: value << 8 & most ^ table[value >> top ^ byte],
-            initial=self.first,
-        )
 
-    def _step(self, byte: int) -> int:
-        if self.reflected:
-            poly, value = _mirrored(self.poly, self.width), byte
-            for _ in range(8):
-                value = value >> 1 ^ (poly if value & 1 else 0)
-            return value
-        bits, poly = self.width + self.spare, self.poly << self.spare
-        value = byte << bits - 8
-        for _ in range(8):
-            value = value << 1 ^ (poly if value >> bits - 1 & 1 else 0)
-        return value & (1 << bits) - 1
+        def upwards(value: int, byte: int) -> int:
+            return value >> 8 ^ table[(value ^ byte) & 0xFF]
+
+        def downwards(value: int, byte: int) -> int:
+            return value << 8 & most ^ table[value >> top ^ byte]
+
+        return accumulate(data, upwards if self.reflected else downwards, initial=self.first)
 
 
 CheckFunction: TypeAlias = Sum | Fletcher | Xor | Crc

@@ -83,19 +83,19 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     def describe(self) -> str:
         """Return the frame in words: `LED rgb=5 (R B)`, `Stop`, `unused 9, 2 data bytes`."""
         to = f"@{self.address} " if self.address is not None else ""
+        more = f", {data_bytes(self.length)}"
         if self.outcome in (*FRAMING_FAULTS, Outcome.OTHER_ADDRESS):
-            return f"{to}{self.name}, {self.outcome.value}"
-        if self.instruction and self.fields:
+            more = f", {self.outcome.value}"
+        elif self.instruction and self.fields:
             specs = {spec.name: spec for spec in self.instruction.fields}
             shown = [field_words(specs[name], value) for name, value in self.fields]
             shown += [field_words(spec, value) for spec, value in self.registers]
-            return f"{to}{self.name} {' '.join(shown)}"
-        if (self.instruction and self.valid) or self.id < 0:
-            return f"{to}{self.name}"
-        if self.truncated:
-            arrived = max(0, len(self.frame) - self.head)
-            return f"{to}{self.name}, {arrived} of {data_bytes(self.length)}"
-        return f"{to}{self.name}, {data_bytes(self.length)}"
+            more = f" {' '.join(shown)}"
+        elif (self.instruction and self.valid) or self.id < 0:
+            more = ""
+        elif self.truncated:
+            more = f", {max(0, len(self.frame) - self.head)} of {data_bytes(self.length)}"
+        return f"{to}{self.name}{more}"
 
 
 _BY_DATA = (Outcome.VALID, Outcome.BAD_DATA)
@@ -555,15 +555,11 @@ def nearest(protocol: Protocol, frame: bytes, following: bytes = b"") -> bytes:
             spec.id,
         ),
     )
-    padded = data[: meant.length].ljust(meant.length, b"\0")
-    values = meant.decode(padded)
-    return build(protocol, meant.name, {f.name: _cut(f, values[f.name]) for f in meant.fields})
-
-
-def _cut(part: FieldSpec, value: int) -> int:
-    if part.bits:
-        value &= part.high
-    return min(max(value, part.low), part.high)
+    values = meant.decode(data[: meant.length].ljust(meant.length, b"\0"))
+    for part in meant.fields:
+        value = values[part.name] & part.high if part.bits else values[part.name]
+        values[part.name] = min(max(value, part.low), part.high)
+    return build(protocol, meant.name, values)
 
 
 _REMEMBERED = 1 << 16  # frames

@@ -293,10 +293,9 @@ class DataSpec(msgspec.Struct, frozen=True):
             return self.length + count * (1 if many.how == "bytes in front" else many.width)
         assert many.expression is not None
         before = self.fields[:-1]
-        context = Container({part.name: part.parse(self.raw(part, begun)) for part in before})
-        context["_params"] = Container(asked=Container(asked or {}))
+        values = {part.name: part.parse(self.raw(part, begun)) for part in before}
         try:
-            count = int(many.expression(context))
+            count = int(many.expression(context_of(values, asked or {})))
         except (KeyError, AttributeError, TypeError, ArithmeticError):
             return self.length
         return self.length + max(0, count) * many.width
@@ -323,6 +322,11 @@ class DataSpec(msgspec.Struct, frozen=True):
         """The bytes of a field; a counted one goes to the end of the data."""
         last = self.counted and part is self.fields[-1]
         return data[part.offset : None if last else part.offset + part.size]
+
+
+def context_of(values: Mapping[str, Any], asked: Mapping[str, Any]) -> Container:
+    """What expressions like `this.size` and `asked.size` look into."""
+    return Container(values, _params=Container(asked=Container(asked)))
 
 
 def unwrapped(declared: Construct) -> Construct:
@@ -386,10 +390,8 @@ def _require_counted(
 ) -> None:
     """Raise WrongValue for a count of what is no number before it, or in the request."""
     own = [part.name for part in before if part.number]
-    context = Container(dict.fromkeys(own, 1))
-    context["_params"] = Container(asked=Container(dict.fromkeys(asked, 1)))
     try:
-        int(expression(context))
+        int(expression(context_of(dict.fromkeys(own, 1), dict.fromkeys(asked, 1))))
     except ArithmeticError:  # it depends on the numbers, which are there
         return
     except Exception as error:

@@ -28,7 +28,7 @@ from construct import (
 from msgspec.structs import replace
 
 from bilprov.spec.checks import CheckFunction
-from bilprov.spec.data import DataSpec, Number, Values, number_of, prose_of, unwrapped
+from bilprov.spec.data import DataSpec, Number, Values, context_of, number_of, prose_of, unwrapped
 from bilprov.spec.errors import WrongValue, require, require_word
 from bilprov.spec.fields import Address, Answers, Data, Length, Same
 
@@ -485,11 +485,9 @@ def _covered_name(
 ) -> tuple[str, bool]:
     """Which covered part a check counts, and whether the request's stands before it."""
     for name in spans:
-        context = Container({name: Container(data=_HERE)})
-        request = Container(dict.fromkeys(asked, Container(data=_ASKED)))
-        context["_params"] = Container(asked=request)
+        request = dict.fromkeys(asked, Container(data=_ASKED))
         try:
-            found = declared.bytesfunc(context)
+            found = declared.bytesfunc(context_of({name: Container(data=_HERE)}, request))
         except Exception:
             continue
         if found in (_HERE, _ASKED + _HERE):

@@ -446,14 +446,20 @@ class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def rest_requests(self) -> tuple[Request, ...]:
-        """The fewest requests that bring the device to rest; none without AT_REST.
+        """The fewest requests that bring the device to rest, whatever it did; none without AT_REST.
 
-        An instruction that changes more than the state is not among them.
+        An instruction that changes more than the state is not among them. Of equally few requests
+        those come first that set the fewest other variables.
         """
         if self.stop_or_none is not None:
             return ((self.stop_or_none.name, {}),)
+        wanted = self.at_rest.values if self.at_rest else {}
         setters = [spec for spec in self.instructions if not spec.changes and not spec.writes]
-        return _rest_requests(setters, self.at_rest) if self.at_rest else ()
+        setters.sort(key=lambda one: len(dict(one.effect.assignments).keys() - wanted))
+        for right, requests in ways_on(frozenset(), [_towards(one, wanted) for one in setters]):
+            if self.at_rest and self.at_rest.follows({name: wanted[name] for name in right}):
+                return requests
+        return ()
 
     @property
     def stop(self) -> InstructionSpec:
@@ -462,29 +468,13 @@ class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
         Raises GrammarError if the grammar has none.
         """
         if self.stop_or_none is None:
-            raise GrammarError(
-                f"no instruction without data of the grammar {self.origin} stops the {self.device}"
-            )
+            raise GrammarError(f"no instruction without data stops the {self.device}")
         return self.stop_or_none
 
     @cached_property
     def pad_byte(self) -> int:
         """The header byte of `stop`, the only safe byte to pad with: read as a header, it stops."""
         return self.header_bytes[self.stop.id, 0]
-
-
-def _rest_requests(setters: Iterable[InstructionSpec], at_rest: Condition) -> tuple[Request, ...]:
-    """Return the fewest requests that bring a device to rest, whatever it did before.
-
-    There are none where no requests do. Of equally few requests those come first that set the
-    fewest other variables.
-    """
-    wanted = at_rest.values
-    ordered = sorted(setters, key=lambda one: len(dict(one.effect.assignments).keys() - wanted))
-    for right, requests in ways_on(frozenset(), [_towards(one, wanted) for one in ordered]):
-        if at_rest.follows({name: wanted[name] for name in right}):
-            return requests
-    return ()
 
 
 def _towards(setter: InstructionSpec, wanted: Mapping[str, int | str]) -> Step[Request]:
@@ -510,16 +500,13 @@ def require_family(protocol: Protocol, what: str) -> None:
 
     `what` is what needs that. It has wheels too.
     """
+    why = ""
     if not protocol.plain:
-        raise GrammarError(
-            f"{what} is for the robot car and its family, which have one header byte and answers "
-            f"of one byte; {protocol.name} is laid out otherwise"
-        )
-    if protocol.wheels is None:
-        raise GrammarError(
-            f"{what} is for the robot car and its family, which have wheels; {protocol.name} "
-            "declares no WHEELS"
-        )
+        why = f"one header byte and answers of one byte; {protocol.name} is laid out otherwise"
+    elif protocol.wheels is None:
+        why = f"wheels; {protocol.name} declares no WHEELS"
+    if why:
+        raise GrammarError(f"{what} is for the robot car and its family, which have {why}")
 
 
 # A grammar imports its names from `bilprov.spec`, an older one from `spec`. Both are the same
@@ -695,7 +682,6 @@ def _read(declared: _Grammar, source: str, origin: str) -> Protocol:
         for code, answer in sorted(declared.RESPONSE.answers.items() if declared.RESPONSE else ())
     )
     _require_each_name_once("two responses are named", (spec.name for spec in responses))
-    _require_each_outcome(declared, layout, instructions, responses)
     _require_codes(instructions, responses)
     _require_rest_and_wheels(declared, variables)
     made = state_class(variables.values(), declared.AT_REST, declared.WHEELS)
@@ -724,6 +710,7 @@ def _read(declared: _Grammar, source: str, origin: str) -> Protocol:
         line=declared.LINE,
         clauses=declared.CLAUSES,
     )
+    _require_each_outcome(declared, protocol)
     _require_stops(protocol)
     return protocol
 
@@ -834,16 +821,12 @@ def _require_rest_and_wheels(declared: _Grammar, variables: Mapping[str, Variabl
         )
     if at_rest is None:
         raise GrammarError("it declares WHEELS and no AT_REST")
-    taken = [n for n in variables if n in _OF_WHEELS or (n == "motion" and n != wheels.by)]
-    if taken:
-        raise GrammarError(
-            f"STATE has the variable {taken[0]}, which is a reading of the wheels of a "
-            "car; allowed is another name"
-        )
+    taken = {"t", "left", "right", "wheels", "curve", "answer", "motion"} - {wheels.by}
+    for name in taken & {*variables}:
+        raise GrammarError(f"STATE has the variable {name}, which a probe tells of every car")
 
 
 _OF_A_CAR = ("AT_REST", "WHEELS", "DEVICE")
-_OF_WHEELS = ("t", "left", "right", "wheels", "curve", "answer")
 
 
 def _require_each_name_once(what: str, names: Iterable[str]) -> None:
@@ -879,20 +862,22 @@ def _require_repeated(what: str, layout: Layout, asked: set[str]) -> None:
             raise GrammarError(f"{what}.{part.name} is Same({part.same!r}), allowed are {allowed}")
 
 
-def _require_each_outcome(
-    declared: _Grammar,
-    layout: Layout,
-    instructions: tuple[InstructionSpec, ...],
-    responses: tuple[ResponseSpec, ...],
-) -> None:
+def _require_each_outcome(declared: _Grammar, protocol: Protocol) -> None:
     """Raise GrammarError unless each outcome that a frame can have is answered, or is in SILENT."""
-    answered = {outcome for spec in responses for outcome in spec.outcomes}
-    if declared.REPLY:
-        answered |= {*declared.SILENT, Outcome.VALID}
-    elif declared.RESPONSE is None:
-        return
-    missing = [one for one in _outcomes(layout, instructions) if one not in answered]
-    if missing:
+    layout, fields = protocol.layout, [f for spec in protocol.instructions for f in spec.fields]
+    possible = {
+        Outcome.VALID: declared.REPLY is None,
+        Outcome.UNKNOWN_ID: True,
+        Outcome.BAD_DATA: not all(part.unlimited for part in fields),
+        Outcome.TOO_MANY: layout.part("length"),
+        Outcome.TOO_FEW: layout.part("length"),
+        Outcome.BAD_CHECKSUM: layout.check,
+        Outcome.BAD_SYNC: any(part.offset < 0 for part in layout.constants),
+    }
+    answered = {outcome for spec in protocol.responses for outcome in spec.outcomes}
+    silent = {*declared.SILENT} if declared.REPLY else {*()}
+    missing = [one for one, can_be in possible.items() if can_be and one not in answered | silent]
+    if missing and (declared.REPLY or declared.RESPONSE):
         told = ", ".join(f"Outcome.{one.name}" for one in missing)
         where = f"; give it an Answer in RESPONSE, or put {told} into SILENT"
         raise GrammarError(
@@ -915,19 +900,6 @@ def _require_codes(
                     f"{where} has code={shown(code)}, allowed are names of an Answer: "
                     f"{', '.join(names[1:]) or 'there is none'}"
                 )
-
-
-def _outcomes(layout: Layout, instructions: tuple[InstructionSpec, ...]) -> Iterable[Outcome]:
-    """The outcomes that a frame of this layout can have, of those that a device may answer."""
-    yield from (Outcome.VALID, Outcome.UNKNOWN_ID)
-    if any(not part.unlimited for spec in instructions for part in spec.fields):
-        yield Outcome.BAD_DATA
-    if layout.part("length"):
-        yield from (Outcome.TOO_MANY, Outcome.TOO_FEW)
-    if layout.check:
-        yield Outcome.BAD_CHECKSUM
-    if any(part.offset < 0 for part in layout.constants):
-        yield Outcome.BAD_SYNC
 
 
 def _instruction(
@@ -956,9 +928,8 @@ def _instruction(
         raise GrammarError(
             f"{name} has {data.length} data bytes; a header announces at most {announced.most}"
         )
-    shared = {part.name for part in layout.parts} & {part.name for part in data.fields} - {""}
-    if shared:
-        raise GrammarError(f"{name}.{min(shared)} has the name of a part of FRAME; give it another")
+    for shared in {part.name for part in layout.parts} & {part.name for part in data.fields} - {""}:
+        raise GrammarError(f"{name}.{shared} has the name of a part of FRAME; give it another")
     answer = None
     if body.answer is not None:
         if not (declared.REPLY or declared.RESPONSE):
@@ -1051,47 +1022,32 @@ def _effect(
 
     `where` is what declares it.
     """
+    fields = {part.name: part for part in (of.fields if of else ()) if part.number}
     assignments: list[tuple[str, Source]] = []
     for name, value in sets.values.items():
-        spec = variables[name]
-        source: Any = value
+        spec, wrong = variables[name], ""
+        source: Any = plain(value)
         if isinstance(value, From):
-            source = _from(value, spec, where, of)
+            part = fields.get(value.field)
+            if part is None:
+                raise GrammarError(
+                    f"{where} names the field {value.field}, which is not there as one number"
+                )
+            words = tuple(word for word, _ in part.names)
+            low, high = sorted((part.low * value.factor, part.high * value.factor))
+            if not spec.words and not spec.low <= low <= high <= spec.high:
+                wrong = f"{low} to {high}"
+            elif spec.words and not (words and {*words} <= {*spec.words}):
+                wrong = ", ".join(words) or "a number"
+            source = replace(value, words=part.names if spec.words else ())
         elif isinstance(value, Changed):
-            if spec.words:
-                raise GrammarError(f"{where} sets {name} to a number, allowed is {spec.allowed}")
+            wrong = "a number" if spec.words else ""
             source = replace(value, low=spec.low, high=spec.high)
         elif isinstance(value, Unknown):
             source = None
         elif value is None or not spec.holds(value):
-            raise GrammarError(
-                f"the value of {name} in {where} is {shown(value)}, allowed is {spec.allowed}"
-            )
-        assignments.append((name, plain(source)))
+            wrong = shown(value)
+        if wrong:
+            raise GrammarError(f"{where} sets {name} to {wrong}, allowed is {spec.allowed}")
+        assignments.append((name, source))
     return Effect(tuple(assignments))
-
-
-def _from(value: From, spec: VariableSpec, where: str, of: InstructionSpec | None) -> From:
-    """The field of an instruction that a variable is set from."""
-    part = next((part for part in (of.fields if of else ()) if part.name == value.field), None)
-    if of is None or part is None:
-        raise GrammarError(f"{where} names the field {value.field}, which is not there")
-    if part.many or part.constant is not None:
-        raise GrammarError(
-            f"{where} sets {spec.name} from the field {value.field}, allowed is a field of one "
-            "number"
-        )
-    if spec.words:
-        if not part.names or not {word for word, _ in part.names} <= {*spec.words}:
-            raise GrammarError(
-                f"the effect of {of.name}.{part.name} sets {spec.name} to "
-                f"{', '.join(word for word, _ in part.names) or 'a number'}, allowed are the names "
-                f"of an Enum that are words of {spec.name}: {spec.allowed}"
-            )
-        return replace(value, words=part.names)
-    low, high = sorted((part.low * value.factor, part.high * value.factor))
-    if not spec.low <= low <= high <= spec.high:
-        raise GrammarError(
-            f"{where} sets {spec.name} to {low} to {high}, allowed is {spec.allowed}"
-        )
-    return replace(value, words=())

@@ -25,7 +25,7 @@ from bilprov.spec.protocol import (
     Protocol,
     ResponseSpec,
 )
-from bilprov.spec.state import Assigned, VariableSpec
+from bilprov.spec.state import Assigned
 
 GIVES_UP = 5
 """The part of an answer's deadline after which a host that sends another request has given up."""
@@ -238,25 +238,20 @@ def reported(protocol: Protocol, reply: Reply) -> Assigned:
     """The variables that an answer reports, with their values."""
     if not reply.fields or reply.way is None or reply.way.data is None:
         return ()
-    values, found = dict(reply.fields), []
+    numbers, found = dict(reply.fields), []
     for part in reply.way.data.fields:
-        if part.reports:
-            spec = protocol.variables[part.reports.variable]
-            value = reported_value(spec, part, values[part.name])
-            if value is not None:
-                found.append((spec.name, value))
+        how = part.reports
+        if how is None:
+            continue
+        spec, number = protocol.variables[how.variable], numbers[part.name]
+        words = (word for word in spec.words if how.value(word, part.names) == number)
+        value: Any = next(words, None)
+        rest = 0
+        if not spec.words:
+            value, rest = divmod(number - how.plus, how.factor) if how.factor else (0, 1)
+        if value is not None and spec.holds(value) and not rest:
+            found.append((spec.name, value))
     return tuple(found)
-
-
-def reported_value(spec: VariableSpec, part: FieldSpec, number: int) -> int | str | None:
-    """The value of a variable that a field with this number reports; None if it cannot have it."""
-    how = part.reports
-    assert how is not None
-    every = spec.words or range(spec.low, spec.high + 1)
-    if spec.words:
-        return next((word for word in every if how.value(word, part.names) == number), None)
-    value, rest = divmod(number - how.plus, how.factor) if how.factor else (0, 1)
-    return value if value in every and not rest else None
 
 
 def agrees(protocol: Protocol, asked: Judgement, reply: Reply) -> bool:
@@ -269,11 +264,9 @@ def agrees(protocol: Protocol, asked: Judgement, reply: Reply) -> bool:
         return False
     if reply.response is asked.response or not reply.outcomes:
         return True
-    if protocol.plain:
-        return False
-    if asked.valid:
-        return Outcome.VALID not in reply.outcomes or asked.answer_due
-    return asked.outcome in reply.outcomes
+    if protocol.plain or not asked.valid:
+        return not protocol.plain and asked.outcome in reply.outcomes
+    return Outcome.VALID not in reply.outcomes or asked.answer_due
 
 
 def covered(protocol: Protocol, asked: Judgement | None) -> bytes:
@@ -415,9 +408,7 @@ def _zeros(data: DataSpec, part: FieldSpec, before: bytes, asked: Mapping[str, A
     nearest = part.names[0][1] if part.names else min(max(part.low, 0), part.high)
     if many is None:
         return part.build(nearest)
-    if many.prefix:
-        return many.build(b"" if many.element is None else ())
     count = many.fixed
     if many.how == "expression":
         count = ((data.measure(before, asked) or len(before)) - len(before)) // many.width
-    return count * (many.element.build(nearest) if many.element else b"\0")
+    return many.build([nearest] * count)

@@ -7,11 +7,10 @@ from functools import lru_cache
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from construct import Container
 from numpy.typing import NDArray
 
 from bilprov.spec.checks import CheckFunction, Crc, Fletcher, Sum, Xor
-from bilprov.spec.data import DataSpec, FieldSpec, Number
+from bilprov.spec.data import DataSpec, FieldSpec, Number, context_of
 from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Layout, Part
 
@@ -195,6 +194,15 @@ def frame_sizes(layout: Layout, spec: DataSpec, data: Bytes, start: Places) -> P
     return around + data_sizes(spec, data, start + layout.head)
 
 
+def field_numbers(spec: DataSpec, data: Bytes, at: Places) -> dict[str, Places]:
+    """The fields that are one number each, by name, of the data that begin at these places."""
+    return {
+        part.name: number_values(part.number, data, at + part.offset)
+        for part in spec.fields
+        if part.number and part.size <= WIDEST
+    }
+
+
 def data_sizes(spec: DataSpec, data: Bytes, at: Places, asked: Numbers = NO_NUMBERS) -> Places:
     """How many bytes the data have that begin at each place; see `DataSpec.measure`.
 
@@ -209,14 +217,7 @@ def data_sizes(spec: DataSpec, data: Bytes, at: Places, asked: Numbers = NO_NUMB
         count = number_values(many.prefix, data, at + spec.fields[-1].offset)
         return spec.length + width * count
     assert many.expression is not None
-    context = Container(
-        {
-            part.name: number_values(part.number, data, at + part.offset)
-            for part in spec.fields
-            if part.number and part.size <= WIDEST
-        }
-    )
-    context["_params"] = Container(asked=Container(asked))
+    context = context_of(field_numbers(spec, data, at), asked)
     try:
         with np.errstate(divide="ignore"):
             count = np.broadcast_to(np.asarray(many.expression(context)), len(at))
@@ -225,6 +226,23 @@ def data_sizes(spec: DataSpec, data: Bytes, at: Places, asked: Numbers = NO_NUMB
     if count.dtype.kind not in "iu":
         raise OverflowError("a count is not a whole number")
     return spec.length + np.maximum(count.astype(np.int64), 0) * many.width
+
+
+def sized(
+    layout: Layout,
+    spec: DataSpec,
+    data: Bytes,
+    start: Places,
+    end: Places,
+    asked: Numbers = NO_NUMBERS,
+) -> Mask:
+    """Which frames from start to end have as many bytes of data as are needed."""
+    at = start + layout.head
+    size = end - layout.tail - at
+    good: Mask = size >= spec.length
+    if layout.part("length") is not None and not spec.takes_rest:
+        good &= size == data_sizes(spec, data, at, asked)
+    return good
 
 
 def require_arrays(spec: DataSpec, asked: Numbers = NO_NUMBERS) -> None:

@@ -29,14 +29,14 @@ from bilprov.spec.arrays.layouts import (
     Sizes,
     checks_hold,
     constants_hold,
-    data_sizes,
+    field_numbers,
     frame_sizes,
     in_range,
     leading,
-    number_values,
     part_values,
     require_arrays,
     require_narrow,
+    sized,
 )
 from bilprov.spec.arrays.states import StateTables
 from bilprov.spec.codec import Step, Steps, judge
@@ -244,14 +244,10 @@ class RequestTables:
 
     def _good_data(self, spec: DataSpec, data: Bytes, start: Places, end: Places) -> Mask:
         """Which frames with such data have as many as are needed, all in their ranges."""
-        at = start + self.layout.head
-        size = end - self.layout.tail - at
-        good = size >= spec.length
+        good = sized(self.layout, spec, data, start, end)
         rows = np.flatnonzero(good)
-        at, size = at[rows], size[rows]
-        right = np.ones(len(rows), np.bool_)
-        if self.layout.part("length") is not None and not spec.takes_rest:
-            right &= size == data_sizes(spec, data, at)
+        at = start[rows] + self.layout.head
+        size, right = end[rows] - self.layout.tail - at, np.ones(len(rows), np.bool_)
         for part in spec.fields:
             right &= in_range(part, data, at + part.offset, size - part.offset)
         good[rows] = right
@@ -263,13 +259,7 @@ class RequestTables:
         parts = {
             name: part_values(part, data, start, end) for name, part in self.layout.told.items()
         }
-        at = start + self.layout.head
-        fields = {
-            part.name: number_values(part.number, data, at + part.offset)
-            for part in self.specs[kind].fields
-            if part.number is not None and part.size <= WIDEST
-        }
-        return {**parts, **fields}
+        return parts | field_numbers(self.specs[kind], data, start + self.layout.head)
 
 
 _BLOCK = 1 << 16  # bytes that are cut at once; the tables of a block fit into a cache
@@ -381,8 +371,10 @@ class AnswerTables:
         rows = leading(good)
         regular = rows == len(good)
         if regular and end < len(data) and rows < len(requests.kind):
-            left = requests.rows(slice(rows, rows + 1))
-            regular = self._is_open(data[end:].tobytes(), asked, left)
+            request = asked[requests.offset[rows] : requests.end[rows]].tobytes()
+            rest = data[end:].tobytes()
+            due = reply_size(self._protocol, rest, judge(self._protocol, request))
+            regular = due is None or due > len(rest)
         return Cut(found.rows(slice(rows)), int(bounds[rows]), regular)
 
     def agree(self, requests: Requests, answers: Answers) -> Mask:
@@ -420,12 +412,6 @@ class AnswerTables:
                 found[rows] = part.repeated(value)
         return found
 
-    def _is_open(self, rest: bytes, asked: Bytes, request: Requests) -> bool:
-        """Whether bytes are the beginning of an answer to a request that is not complete."""
-        frame = asked[int(request.offset[0]) : int(request.end[0])].tobytes()
-        size = reply_size(self._protocol, rest, judge(self._protocol, frame))
-        return size is None or size > len(rest)
-
     def _whole_reads(self, requests: Requests, data: Bytes, reads: Places) -> Places:
         """Where the answers begin of which each is one read, and where the next one begins."""
         bounds = np.append(0, reads[: len(requests.kind)])
@@ -459,10 +445,15 @@ class AnswerTables:
         for layout, kinds in self._layouts:
             mask = kinds.take(requests.kind)
             rows: slice | Places = slice(None) if mask.all() else np.flatnonzero(mask)
-            these = answers.rows(rows)
+            these, to = answers.rows(rows), requests.rows(rows)
             where = data, these.offset, these.end
-            right = constants_hold(layout, *where)
-            right &= checks_hold(layout, *where, self._counted(layout, asked, requests.rows(rows)))
+            before = None
+            if layout.check and layout.check.asked:
+                check = self._protocol.layout.check
+                first, last = (check.first, check.last) if check else (0, 0)
+                before = Checking(layout.check.function, len(to.kind))
+                before.take(asked, to.offset + first, to.end - last)
+            right = constants_hold(layout, *where) & checks_hold(layout, *where, before)
             part = layout.part("code")
             if part is not None:
                 code = part_values(part, *where)
@@ -474,32 +465,13 @@ class AnswerTables:
             if len(rows):
                 numbers = self._tables.numbers(asked, requests.rows(rows), kind)
                 these = answers.rows(rows)
-                good[rows] = _repeats(layout, numbers, data, these.offset)
-                good[rows] &= self._whole(layout, spec, numbers, data, these)
+                right = _repeats(layout, numbers, data, these.offset)
+                if layout.has_data and layout.part("length"):  # else data make the size
+                    size = these.size - layout.head - layout.tail
+                    whole = sized(layout, spec, data, these.offset, these.end, numbers)
+                    right &= whole | ((size == 0) & self._fails.take(these.code))
+                good[rows] = right
         return good
-
-    def _counted(self, layout: Layout, asked: Bytes, requests: Requests) -> Checking | None:
-        """The check of what it covers of the requests, where it does."""
-        if layout.check is None or not layout.check.asked:
-            return None
-        checking = Checking(layout.check.function, len(requests.kind))
-        check = self._protocol.layout.check
-        first, last = (check.first, check.last) if check else (0, 0)
-        checking.take(asked, requests.offset + first, requests.end - last)
-        return checking
-
-    def _whole(
-        self, layout: Layout, spec: DataSpec, asked: Numbers, data: Bytes, answers: Answers
-    ) -> Mask:
-        """Which answers to requests of one kind have all their data, or fail without any."""
-        if not layout.has_data or layout.part("length") is None:
-            return np.ones(len(answers.code), np.bool_)  # their size is made of their data
-        size = answers.size - layout.head - layout.tail
-        good = size >= spec.length
-        if not spec.takes_rest:
-            good &= size == data_sizes(spec, data, answers.offset + layout.head, asked)
-        refused: Mask = (size == 0) & self._fails.take(answers.code)
-        return good | refused
 
 
 def _repeats(layout: Layout, asked: Numbers, data: Bytes, start: Places) -> Mask:

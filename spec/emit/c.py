@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from msgspec.structs import asdict
 
 from bilprov.spec.data import DataSpec, FieldSpec, Number
-from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Check, Layout, Part
 from bilprov.spec.protocol import InstructionSpec, Protocol
 
@@ -24,28 +23,6 @@ def c_header(protocol: Protocol) -> str:
     if not prefix[:1].isalpha():
         prefix = f"P_{prefix}"
     taken: set[str] = set()
-    named = protocol.registers.items()
-    due = {one: protocol.answers[one].code for one in Outcome}
-    parts = [
-        *([("The frame", _frame(protocol))] if protocol.plain else _layouts(protocol)),
-        *(
-            (f"{spec.id}: {spec.name}", _instruction(protocol, spec))
-            for spec in protocol.instructions
-        ),
-        (
-            "Answers, one byte each" if protocol.plain else "Codes of answers",
-            (
-                (f"ANSWER_{_word(one.name)}", _hex(one.code), one.prose)
-                for one in protocol.responses
-            ),
-        ),
-        (
-            "Which answer is due",
-            ((f"ON_{one.name}", _hex(code), "") for one, code in due.items() if code >= 0),
-        ),
-        *((f"Named cells of {name}", _registers(cells)) for name, cells in named),
-        ("Times in ms, and the line", _times(protocol)),
-    ]
     lines = [
         f"/* {_plain(protocol.document)}",
         f" * {_plain(protocol.name)} {_plain(protocol.version)}, grammar sha256 {protocol.sha256}",
@@ -53,7 +30,7 @@ def c_header(protocol: Protocol) -> str:
         f"#ifndef {prefix}_PROTOCOL_H",
         f"#define {prefix}_PROTOCOL_H",
     ]
-    for title, constants in parts:
+    for title, constants in _sections(protocol):
         lines += ["", f"/* {_plain(title)} */"]
         for name, value, prose in constants:
             while name in taken:  # names may differ in characters that C has not
@@ -73,14 +50,26 @@ def _frame(protocol: Protocol) -> Iterator[Line]:
     yield "FILLER", _hex(protocol.pad_byte), "the only byte that is safe to pad with: it stops"
 
 
-def _layouts(protocol: Protocol) -> Iterator[tuple[str, Iterator[Line]]]:
-    """Yield the frames of any layout: titles with the lines of each."""
-    yield "A request", _layout("FRAME", protocol.layout)
-    yield "An answer", _layout("REPLY", protocol.reply)
-    if protocol.acknowledgement != protocol.reply:
-        yield "An answer without data", _layout("ACK", protocol.acknowledgement)
-    for at, layout in enumerate(protocol.errors):
-        yield "An error", _layout(f"ERROR{at or ''}", layout)
+def _sections(protocol: Protocol) -> Iterator[tuple[str, Iterable[Line]]]:
+    """Yield the sections of the header: titles with the lines of each."""
+    if protocol.plain:
+        yield "The frame", _frame(protocol)
+    else:
+        yield "A request", _layout("FRAME", protocol.layout)
+        yield "An answer", _layout("REPLY", protocol.reply)
+        if protocol.acknowledgement != protocol.reply:
+            yield "An answer without data", _layout("ACK", protocol.acknowledgement)
+        for at, layout in enumerate(protocol.errors):
+            yield "An error", _layout(f"ERROR{at or ''}", layout)
+    for spec in protocol.instructions:
+        yield f"{spec.id}: {spec.name}", _instruction(protocol, spec)
+    codes = [(f"ANSWER_{_word(one.name)}", _hex(one.code), one.prose) for one in protocol.responses]
+    yield "Answers, one byte each" if protocol.plain else "Codes of answers", codes
+    due = [(one.name, spec.code) for one, spec in protocol.answers.items() if spec.code >= 0]
+    yield "Which answer is due", [(f"ON_{name}", _hex(code), "") for name, code in due]
+    for name, cells in protocol.registers.items():
+        yield f"Named cells of {name}", _registers(cells)
+    yield "Times in ms, and the line", _times(protocol)
 
 
 def _layout(what: str, layout: Layout) -> Iterator[Line]:

@@ -43,20 +43,13 @@ def answer_names(data: DataSpec) -> Mapping[str, FieldSpec]:
     return each_once(words, {"count", "index", *keyword.kwlist})
 
 
-def taken_type(part: FieldSpec) -> str:
-    """The type of the values that a field's parameter takes."""
+def taken_type(part: FieldSpec, *, told: bool = False) -> str:
+    """The type of the values that a field's parameter takes; of those of an answer with `told`."""
     number = "int | str" if part.names else "int"
     if part.many is None:
         return number
-    return "bytes | str" if part.many.element is None else f"Sequence[{number}]"
-
-
-def told_type(part: FieldSpec) -> str:
-    """The type of the value that a field of an answer has."""
-    if part.many is None:
-        return taken_type(part)
-    number = "int | str" if part.names else "int"
-    return "bytes" if part.many.element is None else f"tuple[{number}, ...]"
+    several = f"tuple[{number}, ...]" if told else f"Sequence[{number}]"
+    return several if part.element else "bytes" if told else "bytes | str"
 
 
 def read_by_name(protocol: Protocol, spec: InstructionSpec) -> tuple[str, str]:
@@ -157,7 +150,7 @@ def _device_stub(protocol: Protocol, grammar: str) -> str:
         told = answer_names(spec.answer) if spec.answer else {}
         returns = "None"
         if len(told) == 1:
-            returns = told_type(next(iter(told.values())))
+            returns = taken_type(next(iter(told.values())), told=True)
         elif told:
             returns = f"{_class_name(name)}Answer"
             answers += _named_tuple(returns, told)
@@ -193,7 +186,7 @@ def _class_name(name: str) -> str:
 
 
 def _named_tuple(name: str, told: Mapping[str, FieldSpec]) -> str:
-    fields = "".join(f"    {word}: {told_type(part)}\n" for word, part in told.items())
+    fields = "".join(f"    {word}: {taken_type(part, told=True)}\n" for word, part in told.items())
     return f"class {name}(NamedTuple):\n{fields}\n"
 
 

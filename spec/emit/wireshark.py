@@ -63,7 +63,8 @@ def lua_dissector(protocol: Protocol, skew: float, program: str) -> str:
 
 def _grammar(protocol: Protocol) -> dict[str, Any]:
     """Return all that the program knows of the protocol."""
-    timing = protocol.timing
+    timing, at_rest = protocol.timing, protocol.at_rest
+    rest = at_rest and {"all": isinstance(at_rest, AllOf), "values": at_rest.values}
     words = _by_word(((spec.name, spec) for spec in protocol.instructions), {"state", "expert"})
     return {
         "word": _word(protocol.name),
@@ -98,7 +99,7 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
         ],
         "power_on": {name: getattr(protocol.power_on, name) for name in protocol.variables},
         "on_fault": _sets(protocol.on_fault, ()),
-        **_at_rest(protocol),
+        **({"at_rest": rest} if protocol.at_rest else {}),
         "truncation_timeout": round(timing.truncation_timeout * 1000),  # us
         "gives_up": round(timing.answer_deadline * 1000 / GIVES_UP),
         "truncation_longest": timing.truncation_longest,  # ms
@@ -139,8 +140,7 @@ def _fields(data: DataSpec) -> list[dict[str, Any]]:
     """Return the fields of some data; those that are counted have a `count`, how that is done."""
     rows = []
     for word, part in _by_word((part.name, part) for part in data.fields).items():
-        many = part.many
-        number = many.element if many else part.number
+        many, number = part.many, part.element
         prefix = many.prefix if many else None
         row = {name: getattr(part, name) for name in ("name", "prose", "offset", "size", "code")}
         row |= {"low": part.low, "high": part.high, "allowed": part.allowed, "flags": part.mask}
@@ -181,28 +181,15 @@ def _sets(effect: Effect, fields: Iterable[FieldSpec]) -> dict[str, Any]:
 
     That is the place of its field and the factor, or 0 and a change of its old value.
     """
-    places = {part.name: place for place, part in enumerate(fields, 1)}
-    return {
-        variable: _from_field(places[value.field], value)
-        if isinstance(value, From)
-        else [0, *astuple(value)]
-        if isinstance(value, Changed)
-        else value
-        for variable, value in effect.assignments
-    }
-
-
-def _from_field(place: int, value: From) -> dict[Any, Any]:
-    words = {known: word for word, known in value.words}
-    return {1: place, 2: value.factor} | ({"words": words} if words else {})
-
-
-def _at_rest(protocol: Protocol) -> dict[str, Any]:
-    """When the device is at rest, where that is declared."""
-    condition = protocol.at_rest
-    if condition is None:
-        return {}
-    return {"at_rest": {"all": isinstance(condition, AllOf), "values": condition.values}}
+    places, found = {part.name: place for place, part in enumerate(fields, 1)}, {}
+    for variable, value in effect.assignments:
+        if isinstance(value, Changed):
+            value = [0, *astuple(value)]
+        elif isinstance(value, From):
+            words = {known: word for word, known in value.words}
+            value = {1: places[value.field], 2: value.factor, **({"words": words} if words else {})}
+        found[variable] = value
+    return found
 
 
 def _word(name: str) -> str:

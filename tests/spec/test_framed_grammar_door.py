@@ -95,7 +95,7 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ({"Const(b": "Const("}, "given non-bytes value"),
     (
         {"effect=Sets(on=1)": "effect=Sets(on=5)"},
-        "the value of on in On.effect is 5, allowed is 0 to 1",
+        "On.effect sets on to 5, allowed is 0 to 1",
     ),
     (
         {"POWER_ON = Sets(on=0)": "POWER_ON = Sets(onn=0)"},

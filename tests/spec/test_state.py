@@ -56,12 +56,12 @@ def test_a_text_that_does_not_declare_the_cars_state_has_it(
 WRONG: list[tuple[dict[str, str], str]] = [
     (
         {'Sets(fan="high")': 'Sets(fan="fast")'},
-        "the value of fan in High.effect is 'fast', allowed is off, low, high",
+        "High.effect sets fan to 'fast', allowed is off, low, high",
     ),
     ({'Sets(fan="high")': "Sets(fan=Changed(1, 1))"}, "sets fan to a number"),
     (
         {'Sets(fan="high")': "Sets(level=6)"},
-        "the value of level in High.effect is 6, allowed is -5 to 5",
+        "High.effect sets level to 6, allowed is -5 to 5",
     ),
     (
         {'Sets(fan="high")': "Sets(wind=1)"},
@@ -211,8 +211,8 @@ def test_a_device_is_brought_to_rest_by_the_name_of_an_enum() -> None:
 @pytest.mark.parametrize(
     ("changes", "wrong"),
     [
-        ({"off=0": "calm=0"}, "Fan.mode sets fan to calm, low, high"),
-        ({"Enum(Byte, off=0, low=4, high=9)": "Byte"}, "Fan.mode sets fan to a number"),
+        ({"off=0": "calm=0"}, "Fan.effect sets fan to calm, low, high"),
+        ({"Enum(Byte, off=0, low=4, high=9)": "Byte"}, "Fan.effect sets fan to a number"),
     ],
 )
 def test_a_name_that_is_no_word_is_refused_with_its_line(
@@ -223,8 +223,7 @@ def test_a_name_that_is_no_word_is_refused_with_its_line(
     with pytest.raises(GrammarError) as found:
         load(text)
     assert str(found.value) == (
-        f"the grammar grammar cannot be used: the effect of {wrong}, allowed are the names of an "
-        f"Enum that are words of fan: off, low, high (line {line})"
+        f"the grammar grammar cannot be used: {wrong}, allowed is off, low, high (line {line})"
     )
 
 
