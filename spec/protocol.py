@@ -82,11 +82,11 @@ Title = Annotated[str, Meta(min_length=1)]
 class _Grammar(msgspec.Struct, frozen=True):
     """What a grammar declares, by name."""
 
+    FRAME: Construct
+    INSTRUCTIONS: Mapping[Natural, Construct]
     NAME: Title
     VERSION: Title
     DOCUMENT: Title
-    INSTRUCTIONS: Mapping[Natural, Construct]
-    FRAME: Construct
     TIMING: Timing
     LINE: LineDefaults
     CLAUSES: Clauses
