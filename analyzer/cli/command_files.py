@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -131,24 +131,18 @@ def reading(
     from bilprov.analyzer.transport.signals import Stopper
 
     total = times * sum(capture.contents.size for capture in captures)
-    with ExitStack() as stack:
-        stopper = stack.enter_context(Stopper())
-        bar = None
-        if total >= least and sys.stderr.isatty():
-            steps = max(1, total // _STEPS)
-            shown = click.progressbar(length=total, file=sys.stderr, update_min_steps=steps)
-            bar = stack.enter_context(shown)
+    steps, hidden = max(1, total // _STEPS), total < least or not sys.stderr.isatty()
+    shown = click.progressbar(length=total, file=sys.stderr, update_min_steps=steps, hidden=hidden)
+    with Stopper() as stopper, shown as bar:
 
         def progress(size: int) -> None:
             if stopper.stopped:
                 raise click.Abort
-            if bar:
-                bar.update(sum(capture.passed for capture in captures) - bar.pos)
+            bar.update(sum(capture.passed for capture in captures) - bar.pos)
 
         try:
             yield progress
-            if bar:
-                bar.update(total - bar.pos)  # also of what nobody had to read
+            bar.update(total - bar.pos)  # also of what nobody had to read
         except click.Abort:
             note("stopped before the end")
             raise

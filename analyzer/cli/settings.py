@@ -72,8 +72,7 @@ def read_settings(commands: Iterable[str], environ: Mapping[str, str] = os.envir
         why = error.strerror if isinstance(error, OSError) else printable(error)
         raise SettingsError(f"the settings {printable(file)} cannot be read: {why}") from error
     for name, values in tables.items():
-        if wrong := _wrong(name, values, commands):
-            raise _error(file, name, wrong)
+        _refuse(file, name, _wrong(name, values, commands))
     return tables
 
 
@@ -108,9 +107,11 @@ def unknown(words: Iterable[str], known: Iterable[str], what: str) -> str:
     return ""
 
 
-def _error(file: Path, table: str, wrong: str) -> SettingsError:
+def _refuse(file: Path, table: str, wrong: str) -> None:
+    """Raise SettingsError where something is wrong with a table."""
     where = f" [{printable(table).replace(' ', '.')}]" if table else ""
-    return SettingsError(f"{printable(file)}{where}: {wrong}")
+    if wrong:
+        raise SettingsError(f"{printable(file)}{where}: {wrong}")
 
 
 def use_settings(ctx: click.Context, command: click.Command, name: str, tables: Tables) -> None:
@@ -120,8 +121,7 @@ def use_settings(ctx: click.Context, command: click.Command, name: str, tables: 
     """
     ctx.meta[META] = tables
     own = tables.get(name, {})
-    if wrong := unknown(own, _options(command), f"an option of {name}"):
-        raise _error(user_file(), name, wrong)
+    _refuse(user_file(), name, unknown(own, _options(command), f"an option of {name}"))
     defaults = _defaults(command, {**tables.get("", {}), **own})
     if ctx.find_root().params.get("grammar") is not None:
         defaults.pop("grammar", None)

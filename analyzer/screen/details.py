@@ -102,12 +102,10 @@ def _device(
 def _bits(groups: Iterable[BitGroup], data: bytes, look: Look) -> Iterator[Detail]:
     """A line for each group of bits; one for a run of bytes of `data` that mean the same."""
     for (name, meaning, fault, whole_byte), alike in groupby(groups, _sort):
-        run = tuple(alike)
-        first, shown = run[0], look if fault else ORDINARY
+        run, shown = tuple(alike), look if fault else ORDINARY
         if meaning and whole_byte and len(run) > 1:
-            whole = replace(first, size=len(run))
-            told = spaced(data[first.byte : first.byte + len(run)])
-            yield Detail(name, f"{told}  {meaning}", whole, shown)
+            told = spaced(data[run[0].byte : run[0].byte + len(run)])
+            yield Detail(name, f"{told}  {meaning}", replace(run[0], size=len(run)), shown)
             continue
         for group in run:
             text = f"{bit_picture(group)}  {group.value:>3}  {group.meaning}"

@@ -29,22 +29,18 @@ def figures(totals: Totals, live: Rates | None, byte_time: int, width: int) -> l
     )
     load = max(rates.bytes) * byte_time / 1e9
     counts = totals.rates.series("frames")
-    lines = [
-        *([Text(spark(counts, width))] if len(counts) >= FEWEST else []),
-        Text(quantity(totals.frames, "frame")),
-        Text(quantity(totals.answers, "answer")),
-        Text(f"{rates.frames:,.0f} frames/s, {load:.0%} full"),
-    ]
-    spread = totals.latencies.spread()
-    if spread:
-        lines.append(Text(f"latency {_ms(spread.median)} ms"))
-        lines.append(Text(f"p95 {_ms(spread.p95)}, max {_ms(spread.max)} ms"))
+    lines = [Text(spark(counts, width))] if len(counts) >= FEWEST else []
+    words = [quantity(totals.frames, "frame"), quantity(totals.answers, "answer")]
+    words.append(f"{rates.frames:,.0f} frames/s, {load:.0%} full")
+    if spread := totals.latencies.spread():
+        words.append(f"latency {_ms(spread.median)} ms")
+        words.append(f"p95 {_ms(spread.p95)}, max {_ms(spread.max)} ms")
+    lines += map(Text, words)
     for side, look in _SIDES.items():
         kinds = totals.faults_of(side)
         if kinds:
-            lines.append(Text())
-            name = side or "line"
-            lines.append(Text(f"{look.sign} {kinds.total():,} from the {name}", look.style))
+            whose = f"{look.sign} {kinds.total():,} from the {side or 'line'}"
+            lines += [Text(), Text(whose, look.style)]
         for kind, count in kinds.most_common(_KINDS):
             lines.append(Text(f"  {printable(kind)}: {count:,}", "dim"))
     lines.append(Text())
@@ -102,18 +98,15 @@ def _car(protocol: Protocol, car: Wheels, state: State) -> list[Text]:
 
 
 def _speed(protocol: Protocol, car: Wheels, speed: int) -> Text:
-    most = max(protocol.limits.get(car.speed, (0, 0))) or 1
-    filled = round(_BAR * speed / most)
+    filled = round(_BAR * speed / (max(protocol.limits.get(car.speed, (0, 0))) or 1))
     rest = "░" * (_BAR - filled)
     return Text.assemble(("speed ", "dim"), "█" * filled, (rest, "dim"), f" {speed}")
 
 
 def _steering(full: int, steering: int) -> Text:
-    half = _BAR // 2
-    place = half + round(half * steering / (full or 1))
-    track = ["─"] * (_BAR + 1)
+    half, track = _BAR // 2, ["─"] * (_BAR + 1)
     track[half] = "┼"
-    track[place] = "●"
+    track[half + round(half * steering / (full or 1))] = "●"
     return Text.assemble(("steer ", "dim"), "".join(track), f" {steering:+d}")
 
 
