@@ -40,35 +40,17 @@ def opened_captures(
     `copied` is as in `protocol_of`; with `half_duplex` both directions are in one stream, and are
     told apart. Raises CaptureError, and GrammarError as `protocol_of` does.
     """
+    from bilprov.analyzer.replay.capture_decoding import said_about
     from bilprov.captures.reader import open_verified
 
-    _keep_memory()
+    keep_memory()
     captures = [open_verified(path) for path in paths]
     protocol = protocol_of(*captures, copied=copied)
     if half_duplex:
         captures = [split(capture, protocol) for capture in captures]
-    note_captures(captures, protocol)
-    return captures, protocol
-
-
-def opened_fronts(paths: Iterable[str | Path]) -> tuple[list[Capture], Protocol]:
-    """Open the fronts of captures, with the protocol of all; otherwise as `opened_captures`.
-
-    What there is to note about each is known when it is read.
-    """
-    from bilprov.captures.reader import open_front
-
-    _keep_memory()
-    captures = [open_front(path) for path in paths]
-    return captures, protocol_of(*captures)
-
-
-def note_captures(captures: Iterable[Capture], protocol: Protocol) -> None:
-    """Print what there is to note about captures."""
-    from bilprov.analyzer.replay.capture_decoding import said_about
-
     for capture in captures:
         note(*said_about(capture, protocol))
+    return captures, protocol
 
 
 def split(capture: Capture, protocol: Protocol) -> Capture:
@@ -92,7 +74,7 @@ def split(capture: Capture, protocol: Protocol) -> Capture:
     return replace(open_capture(path), path=capture.path)
 
 
-def _keep_memory() -> None:
+def keep_memory() -> None:
     """Let the arrays of each batch have the memory of those before.
 
     Else the C library returns it to the system and gets it anew, page by page, which takes a fifth

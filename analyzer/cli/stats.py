@@ -16,10 +16,10 @@ from bilprov.analyzer.cli.command_files import (
     force_option,
     json_object,
     json_option,
-    note_captures,
+    keep_memory,
     opened_captures,
     opened_file,
-    opened_fronts,
+    protocol_of,
     reading,
     require_writable,
     write_output,
@@ -30,6 +30,7 @@ from bilprov.analyzer.cli.options import (
     compiled,
     filter_option,
     half_duplex_option,
+    note,
     output_option,
 )
 
@@ -83,10 +84,13 @@ def stats(options: StatsOptions) -> None:
 
 def _counted(options: StatsOptions) -> tuple[Protocol, list[tuple[Capture, Totals]]]:
     """Count captures while they are surveyed; afterwards, if all of one must be known before."""
-    from bilprov.analyzer.replay.capture_decoding import capture_settings
+    from bilprov.analyzer.replay.capture_decoding import capture_settings, said_about
+    from bilprov.captures.reader import open_front
 
     if not options.half_duplex:
-        fronts, protocol = opened_fronts(options.files)
+        keep_memory()
+        fronts = [open_front(path) for path in options.files]
+        protocol = protocol_of(*fronts)
         found = _totals(options, fronts, protocol)
         wholes = [(front, front.whole()) for front in fronts]
         captures = [
@@ -95,7 +99,8 @@ def _counted(options: StatsOptions) -> tuple[Protocol, list[tuple[Capture, Total
             if whole and capture_settings(whole, protocol) == capture_settings(front, protocol)
         ]
         if len(captures) == len(fronts):
-            note_captures(captures, protocol)
+            for capture in captures:
+                note(*said_about(capture, protocol))
             return protocol, list(zip(captures, found, strict=True))
     captures, protocol = opened_captures(options.files, half_duplex=options.half_duplex)
     return protocol, list(zip(captures, _totals(options, captures, protocol), strict=True))
