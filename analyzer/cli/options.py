@@ -164,13 +164,7 @@ class RowOptions(msgspec.Struct, frozen=True):
         written that is not among the columns; a setting is left alone there. Raises ColumnError for
         what is no column.
         """
-        from bilprov.analyzer.output.row_columns import (
-            TIME,
-            RowStyle,
-            TimeStyle,
-            chosen_columns,
-            columns_of,
-        )
+        from bilprov.analyzer.output import row_columns
 
         if format == "jsonl":
             if asked_here("time_style") or asked_here("columns"):
@@ -178,15 +172,17 @@ class RowOptions(msgspec.Struct, frozen=True):
                     "--time and --columns are for lines and csv: a JSON line has all its keys, and "
                     "t in seconds since the start"
                 )
-            return RowStyle()
-        known = columns_of(protocol)
-        chosen = None if self.columns is None else chosen_columns(self.columns, known)
-        if asked_here("time_style") and chosen and TIME not in chosen:
+            return row_columns.RowStyle()
+        known, chosen = row_columns.columns_of(protocol), None
+        if self.columns is not None:
+            chosen = row_columns.chosen_columns(self.columns, known)
+        if asked_here("time_style") and chosen and row_columns.TIME not in chosen:
             raise click.UsageError(
                 f"--time {self.time_style} is how the column time is written: name it in --columns "
                 "too"
             )
-        return RowStyle(TimeStyle(self.time_style) if self.time_style else None, chosen)
+        time = row_columns.TimeStyle(self.time_style) if self.time_style else None
+        return row_columns.RowStyle(time, chosen)
 
 
 class WindowOptions(msgspec.Struct, frozen=True):

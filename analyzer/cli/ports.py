@@ -99,31 +99,22 @@ def drawn(found: Sequence[PortInfo]) -> Iterator[RenderableType]:
             "bilprov simulate"
         )
         return
-    yield table(
-        ("", "port", "usb", "driver", "latency", "held by"),
-        [
-            (
-                "*" if port.likely else "",
-                printable(port.path),
-                port.usb,
-                printable(port.driver),
-                "" if port.latency_ms is None else f"{port.latency_ms} ms",
-                ", ".join(f"{holder.name} (pid {holder.pid})" for holder in port.holders),
-            )
-            for port in found
-        ],
-        right="latency",
-    )
-    devices = []
+    rows, devices, names = [], [], []
     for port in found:
+        path = printable(port.path)
+        late = "" if port.latency_ms is None else f"{port.latency_ms} ms"
+        held = ", ".join(f"{holder.name} (pid {holder.pid})" for holder in port.holders)
+        sign = "*" if port.likely else ""
+        rows.append((sign, path, port.usb, printable(port.driver), late, held))
         serial = f"serial {port.serial_number}" if port.serial_number else ""
-        devices.append((port.path, ", ".join(filter(None, (port.description, serial)))))
-    names = [(port.path, Path(port.by_id).name) for port in found]
+        devices.append((path, ", ".join(filter(None, (port.description, serial)))))
+        names.append((path, Path(port.by_id).name))
+    yield table(("", "port", "usb", "driver", "latency", "held by"), rows, right="latency")
     for column, told in (("device", devices), (f"name in {_BY_ID}, which stays", names)):
-        rows = [(printable(path), printable(said)) for path, said in told if said]
-        if rows:
+        known = [(path, printable(said)) for path, said in told if said]
+        if known:
             yield Text()
-            yield table(("port", column), rows)
+            yield table(("port", column), known)
 
 
 class Findings:

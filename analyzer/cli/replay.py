@@ -211,15 +211,9 @@ class _Replay:
 
         capture, options = self.capture, self.options
         feed = capture_feed(self.opened, self.protocol, self.test, options.shown.count, self.window)
-        told = Told(
-            capture.path.name,
-            capture.start,
-            capture_line(capture, self.protocol),
-            self.rows,
-            options.shown.expression or "",
-            self.test,
-            options.rate,
-        )
+        name, line = capture.path.name, capture_line(capture, self.protocol)
+        words = options.shown.expression or ""
+        told = Told(name, capture.start, line, self.rows, words, self.test, options.rate)
         with Stopper() as stopper:
             try:
                 shown(feed, told, stopper)

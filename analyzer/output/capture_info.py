@@ -26,7 +26,7 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from bilprov.analyzer.output.console import facts, heading, table
+from bilprov.analyzer.output.console import facts, heading, parts_of, table
 from bilprov.captures.reader import Capture
 from bilprov.captures.text import printable, quantity
 from bilprov.captures.topics import CUT_END, CUT_START, DEVICE_RAW, HISTORY, HOST_RAW, MACHINE
@@ -37,7 +37,7 @@ SECOND = 1_000_000_000  # ns
 
 def summarized(capture: Capture, protocol: Protocol) -> dict[str, Any]:
     """Summarize an opened capture; the module's docstring explains the keys."""
-    contents = capture.contents
+    contents, sizes = capture.contents, capture.contents.sizes
     begun_later = {HISTORY, CUT_START} & capture.metadata.keys() and contents.first
     start = contents.first if begun_later else capture.start
     end = max(start, contents.last)
@@ -56,12 +56,8 @@ def summarized(capture: Capture, protocol: Protocol) -> dict[str, Any]:
         "metadata": dict(capture.metadata),
         "same_grammar": protocol.sha256 in hashes if hashes else None,
         "counts": dict(contents.counts),
-        "bytes": {
-            "host": contents.sizes.get(HOST_RAW, 0),
-            "device": contents.sizes.get(DEVICE_RAW, 0),
-        },
-        "unfinished": capture.unfinished,
-        "damage": capture.damage,
+        "bytes": {"host": sizes.get(HOST_RAW, 0), "device": sizes.get(DEVICE_RAW, 0)},
+        **parts_of(capture, "unfinished", "damage"),
     }
 
 

@@ -86,8 +86,7 @@ def file_stats(capture: Capture, totals: Totals, line: LineSettings) -> Json:
         load = {"host": totals.host_bytes * share, "device": totals.device_bytes * share}
     return {
         "path": str(capture.path),
-        "unfinished": capture.unfinished,
-        "damage": capture.damage,
+        **parts_of(capture, "unfinished", "damage"),
         "line": str(line),
         "first": None if first is None else first / SECOND,
         "last": None if last is None else last / SECOND,
@@ -121,17 +120,14 @@ def _counts(totals: Totals, duration: float, load: Json | None) -> Json:
         "duration": duration,
         "moving": totals.moving / SECOND,
         "load": load,
-        "host_bytes": totals.host_bytes,
-        "device_bytes": totals.device_bytes,
-        "frames": totals.frames,
+        **parts_of(totals, "host_bytes", "device_bytes", "frames"),
         "truncated": totals.kinds["truncated"],
         "garbage": totals.kinds["garbage"],
         "peak": totals.peak,
         "instructions": {name: found.frames for name, found in instructions.items()},
         "expected": totals.expected(),
         "responses": totals.responses(),
-        "agreeing": totals.agreeing,
-        "disagreeing": totals.disagreeing,
+        **parts_of(totals, "agreeing", "disagreeing"),
         "anomalies": dict(totals.faults.most_common()),
         "by_direction": {
             name: dict(totals.faults_of(side).most_common()) for name, side in directions.items()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from operator import sub
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, NamedTuple
@@ -204,26 +205,21 @@ class ScreenOutput(Output):
         if time.monotonic() < self._next:
             return
         self._next = time.monotonic() + DRAW_EVERY
-        feed = self.feed
-        totals = feed.recording.totals
+        feed, recording, recorder = self.feed, self.feed.recording, self.recorder
+        totals, gone = recording.totals, recording.first
         self._counted.append((now, totals.frames, totals.host_bytes, totals.device_bytes))
-        steps = (
-            last - first for first, last in zip(self._counted[0], self._counted[-1], strict=True)
-        )
-        span, frames, *sides = steps
-        rates = [count * 1e9 / max(span, 1) for count in (frames, *sides)]
-        feed.rates = Rates(rates[0], rates[1:])
-        gone, recorder = feed.recording.first, self.recorder
+        span, *counts = map(sub, self._counted[-1], self._counted[0])
+        frames, *sides = [count * 1e9 / max(span, 1) for count in counts]
+        feed.rates = Rates(frames, sides)
         if isinstance(recorder, Spool):
             feed.keeps = not recorder.failure
-            feed.recording.let_go_older(recorder.oldest)
+            recording.let_go_older(recorder.oldest)
         elif recorder:
             written = f"{recorder.path.name} {recorder.bytes:,} B"
             feed.captured = "" if recorder.failure else written
-        while feed.recording.nbytes > self.most and feed.recording.let_go_oldest():
+        while recording.nbytes > self.most and recording.let_go_oldest():
             pass
-        if feed.recording.first > gone:
-            feed.let_go = True
+        feed.let_go = feed.let_go or recording.first > gone
 
 
 class AllShown(Shown):
