@@ -56,7 +56,8 @@ class Judgement(msgspec.Struct, frozen=True, gc=False):
     @property
     def values(self) -> tuple[tuple[str, Any], ...]:
         """The values of its fields and of its registers, by name."""
-        return with_registers(self.fields, self.registers)
+        named = ((one.name, value) for one, value in self.registers)
+        return (*self.fields, *named) if self.registers else self.fields
 
     @property
     def valid(self) -> bool:
@@ -232,13 +233,6 @@ def registers_in(
     )
 
 
-def with_registers(
-    fields: tuple[tuple[str, Any], ...], registers: Registers
-) -> tuple[tuple[str, Any], ...]:
-    """The values of fields and of registers by name."""
-    return (*fields, *((one.name, value) for one, value in registers)) if registers else fields
-
-
 def _cut_short(
     protocol: Protocol, frame: bytes, spec: InstructionSpec | None, data: bytes, length: int
 ) -> tuple[Outcome, str]:
@@ -349,10 +343,9 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
 
 def _require_counted(spec: InstructionSpec, data: bytes) -> None:
     """Raise ValueError where a request counts other cells than those that it writes."""
-    memory = spec.writes
-    if memory is None or memory.blocks or memory.count not in spec.names:
+    memory, values = spec.writes, spec.decode(data)
+    if memory is None or memory.blocks or memory.count not in values:
         return
-    values = spec.decode(data)
     count, cells = values[memory.count], len(values[memory.value])
     due = -(-count // 8) if memory.bits else count
     if cells != due:

@@ -325,39 +325,32 @@ def _laid_out(
 
 
 def _group(
-    frame: bytes,
-    at: int,
-    size: int,
-    name: str,
-    meaning: str,
-    fault: bool = False,
-    *,
-    value: int | None = None,
-    low: int = 0,
-    width: int = 0,
+    frame: bytes, at: int, size: int, name: str, meaning: str, fault: bool = False, of: Any = None
 ) -> BitGroup:
-    """The group of `width` bits (0: all) above the lowest `low` of some bytes of a frame.
+    """The group of some bytes of a frame; `of` is their value, where that is not their bits."""
+    found = _bits(frame, at, size, 0, 8 * size, name, meaning, fault)
+    return found if of is None else dataclasses.replace(found, value=of)
 
-    `value` is what they mean as a number, where that is not the bits themselves.
-    """
-    width = width or 8 * size
-    number = int.from_bytes(frame[at : at + size], "big") >> low & (1 << width) - 1
-    bits, value = f"{number:0{width}b}", number if value is None else value
-    return BitGroup(at, size, low + width - 1, low, bits, name, value, meaning, fault)
+
+def _bits(frame: bytes, at: int, size: int, low: int, width: int, *about: Any) -> BitGroup:
+    """The group of `width` bits above the lowest `low` of some bytes: its name, meaning, fault."""
+    value = int.from_bytes(frame[at : at + size], "big") >> low & (1 << width) - 1
+    name, *rest = about
+    return BitGroup(at, size, low + width - 1, low, f"{value:0{width}b}", name, value, *rest)
 
 
 def _part_groups(
     frame: bytes, part: Part, at: int, meaning: Callable[[Part, bytes], tuple[str, bool]]
 ) -> Iterator[BitGroup]:
     """The group of a part; of constant bytes each is one."""
-    raw, size = frame[at : at + part.size], part.size
+    raw = frame[at : at + part.size]
     if part.constant:
         yield from _fixed_bytes(frame, at, part.constant, part)
+    elif part.width:
+        yield _bits(frame, at, part.size, part.shift, part.width, part.name, *meaning(part, raw))
     else:
-        value = None if part.width else part.number.parse(raw)
-        words, wrong = meaning(part, raw)
-        place = {"low": part.shift, "width": part.width}
-        yield _group(frame, at, size, part.name, words, wrong, value=value, **place)
+        value = part.number.parse(raw)
+        yield _group(frame, at, part.size, part.name, *meaning(part, raw), value)
 
 
 def _fixed_bytes(
@@ -449,7 +442,7 @@ def _field_groups(one: Judgement | Reply, spec: FieldSpec, value: Any) -> Iterat
         if many.prefix:
             size = many.prefix.size
             count = many.prefix.parse(frame[at : at + size])
-            yield _group(frame, at, size, f"{spec.name} count", many.how, value=count)
+            yield _group(frame, at, size, f"{spec.name} count", many.how, of=count)
             at += size
         for number, element in enumerate(value):
             cell = replace(spec, name=f"{spec.name}[{number}]", size=many.width, many=None)
@@ -457,15 +450,14 @@ def _field_groups(one: Judgement | Reply, spec: FieldSpec, value: Any) -> Iterat
             at += many.width
     elif bits:
         named, width, fault = len(bits), 8 * spec.size, not spec.in_range(value)
-        upper = int.from_bytes(frame[at : at + spec.size], "big") >> named
+        whole = int.from_bytes(frame[at : at + spec.size], "big")
         if width > named:
             must = "must be 0" if spec.high < 1 << named else "without a name"
-            wrong, above = fault and upper > 0, {"low": named, "width": width - named}
-            yield _group(frame, at, spec.size, spec.name, f"upper bits, {must}", wrong, **above)
+            about = spec.name, f"upper bits, {must}", fault and whole >> named > 0
+            yield _bits(frame, at, spec.size, named, width - named, *about)
         for low, name in zip(reversed(range(named)), bits, strict=True):
-            wrong = fault and not upper
-            bit = _group(frame, at, spec.size, name, "on", wrong, low=low, width=1)
-            yield bit if bit.value else dataclasses.replace(bit, meaning="off")
+            wrong, meaning = fault and not whole >> named, "on" if whole >> low & 1 else "off"
+            yield _bits(frame, at, spec.size, low, 1, name, meaning, wrong)
     else:
         yield _whole_group(one, at, spec, value)
 
@@ -478,7 +470,7 @@ def _whole_group(one: Judgement | Reply, at: int, spec: FieldSpec, value: int) -
         meaning = "; ".join(filter(None, (meaning, f"allowed are {spec.allowed}")))
     elif not one.framed:
         meaning = ", ".join(filter(None, (meaning, spec.allowed)))
-    return _group(one.frame, at, spec.size, spec.name, meaning, fault, value=value)
+    return _group(one.frame, at, spec.size, spec.name, meaning, fault, value)
 
 
 @dataclass(frozen=True, slots=True)

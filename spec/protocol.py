@@ -11,7 +11,7 @@ import hashlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -555,7 +555,7 @@ def load(source: str, origin: str = "grammar") -> Protocol:
         _require_no_slip(tree, space)
         return _read(_declarations(space), source, origin)
     except UserError as error:
-        raise GrammarError(f"{unusable}{error}{_declared_in(tree, str(error))}") from None
+        raise GrammarError(f"{unusable}{error}{_declared_in(source, str(error))}") from None
     except Exception as error:  # construct raises many kinds for declarations that make no sense
         raise GrammarError(
             f"{unusable}{one_line(error, _LONGEST)}; "
@@ -573,33 +573,24 @@ def _line(error: BaseException, origin: str) -> str:
     return f" (line {line})" if line else ""
 
 
-def _declared_in(tree: ast.Module, message: str) -> str:
+def _declared_in(source: str, message: str) -> str:
     """Where the declaration stands that a message names, in words; none if that is not known.
 
     A message names a declaration by itself (`FRAME`), a part of it (`FRAME.crc`, `Speed.speed`), or
     has its text in quotes.
     """
-    line = 0
+    lines = [*enumerate(source.splitlines(), 1)]
     named = re.findall(r"\w+(?:\.\w+)+|\b[A-Z][A-Z_]{2,}\b", message)
     quoted = re.findall("'([^']+)'", message)
     for names in (*([one] for one in quoted), *(word.split(".") for word in named)):
-        for name in names:
-            lines = [at for named, at in _names(tree) if named == name and at >= line]
-            line = min(lines, default=line)
+        line = 0
+        for name in map(re.escape, names):
+            declared = re.compile(rf"^([\w, ]+, )?{name}\b[\w, ]*=|[\"']{name}[\"']|\b{name}=")
+            found = (at for at, text in lines if at >= line and declared.search(text))
+            line = next(found, line)
         if line:
             return f" (line {line})"
     return ""
-
-
-def _names(tree: ast.Module) -> Iterator[tuple[str, int]]:
-    """What a grammar assigns or gives by name, and each text that names a part, with its line."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.id, node.lineno
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.value, node.lineno
-        if isinstance(node, ast.keyword) and node.arg:
-            yield node.arg, node.lineno
 
 
 def _require_no_slip(tree: ast.Module, space: dict[str, Any]) -> None:

@@ -13,7 +13,6 @@ from bilprov.spec.codec import (
     data_bytes,
     field_words,
     registers_in,
-    with_registers,
 )
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome, codes_in
@@ -73,7 +72,8 @@ class Reply(msgspec.Struct, frozen=True, gc=False):
     @property
     def values(self) -> tuple[tuple[str, Any], ...]:
         """The values of its fields and of its registers, by name."""
-        return with_registers(self.fields, self.registers)
+        named = ((one.name, value) for one, value in self.registers)
+        return (*self.fields, *named) if self.registers else self.fields
 
     @property
     def told(self) -> tuple[tuple[str, Any], ...]:

@@ -321,14 +321,13 @@ class State(msgspec.Struct, frozen=True, gc=False):
         words, car = [], self.wheels
         for name in self.variables:
             value = getattr(self, name)
-            if car and name == car.by and value is not None:
-                words.append(value)
-            elif value is None:
+            shown = f"{value:+d}" if value and name in self.signed else str(value)
+            if value is None:
                 words.append(f"{name} not known")
-            elif value and name in self.signed:
-                words.append(f"{name} {value:+d}")
+            elif car and name == car.by:
+                words.append(shown)
             elif value or not car or name != car.steering:
-                words.append(f"{name} {value}")
+                words.append(f"{name} {shown}")
         return " ".join(words)
 
     @property
