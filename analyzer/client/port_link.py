@@ -27,28 +27,8 @@ from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
 from bilprov.analyzer.transport.replug import Place, opened_again
 from bilprov.analyzer.transport.signals import Stopper
-from bilprov.spec.errors import UserError
-
-Power = Callable[[], None]
-"""Switches the robot off and on; returns once it has its power again. Raises PowerError."""
 
 _PARTING = 5.0  # s that a run which was stopped waits for a lost port, to home the robot there
-
-
-class PowerError(UserError):
-    """The power switch did not work; the message says why, in one sentence."""
-
-
-def by_command(command: str) -> Power:
-    """A power switch that runs a shell command, which switches the power off and on again."""
-
-    def cycle() -> None:
-        try:  # it may take a minute
-            subprocess.run(command, shell=True, check=True, timeout=60, stdin=subprocess.DEVNULL)
-        except (OSError, subprocess.SubprocessError) as error:
-            raise PowerError(f"the power switch {command!r} did not work: {error}") from error
-
-    return cycle
 
 
 @dataclass(eq=False)
@@ -56,16 +36,16 @@ class PortLink:
     """Does operations on a port and, where there is one, a probe, in real time.
 
     A stop that `stopper` is asked for ends what is waited for, once: the robot has to be homed
-    after that. `tap` is told what passes. `power` switches the robot off and on. A port that is
-    lost is waited for `reconnect` s (`transport.replug`), and the operation then ends with
-    Reconnected. `clock` gives the time in ns.
+    after that. `tap` is told what passes. `power` is a shell command that switches the robot off
+    and on. A port that is lost is waited for `reconnect` s (`transport.replug`), and the operation
+    then ends with Reconnected. `clock` gives the time in ns.
     """
 
     port: Port
     probe: Probe | None = None
     stopper: Stopper | None = None
     tap: LinkListener | None = None
-    power: Power | None = None
+    power: str | None = None
     reconnect: float = 0.0
     clock: Callable[[], int] = time.monotonic_ns
 
@@ -133,10 +113,12 @@ class PortLink:
 
     def _power_cycle(self) -> int:
         assert self.power is not None
-        try:
-            self.power()
-        except PowerError as error:
-            raise Ended(str(error), error=True, line_works=True) from error
+        nothing = subprocess.DEVNULL
+        try:  # it may take a minute
+            subprocess.run(self.power, shell=True, check=True, timeout=60, stdin=nothing)
+        except (OSError, subprocess.SubprocessError) as error:
+            sentence = f"the power switch {self.power!r} did not work: {error}"
+            raise Ended(sentence, error=True, line_works=True) from error
         self._read()
         self._heard.clear()
         return self.now()

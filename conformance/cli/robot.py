@@ -21,7 +21,6 @@ from bilprov.analyzer.cli.options import (
     yes_option,
 )
 from bilprov.analyzer.cli.settings import PortName
-from bilprov.analyzer.client.port_link import by_command
 from bilprov.analyzer.client.probes import PROBES
 from bilprov.analyzer.transport.line_settings import LineSettings, line_settings
 from bilprov.analyzer.transport.signals import Stopper
@@ -103,7 +102,7 @@ class RobotOptions(msgspec.Struct, frozen=True):
                 stopper,
                 settings=settings,
                 probe=self.probe,
-                power=by_command(self.power.removeprefix("exec:")) if self.power else None,
+                power=self.power and self.power.removeprefix("exec:"),
                 fault=named_device(protocol, self.fault, self.variant),
                 reconnect=reconnect,
             )

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from bilprov.analyzer.client.operations import Link, LinkListener
-from bilprov.analyzer.client.port_link import PortLink, Power
+from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.probes import NONE, Probe, look_time, open_probe
 from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.transport.errors import LinkError
@@ -112,15 +112,16 @@ def open_target(
     *,
     settings: LineSettings | None = None,
     probe: str | None = None,
-    power: Power | None = None,
+    power: str | None = None,
     fault: Fault | None = None,
     reconnect: float = 0.0,
 ) -> Iterator[Target]:
     """Open the target of that name; nothing is sent to it. `stopper` ends its runs.
 
     `settings` are those of a port's line (the grammar's own if None), `probe` names what sees its
-    robot, `power` switches it off and on; `fault` is the simulator's. The simulator and a board
-    have all these themselves. A port that is lost is waited for `reconnect` s.
+    robot, `power` is a command that switches it off and on; `fault` is the simulator's. The
+    simulator and a board have all these themselves. A port that is lost is waited for `reconnect`
+    s.
 
     Raises LinkError, ProbeError and EmulatorError, in one sentence.
     """
@@ -191,7 +192,7 @@ def _port_target(
     probe: Probe | None,
     probe_name: str,
     stopper: Stopper,
-    power: Power | None,
+    power: str | None,
     reconnect: float,
 ) -> Target:
     """An open port as a target in real time."""
