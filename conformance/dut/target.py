@@ -138,8 +138,7 @@ def open_target(
             crash = f"{name.firmware} crashed: the board has been silent since"
             target = replace(target, remark=lambda: crash if board.crashed else "")
         else:
-            settings = settings or line_settings(protocol, None, None, None)
-            port = stack.enter_context(open_port(name.text, settings))
+            port = stack.enter_context(open_port(name.text, settings or line_settings(protocol)))
             probe = NONE if probe is None else probe
             eye = open_probe(probe, port, protocol)
             if eye:
@@ -149,7 +148,13 @@ def open_target(
                     f"{port.name} could not be found again once it is lost: --reconnect is for "
                     "paths of adapters and for links to them"
                 )
-            target = _port_target(protocol, port, eye, probe, stopper, power, reconnect)
+            target = Target(
+                protocol,
+                _environment(protocol, port, eye, probe, power=power is not None),
+                connect=lambda listener: PortLink(port, eye, stopper, listener, power, reconnect),
+                halt=partial(Rest(protocol).halt, port),
+                remark=lambda: eye.remark if eye is not None else "",
+            )
         moves = name.kind == PORT
         yield replace(target, interrupted=lambda: stopper.stopped, moves=moves)
 
@@ -166,7 +171,7 @@ def device_target(
 
     Raises DeviceError for an object that lacks a method of `Device`.
     """
-    line = line_settings(protocol, None, None, None)
+    line = line_settings(protocol)
     observability = Observability(
         hasattr(device, "look"), why="the device object has no method look"
     )
@@ -186,19 +191,13 @@ def device_target(
     )
 
 
-def _port_target(
-    protocol: Protocol,
-    port: Port,
-    probe: Probe | None,
-    probe_name: str,
-    stopper: Stopper,
-    power: str | None,
-    reconnect: float,
-) -> Target:
-    """An open port as a target in real time."""
+def _environment(
+    protocol: Protocol, port: Port, probe: Probe | None, name: str, *, power: bool
+) -> Environment:
+    """The environment of a run at an open port in real time, whose probe has that name."""
     observability = Observability(available=False)
     if probe is not None:
-        why = f"{probe_name} is asked only about a few cases"
+        why = f"{name} is asked only about a few cases"
         observability = Observability(True, probe.costly, why, foreign=True)
     line = port.settings
     given = line.options(protocol)
@@ -209,14 +208,7 @@ def _port_target(
         "byte_ns": port.byte_time,
         "latency_ns": (Machine().latency_timer(port.name) or 0) * MS,
         "look_ns": 0 if probe is None else look_time(probe),
-        "probe": probe_name,
+        "probe": name,
         **({"options": given} if given else {}),
     }
-
-    return Target(
-        protocol,
-        Environment(False, observability, power is not None, port.name, about),
-        connect=lambda listener: PortLink(port, probe, stopper, listener, power, reconnect),
-        halt=partial(Rest(protocol).halt, port),
-        remark=lambda: probe.remark if probe is not None else "",
-    )
+    return Environment(False, observability, power, port.name, about)
