@@ -193,11 +193,6 @@ class Driving(Closing):
         self.target.close()
 
     @property
-    def seen(self) -> str:
-        """What the probe saw since the last instruction, in words; "" if nothing."""
-        return seen_words(self.look)
-
-    @property
     def _broken_off(self) -> bool:
         return self._abandoned or self.over or self._stopper.stopped
 

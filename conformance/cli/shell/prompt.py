@@ -20,7 +20,7 @@ from prompt_toolkit.patch_stdout import patch_stdout
 from bilprov.analyzer.cli.options import note
 from bilprov.analyzer.cli.typed_input import PAUSE, SEPARATOR
 from bilprov.analyzer.transport.signals import SUSPENDING, Stopper
-from bilprov.conformance.cli.shell.driving import Driving
+from bilprov.conformance.cli.shell.driving import Driving, seen_words
 from bilprov.spec.codec import free_parts
 from bilprov.spec.protocol import Protocol
 
@@ -74,12 +74,14 @@ class Prompt:
         self._protocol = protocol
         self._driving = driving
         self._stopper = stopper
+        keys = KeyBindings()  # Ctrl-\\ is no signal while a line is typed: it ends the shell as one
+        keys.add("c-\\")(lambda event: signal.raise_signal(signal.SIGQUIT))
         self._session: PromptSession[str] = PromptSession(
             self._message,
             completer=_Completer(protocol, driving),
             complete_while_typing=False,
             enable_suspend=True,
-            key_bindings=_keys(),
+            key_bindings=keys,
             reserve_space_for_menu=_MENU,
         )
 
@@ -147,7 +149,7 @@ class Prompt:
             app.exit(exception=ended)
 
     def _message(self) -> StyleAndTextTuples:
-        state, seen = self._driving.target.state, self._driving.seen
+        state, seen = self._driving.target.state, seen_words(self._driving.look)
         colour = "ansiyellow bold" if self._protocol.directed(state) else "ansigreen"
         return [
             (colour, state.described),
@@ -165,10 +167,3 @@ class _Completer(Completer):
         self, document: Document, complete_event: CompleteEvent
     ) -> Iterable[Completion]:
         return candidates(self._protocol, self._words, document.text_before_cursor)
-
-
-def _keys() -> KeyBindings:
-    r"""Ctrl-\, which is no signal while a line is typed, ends the shell as the signal does."""
-    keys = KeyBindings()
-    keys.add("c-\\")(lambda event: signal.raise_signal(signal.SIGQUIT))
-    return keys
