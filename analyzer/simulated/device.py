@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
-from dataclasses import dataclass
 from random import Random
 from typing import Any
 
@@ -27,10 +26,15 @@ from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.replies import build_reply
 
 
-class Cells:
-    """The cells of one device; one that was never written has its value at power-on."""
+class _Device:
+    """What the device at one address knows: its state, and its cells.
+
+    A cell that was never written has its value at power-on.
+    """
 
     def __init__(self, protocol: Protocol) -> None:
+        self.state = protocol.power_on
+        self._on_fault = protocol.on_fault
         used = [one for spec in protocol.instructions for one in (spec.writes, spec.reads) if one]
         self._power_on = {memory.name: memory.power_on for memory in used if memory.power_on}
         self._resets = {(memory.reset, memory.name) for memory in used}
@@ -40,11 +44,15 @@ class Cells:
         # What is written by the next instruction of that name.
         self._waiting: dict[str, tuple[Memory, Mapping[str, Any]]] = {}
 
-    def take(self, spec: InstructionSpec, fields: Mapping[str, Any]) -> str:
-        """Do what a valid request asks for.
+    def do(self, judgement: Judgement, fields: Mapping[str, Any]) -> str:
+        """Do what a frame asks for, whose fields for this device are these.
 
         Returns the name of the answer to one that cannot be done, "" for one that is.
         """
+        spec = judgement.instruction
+        if not judgement.valid or spec is None:
+            self.state = self._on_fault.apply(self.state)
+            return ""
         self._latest |= fields
         if spec.name in self._waiting:
             self._write(*self._waiting.pop(spec.name))
@@ -58,6 +66,7 @@ class Cells:
             self._waiting[spec.writes.until] = spec.writes, fields
         elif spec.writes:
             self._write(spec.writes, fields)
+        self.state = spec.effect.apply(self.state, dict(fields))
         return ""
 
     def read(self, memory: Memory, fields: Mapping[str, Any], told: FieldSpec) -> Any:
@@ -68,14 +77,21 @@ class Cells:
         values = [cells.get(place, 0) for place in range(first, first + count)]
         if told.many is None:
             return values[0]
-        if memory.bits:
-            values = _packed(values)
+        if memory.bits:  # the first bit of each byte is its bit 0
+            groups = (values[at : at + 8] for at in range(0, len(values), 8))
+            values = [sum(bit << place for place, bit in enumerate(group)) for group in groups]
         return bytes(values) if told.many.element is None else tuple(values)
 
     def _write(self, memory: Memory, fields: Mapping[str, Any]) -> None:
         first, cells = self._place(memory, fields)
-        keep = fields[memory.keep] if memory.keep else 0
-        for at, value in enumerate(_as_cells(memory, fields), first):
+        keep, written = fields[memory.keep] if memory.keep else 0, fields[memory.value]
+        if isinstance(written, int):
+            values = [int(written != 0) if memory.bits else written]
+        elif memory.bits:
+            values = [byte >> bit & 1 for byte in written for bit in range(8)]
+        else:
+            values = [*written]
+        for at, value in enumerate(values[: fields.get(memory.count, len(values))], first):
             cells[at] = cells.get(at, 0) & keep | value & ~keep
 
     def _place(self, memory: Memory, fields: Mapping[str, Any]) -> tuple[int, dict[int, int]]:
@@ -84,36 +100,6 @@ class Cells:
         of = fields[memory.of] if memory.of else None
         known = dict(self._power_on.get(memory.name, {}))
         return first, self._cells.setdefault((memory.name, of), known)
-
-
-def blocks(memory: Memory, fields: Mapping[str, Any]) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The addresses in a request with blocks, and what the request holds for the device there."""
-    value, size = fields[memory.value], 1 + fields[memory.count]
-    for at in range(0, len(value), size):
-        yield value[at], {**fields, memory.value: value[at + 1 : at + size]}
-
-
-def _as_cells(memory: Memory, fields: Mapping[str, Any]) -> list[int]:
-    """The values of the cells that a request writes."""
-    value = fields[memory.value]
-    if isinstance(value, int):
-        return [int(value != 0) if memory.bits else value]
-    values = [byte >> bit & 1 for byte in value for bit in range(8)] if memory.bits else [*value]
-    return values[: fields.get(memory.count, len(values))]
-
-
-def _packed(bits: list[int]) -> list[int]:
-    """Bits as bytes, the first bit of each in bit 0."""
-    groups = (bits[at : at + 8] for at in range(0, len(bits), 8))
-    return [sum(bit << place for place, bit in enumerate(group)) for group in groups]
-
-
-@dataclass
-class _Device:
-    """What the device at one address knows."""
-
-    state: Any
-    cells: Cells
 
 
 class SimulatedDevice:
@@ -134,7 +120,7 @@ class SimulatedDevice:
         timeout = int(self.protocol.timing.truncation_timeout * MS)
         self._framer = Framer(self.protocol, timeout)
         # A device that nobody has addressed yet.
-        self._untold = _Device(self.protocol.power_on, Cells(self.protocol))
+        self._untold = _Device(self.protocol)
         self._devices: dict[int | None, _Device] = {}
         self._answers: deque[tuple[int, bytes]] = deque()
 
@@ -173,9 +159,7 @@ class SimulatedDevice:
         if judgement.outcome in FRAMING_FAULTS:  # whom such a frame is for is not known
             self._answer(judgement, {}, known)
             return
-        refusals = [
-            self._do(device, judgement, fields) for device, fields in self._meant(judgement)
-        ]
+        refusals = [device.do(judgement, fields) for device, fields in self._meant(judgement)]
         if judgement.answer_due and (refusal := "".join(refusals)):
             named = {one.name: one for one in self.protocol.responses}
             judgement = msgspec.structs.replace(judgement, response=named[refusal])
@@ -196,7 +180,12 @@ class SimulatedDevice:
         spec, fields = judgement.instruction, dict(judgement.fields)
         parts = [(judgement.address, fields)]
         if judgement.valid and spec and spec.writes and spec.writes.blocks:
-            parts = [*blocks(spec.writes, fields)]
+            memory = spec.writes
+            value, size = fields[memory.value], 1 + fields[memory.count]
+            parts = [
+                (value[at], {**fields, memory.value: value[at + 1 : at + size]})
+                for at in range(0, len(value), size)
+            ]
         elif part is not None and judgement.address == part.broadcast:
             yield from ((device, fields) for device in (self._untold, *self._devices.values()))
             return
@@ -209,17 +198,6 @@ class SimulatedDevice:
             self._devices[address] = deepcopy(self._untold)
         return self._devices[address]
 
-    def _do(self, device: _Device, judgement: Judgement, fields: dict[str, Any]) -> str:
-        """Change a device as a frame asks; returns what `Cells.take` does."""
-        spec = judgement.instruction
-        if not judgement.valid or spec is None:
-            device.state = self.protocol.on_fault.apply(device.state)
-            return ""
-        refusal = device.cells.take(spec, fields)
-        if not refusal:
-            device.state = spec.effect.apply(device.state, fields)
-        return refusal
-
     def _told(self, judgement: Judgement) -> dict[str, Any]:
         """The values of an answer's fields that the device knows."""
         spec, told = judgement.instruction, dict[str, Any]()
@@ -231,7 +209,7 @@ class SimulatedDevice:
             if part.reports and state is not None:
                 told[part.name] = part.reports.value(state, part.names)
             elif spec.reads and part.name == spec.reads.value:
-                told[part.name] = device.cells.read(spec.reads, dict(judgement.fields), part)
+                told[part.name] = device.read(spec.reads, dict(judgement.fields), part)
         return told
 
 
