@@ -46,7 +46,7 @@ from bilprov.analyzer.replay.recorder import (
     rotation_at,
     session_metadata,
 )
-from bilprov.analyzer.taps.sources import Ports, Source, opened_tap
+from bilprov.analyzer.taps.sources import Ports, SimulatedDrive, Source, opened_tap
 from bilprov.analyzer.transport.errors import SIM, LinkError
 from bilprov.analyzer.transport.line_settings import LineSettings, timeout_in_ns
 from bilprov.analyzer.transport.replug import opened_when_there
@@ -252,8 +252,6 @@ def _opened(
         if given != Ports(SIM):
             raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
         only_for_ports(["wait"], SIM)
-        from bilprov.analyzer.taps.sources import SimulatedDrive
-
         return SimulatedDrive(protocol, settings)
     open_it = partial(opened_tap, given, settings, protocol, timeout)
     with refused(click.UsageError):

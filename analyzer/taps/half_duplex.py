@@ -71,7 +71,13 @@ class HalfDuplex:
                 self._asked = None
             answer = self._answer(held)
             size = answer or self._request(held)
-            if not size and not (self._goes_on(held) and not at_end):
+            if not size:
+                known = (
+                    reply_size(self._protocol, held, self._asked),
+                    frame_size(self._protocol, held),
+                )
+                if not at_end and any(end is not None and end > len(held) for end in known):
+                    break  # an answer or a request goes on
                 later = (at for at in range(1, len(held)) if self._request(held[at:]))
                 size = next(later, len(held) if at_end else 0)
                 answer = size if self._asked else 0
@@ -100,14 +106,6 @@ class HalfDuplex:
         judgement, check = judge(self._protocol, held[:size]), self._protocol.layout.check
         right = judgement.outcome not in FRAMING_FAULTS if check else judgement.valid
         return size if right else 0
-
-    def _goes_on(self, held: bytes) -> bool:
-        """Whether the bytes begin an answer or a request that is known to have more of them."""
-        sizes = (
-            reply_size(self._protocol, held, self._asked),
-            frame_size(self._protocol, held),
-        )
-        return any(size is not None and size > len(held) for size in sizes)
 
     def _taken(self, side: Direction, size: int) -> list[Chunk]:
         """Take the first bytes, as what a side has sent; a request may wait for an answer."""
