@@ -292,7 +292,11 @@ def open_port(name: str, settings: LineSettings | None = None) -> Port:
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             sock.settimeout(WRITE_TIMEOUT)
         elif os.isatty(port.fileno()):
-            _ignore_break_signal(port.fileno())
+            # pyserial leaves BRKINT unchanged: with it a break discards pending input.
+            attributes = termios.tcgetattr(port.fileno())
+            if attributes[0] & termios.BRKINT:
+                attributes[0] &= ~termios.BRKINT
+                termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
     except FAULTS as error:
         port.close()
         raise opening_failed(name, error, str(settings)) from error
@@ -312,14 +316,6 @@ def _require_address(name: str) -> None:
         raise LinkError(
             f"{name} is not a usable address; write it like {name.split('://')[0]}://127.0.0.1:5000"
         )
-
-
-def _ignore_break_signal(fd: int) -> None:
-    """Clear BRKINT, which pyserial leaves unchanged: with it a break discards pending input."""
-    attributes = termios.tcgetattr(fd)
-    if attributes[0] & termios.BRKINT:
-        attributes[0] &= ~termios.BRKINT
-        termios.tcsetattr(fd, termios.TCSANOW, attributes)
 
 
 def is_pty(name: str) -> bool:
