@@ -20,7 +20,7 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.text import printable
 
 if TYPE_CHECKING:
-    from bilprov.captures.storage.index import Contents
+    from bilprov.captures.storage.contents import Contents
 
 DIGITS: Final = 5  # as many as dumpcap's, so that a listing is in order up to 99,999 parts
 

@@ -29,11 +29,9 @@ if TYPE_CHECKING:
     from bilprov.captures.events import Events
     from bilprov.captures.recorded import Values
     from bilprov.captures.storage.blocks import Messages, Stored
-    from bilprov.captures.storage.index import Contents
-    from bilprov.captures.storage.messages import Order, Place
+    from bilprov.captures.storage.contents import Contents, Order, Place
     from bilprov.captures.storage.survey import Survey
 
-TOPICS_SHOWN = 10
 
 Item = TypeVar("Item")
 _READ_AHEAD = 1 << 16  # bytes: a chunk of short messages is smaller, and takes ten small reads
@@ -217,7 +215,7 @@ class Capture:
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the complete attachments in file order. Raises CaptureError as `events` does."""
-        from bilprov.captures.storage.messages import attachments
+        from bilprov.captures.storage.contents import attachments
 
         for volume in self.volumes:
             yield from _read_volume(volume, attachments)
@@ -229,7 +227,7 @@ class Capture:
         not what it says it is, is passed over for the one before it. There is none in a capture
         that was not opened by its index. Raises CaptureError as `events` does.
         """
-        from bilprov.captures.storage.messages import checkpoints_before
+        from bilprov.captures.storage.contents import checkpoints_before
 
         recorded = self.metadata.get(topics.GRAMMAR_HASH)
         if not self.contents.counts.get(topics.CHECKPOINT) or (
@@ -269,7 +267,7 @@ class Capture:
         Each part of a recording begins with a checkpoint for those who read it alone. Where nothing
         is missing before it, decoding is in that state anyway, and it is left out.
         """
-        from bilprov.captures.storage.messages import Order
+        from bilprov.captures.storage.contents import Order
 
         whole = self.volumes[0].contents.metadata.get(topics.PART, "1") == "1"
         order = Order(0 if whole else None)
@@ -294,7 +292,7 @@ class Capture:
     ) -> Iterator[Messages]:
         """Yield the messages of a file, and count how much of it was passed."""
         from bilprov.captures.storage.blocks import blocks_of
-        from bilprov.captures.storage.messages import pieces, put_in_order
+        from bilprov.captures.storage.contents import pieces, put_in_order
         from bilprov.captures.storage.survey import Survey
 
         if self.surveys is None:
@@ -470,7 +468,7 @@ def _is_unchanged(capture: Capture) -> bool:
 
 def _indexed(path: Path) -> Contents | None:
     """The contents of a file as its index tells them; None if there is none."""
-    from bilprov.captures.storage.index import read_index
+    from bilprov.captures.storage.contents import read_index
 
     try:
         if not path.is_file():
@@ -546,10 +544,9 @@ def _check_topics(path: Path, contents: Contents) -> None:
     held = sorted({topic for topic, _ in contents.channels.values()})
     if topics.HOST_RAW in held or topics.DEVICE_RAW in held:
         return
-    listed = ", ".join(held[:TOPICS_SHOWN]) + (", ..." if len(held) > TOPICS_SHOWN else "")
+    listed = f"topics {printable(', '.join(held))}" if held else "no topics"
     raise CaptureError(
-        f"{printable(path)} holds {'topics ' + printable(listed) if held else 'no topics'}; "
-        f"bilprov needs {topics.HOST_RAW} or {topics.DEVICE_RAW}"
+        f"{printable(path)} holds {listed}; bilprov needs {topics.HOST_RAW} or {topics.DEVICE_RAW}"
     )
 
 
@@ -590,18 +587,16 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
         raise CaptureError(
             f"{printable(path)} is damaged: a checksum (CRC) does not match; {printable(wrong)}"
         )
-    attachments: dict[str, bytes] = {}
-    for file in capture.attachments():
-        if file.name in wanted:
-            attachments.setdefault(file.name, file.data)
-    return Evidence(capture, attachments)
+    return Evidence(
+        capture, {file.name: file.data for file in capture.attachments() if file.name in wanted}
+    )
 
 
 def _wrong_checksum(path: Path, unfinished: bool) -> str:
     """Which checksum outside of the chunks is wrong, "" for none."""
     from mcap.opcode import Opcode
 
-    from bilprov.captures.storage.index import read_index
+    from bilprov.captures.storage.contents import read_index
     from bilprov.captures.storage.recovery import Found, RecordFile
 
     with _opened(path) as file:

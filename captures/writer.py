@@ -26,6 +26,7 @@ from mcap.opcode import Opcode
 from bilprov.captures import topics
 from bilprov.captures.closing import Closing
 from bilprov.captures.errors import CaptureError
+from bilprov.captures.parts import require_new
 from bilprov.captures.schemas import Chunk, Log, Time
 from bilprov.captures.storage.records import ATTACHMENT_BYTES, MAGIC, MESSAGE_BYTES, STRING_BYTES
 from bilprov.captures.text import printable
@@ -312,14 +313,9 @@ def _utf8(text: str) -> str:
 
 
 def _new_file(path: Path) -> BufferedWriter:
-    if str(path) == "-":
-        raise CaptureError("a capture cannot be written to standard output: name a file")
+    require_new(path)
     try:
         return path.open("xb")
-    except FileExistsError as error:
-        raise CaptureError(
-            f"{printable(path)} exists and captures are never overwritten: choose another name"
-        ) from error
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise CaptureError(

@@ -224,7 +224,7 @@ class _Replay:
     def play(self, pipeline: Pipeline, stopper: Stopper) -> None:
         """Show the events at their times, and judge the device by them where there is a judge."""
         now, rate, window, judge = 0, self.options.rate, self.window, pipeline.judge
-        events = self.capture.sights() if judge else self.opened.events()
+        events = self.capture.sights() if judge else self.opened.capture.events(self.opened.after)
         # Between two events, time passes as it did in the recording.
         sleep = interruptible(
             stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9))

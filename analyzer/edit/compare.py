@@ -52,7 +52,7 @@ from bilprov.captures.text import printable, quantity
 from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
-    from bilprov.analyzer.decode.records import HostRecord
+    pass
 
 
 def _exchanges(
@@ -149,22 +149,14 @@ LISTED: Final = 100  # differences that are kept
 Kind = Literal["only_a", "only_b", "answer", "latency", "unasked"]
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """One difference, and the exchanges in which it is; None in the capture that has none."""
-
-    kind: Kind
-    first: Exchange | None
-    second: Exchange | None
-
-
 @dataclass(slots=True)
 class Comparison:
     """What two captures have in common, and where they differ.
 
     `same` counts the frames that both have, `judged` those of them whose answers were compared, and
     `unknown` those of which only one capture tells what was answered. `differences` counts by kind;
-    the first ones are `listed`. Latencies may differ by `tolerance` (ns). `totals` are of each.
+    the first ones are `listed`, as the JSON has them. Latencies may differ by `tolerance` (ns).
+    `totals` are of each.
     """
 
     totals: tuple[Totals, Totals]
@@ -173,7 +165,7 @@ class Comparison:
     judged: int = 0
     unknown: int = 0
     differences: Counter[Kind] = field(default_factory=Counter)
-    listed: list[Difference] = field(default_factory=list)
+    listed: list[dict[str, Any]] = field(default_factory=list)
 
     def pair(self, first: Exchange | None, second: Exchange | None) -> None:
         """Add the next exchange, of both captures or of one alone."""
@@ -203,18 +195,22 @@ class Comparison:
         elif one and other and abs((one.latency or 0) - (other.latency or 0)) > self.tolerance:
             self._differs("latency", first, second)
 
-    def latencies(self) -> dict[str, tuple[Spread | None, Spread | None]]:
-        """How the latencies of each capture are spread, by the name of the instruction."""
+    def latencies(self) -> dict[str, dict[str, Any]]:
+        """How the latencies of `a` and `b` are spread, by the name of the instruction."""
         first, second = (
-            {name: one.latencies for name, one in totals.instructions().items() if one.latencies}
+            {name: _spread(one.latencies) for name, one in totals.instructions().items()}
             for totals in self.totals
         )
-        return {name: (first.get(name), second.get(name)) for name in sorted({*first, *second})}
+        sides = {
+            name: {"a": first.get(name), "b": second.get(name)}
+            for name in sorted({*first, *second})
+        }
+        return {name: both for name, both in sides.items() if any(both.values())}
 
     def _differs(self, kind: Kind, first: Exchange | None, second: Exchange | None) -> None:
         self.differences[kind] += 1
         if len(self.listed) < LISTED:
-            self.listed.append(Difference(kind, first, second))
+            self.listed.append(_listed(kind, first, second))
 
 
 def compared(
@@ -251,22 +247,20 @@ def as_json(comparison: Comparison, protocol: Protocol, paths: tuple[str, str]) 
         "unknown": comparison.unknown,
         "tolerance": comparison.tolerance / SECOND,
         "differences": dict(comparison.differences),
-        "listed": [_listed(difference) for difference in comparison.listed],
-        "latencies": {
-            name: {"a": _spread(first), "b": _spread(second)}
-            for name, (first, second) in comparison.latencies().items()
-        },
+        "listed": comparison.listed,
+        "latencies": comparison.latencies(),
     }
 
 
-def _listed(difference: Difference) -> dict[str, Any]:
-    frame = _frame_of(difference)
+def _listed(kind: Kind, first: Exchange | None, second: Exchange | None) -> dict[str, Any]:
+    exchange = first or second
+    frame = exchange.frame if exchange else None
     return {
-        "kind": difference.kind,
+        "kind": kind,
         "frame": frame.hex if frame else "",
-        "words": _words(difference),
-        "a": _side(difference.first),
-        "b": _side(difference.second),
+        "words": f"{frame.words} ({frame.hex})" if frame else "before the first frame",
+        "a": _side(first),
+        "b": _side(second),
     }
 
 
@@ -300,7 +294,7 @@ def drawn(comparison: Comparison, paths: tuple[str, str]) -> Iterator[Renderable
         yield Text()
         yield table(
             ("A", "B", "frame", "what differs"),
-            [(_time(one.first), _time(one.second), _words(one), _difference(one)) for one in shown],
+            [(_time(one["a"]), _time(one["b"]), one["words"], _difference(one)) for one in shown],
             right="A B",
         )
     if total > len(shown):
@@ -309,7 +303,7 @@ def drawn(comparison: Comparison, paths: tuple[str, str]) -> Iterator[Renderable
         yield Text()
         yield table(
             ("latency", "A", "B", "median A", "median B", "shift", "95 % A", "95 % B"),
-            [_row(name, *both) for name, both in latencies.items()],
+            [_row(name, both["a"], both["b"]) for name, both in latencies.items()],
             right="A B median",
         )
 
@@ -334,50 +328,33 @@ _KINDS = {
 }
 
 
-def _difference(difference: Difference) -> str:
-    one, other = difference.first, difference.second
-    if one is None or other is None:
-        return _KINDS[difference.kind]
-    if difference.kind == "unasked":
-        said = (side.unasked.hex(" ") or "none" for side in (one, other))
-        return "unasked bytes behind it: A {}, B {}".format(*said)
-    if difference.kind == "answer":
-        return f"A answers {_answer(one)}, B {_answer(other)}"
-    return f"A answers after {_latency(one)}, B after {_latency(other)}"
+def _difference(one: dict[str, Any]) -> str:
+    kind, a, b = one["kind"], one["a"], one["b"]
+    if a is None or b is None:
+        return _KINDS[kind]
+    if kind == "unasked":
+        return f"unasked bytes behind it: A {a[kind] or 'none'}, B {b[kind] or 'none'}"
+    if kind == "answer":
+        return f"A answers {_answer(a)}, B {_answer(b)}"
+    return f"A answers after {_ms(a[kind])}, B after {_ms(b[kind])}"
 
 
-def _answer(exchange: Exchange) -> str:
-    answer = exchange.answer
-    return f"{answer.words} ({answer.hex})" if answer else "nothing"
+def _answer(side: dict[str, Any]) -> str:
+    return "nothing" if side["answer"] is None else f"{side['name']} ({side['answer']})"
 
 
-def _latency(exchange: Exchange) -> str:
-    latency = exchange.answer.latency if exchange.answer else None
-    return "" if latency is None else f"{latency / 1e6:.3f} ms"
+def _time(side: dict[str, Any] | None) -> str:
+    return f"{side['t']:.6f}" if side and side["t"] is not None else ""
 
 
-def _words(difference: Difference) -> str:
-    frame = _frame_of(difference)
-    return f"{frame.words} ({frame.hex})" if frame else "before the first frame"
-
-
-def _frame_of(difference: Difference) -> HostRecord | None:
-    exchange = difference.first or difference.second
-    return exchange.frame if exchange else None
-
-
-def _time(exchange: Exchange | None) -> str:
-    return f"{exchange.frame.t / SECOND:.6f}" if exchange and exchange.frame else ""
-
-
-def _row(name: str, first: Spread | None, second: Spread | None) -> tuple[str, ...]:
-    both = (first, second)
-    counts = (f"{side.count:,}" if side else "0" for side in both)
-    medians = (_ms(side.median) if side else "" for side in both)
-    most = (_ms(side.p95) if side else "" for side in both)
-    shift = f"{(second.median - first.median) / 1e6:+.3f} ms" if first and second else ""
+def _row(name: str, a: dict[str, Any] | None, b: dict[str, Any] | None) -> tuple[str, ...]:
+    counts = (f"{side['count']:,}" if side else "0" for side in (a, b))
+    medians, most = (
+        [_ms(side[key]) if side else "" for side in (a, b)] for key in ("median", "p95")
+    )
+    shift = f"{round((b['median'] - a['median']) * SECOND) / 1e6:+.3f} ms" if a and b else ""
     return (name, *counts, *medians, shift, *most)
 
 
-def _ms(latency: int) -> str:
-    return f"{latency / 1e6:.3f} ms"
+def _ms(seconds: float | None) -> str:
+    return "" if seconds is None else f"{round(seconds * SECOND) / 1e6:.3f} ms"

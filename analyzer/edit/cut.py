@@ -221,19 +221,25 @@ def new_capture(
         ) from error
 
 
+def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
+    """The metadata of a capture for a copy whose records are those of this grammar."""
+    about = dict(capture.contents.metadata)
+    about.pop(topics.START_KEY, None)
+    return about | grammar_metadata(protocol)
+
+
 def edited_metadata(capture: Capture, protocol: Protocol, edit: str) -> dict[str, str]:
     """The metadata of a capture for an edited copy, with a word about the edit.
 
     The settings of its decoding and the grammar are said, so that they do not depend on what is
     left of it.
     """
-    own = {topics.START_KEY, topics.PART}
-    about = {key: text for key, text in capture.contents.metadata.items() if key not in own}
-    about |= grammar_metadata(protocol)
+    about = decoded_metadata(capture, protocol)
+    about.pop(topics.PART, None)
     about |= decoding_metadata(capture_settings(capture, protocol))
     done = f"{edit} (bilprov {kit_version()})"
     before = about.get(topics.HISTORY)
-    about[topics.HISTORY] = "; ".join(filter(None, [before, done]))
+    about[topics.HISTORY] = f"{before}; {done}" if before else done
     return about
 
 
@@ -245,16 +251,18 @@ def cut_metadata(
     expression: str | None,
 ) -> dict[str, str]:
     """The metadata of a part: what a filter selects from `first` to `after` (ns) of a capture."""
-    window = {"--start": first, "--end": after}
-    words = [f"{name} {t / 1e9:g}" for name, t in window.items() if t is not None]
-    words += [f"--filter {printable(expression)}"] if expression else []
-    about = edited_metadata(capture, protocol, f"cut {said_of(capture.path)} {' '.join(words)}")
+    words = [f"cut {said_of(capture.path)}"]
+    cut: dict[str, str] = {}
     if first is not None:
-        about[topics.CUT_START] = str(first)
-        about["attached"] = "yes"  # for decoders that cannot use the checkpoint
+        words.append(f"--start {first / 1e9:g}")
+        # The decoders that cannot use the checkpoint are attached.
+        cut |= {topics.CUT_START: str(first), "attached": "yes"}
     if after is not None:
-        about[topics.CUT_END] = str(after)
-    return about
+        words.append(f"--end {after / 1e9:g}")
+        cut[topics.CUT_END] = str(after)
+    if expression:
+        words.append(f"--filter {printable(expression)}")
+    return edited_metadata(capture, protocol, " ".join(words)) | cut
 
 
 def said_of(name: Path) -> str:
@@ -290,13 +298,6 @@ def write_split(capture: Capture, copy: Copy) -> None:
         else:
             copy.values([*wire.rest(), value])
     copy.values(wire.rest())
-
-
-def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
-    """The metadata of a capture for a copy whose records are those of this grammar."""
-    about = dict(capture.contents.metadata)
-    about.pop(topics.START_KEY, None)
-    return about | grammar_metadata(protocol)
 
 
 CUT_THROUGH = "cut here, in the middle of a frame or its answer, which continues after it"

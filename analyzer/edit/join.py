@@ -43,7 +43,10 @@ Tap: TypeAlias = "Direction | Literal['']"
 
 
 class _Source(NamedTuple):
-    """A capture that is put together with others, and when it was recorded (wall clock, ns)."""
+    """A capture that is put together with others, and when it was recorded (wall clock, ns).
+
+    It begins there, or the part does that was cut out of it.
+    """
 
     capture: Capture
     settings: SessionSettings
@@ -64,16 +67,12 @@ class Joined:
     """
 
     def __init__(self, protocol: Protocol, captures: Sequence[Capture]) -> None:
-        sources = [
-            _Source(
-                capture,
-                capture_settings(capture, protocol),
-                _begin(capture),
-                max(capture.contents.last, _begin(capture)),
-            )
-            for capture in captures
-        ]
-        self.sources = sorted(sources, key=lambda source: (source.first, -source.last))
+        self.sources: list[_Source] = []
+        for capture in captures:
+            first = capture.start + (capture.number(topics.CUT_START) or 0)
+            settings, last = capture_settings(capture, protocol), max(capture.contents.last, first)
+            self.sources.append(_Source(capture, settings, first, last))
+        self.sources.sort(key=lambda source: (source.first, -source.last))
         self.start = min(capture.start for capture in captures)
         _require_apart(self.sources)
         self._protocol = protocol
@@ -126,23 +125,13 @@ def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:
             yield Timed(one.now + by, _moved(one.value, by, source.tap))
 
 
-def _begin(capture: Capture) -> int:
-    """When a recording began, or the part that was cut out of it (wall clock, ns)."""
-    return capture.start + (capture.number(topics.CUT_START) or 0)
-
-
 def _continues(before: _Source, after: _Source) -> bool:
     """Whether a part was cut off, or begun, right where the one before it ends."""
     one, other = before.capture, after.capture
     cut = one.metadata.get(topics.CUT_END)
     cut_off = cut is not None and cut == other.metadata.get(topics.CUT_START)
-    return one.start == other.start and (cut_off or _part(one) + 1 == _part(other))
-
-
-def _part(capture: Capture) -> float:
-    """The number of a part of a recording; what is none comes before and after nothing."""
-    number = capture.number(topics.PART)
-    return nan if number is None else number
+    next_part = (one.number(topics.PART) or nan) + 1 == other.number(topics.PART)
+    return one.start == other.start and (cut_off or next_part)
 
 
 def _moved(value: Recorded, by: int, tap: Tap) -> Recorded:

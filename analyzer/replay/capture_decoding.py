@@ -273,14 +273,6 @@ class Opened(NamedTuple):
     decoder: StreamDecoder
     after: StoredCheckpoint | None = None
 
-    def events(self) -> Iterator[Chunk | Line]:
-        """The events from there on, one by one."""
-        return self.capture.events(self.after)
-
-    def batches(self) -> Iterator[Events]:
-        """The events from there on, as arrays."""
-        return self.capture.batches(self.after)
-
     def recorded(self, protocol: Protocol) -> Iterator[Recorded]:
         """All that was recorded from there on and not decoded from the bytes."""
         return self.capture.recorded(self.after, look_class(protocol.state_type))
@@ -289,7 +281,7 @@ class Opened(NamedTuple):
         self, progress: Progress = unheard, window: Window = WHOLE, largest: int = BATCH_BYTES
     ) -> Iterator[Batch]:
         """Yield all that is decoded from there on, also outside the window; see `event_batches`."""
-        for batch in event_batches(self.batches(), progress, window, largest):
+        for batch in event_batches(self.capture.batches(self.after), progress, window, largest):
             yield from self.decoder.decode(batch)
         yield from self.decoder.finish()
 

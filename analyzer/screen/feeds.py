@@ -163,7 +163,7 @@ def capture_feed(
     feed = Feed(Recording(protocol), read, stays=True, live=live, notice=notice)
     rows = (AllShown if count is None else Shown)(ScreenOutput(feed), test, count, window)
     length = max(1, capture.contents.last - capture.start)
-    parts = event_batches(opened.batches(), unheard, window)
+    parts = event_batches(opened.capture.batches(opened.after), unheard, window)
     for events in islice(parts, 1):
         take(events)  # here and now, so that the first page is there when the screen is
     return feed

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bilprov.captures import topics
 from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, blocks_of
-from bilprov.captures.storage.index import Contents
+from bilprov.captures.storage.contents import Contents
 from bilprov.captures.storage.records import MAGIC, CutOff
 from bilprov.captures.storage.recovery import SKIPPED, Found, Lost, RecordFile, read_footer
 from bilprov.captures.text import printable
