@@ -302,7 +302,7 @@ class Capture:
             blocks = self.surveys[-1].blocks()
         before = 0
         for block in put_in_order(blocks, contents, order):
-            if self.surveys and self.surveys[-1].damaged:  # `whole` is None then
+            if self.surveys and self.surveys[-1].notes:  # `whole` is None then
                 return
             self.walked[0] += file.tell() - before
             before = file.tell()

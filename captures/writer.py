@@ -81,7 +81,9 @@ class CaptureWriter(Closing):
                     f"metadata {printable(name)} is longer than the {STRING_BYTES} bytes allowed"
                 )
         self._file = _new_file(path)
-        self._kept_bytes = self._chunk_messages = self._chunk_bytes = 0
+        self.size = 0
+        """How many bytes of the file have been written, in complete chunks."""
+        self._chunk_messages = self._chunk_bytes = 0
         self._flush_at = NEVER
         self._closed = False
         self.path = path
@@ -148,7 +150,7 @@ class CaptureWriter(Closing):
         with self._guarded():
             self._mcap.attachment(name, media_type, data, log_time)
             self._file.flush()
-        self._kept_bytes = self._mcap.size
+        self.size = self._mcap.size
 
     def tick(self, now: int) -> None:
         """Flush if data have waited for 0.1 s; `now` is ns since the capture's start.
@@ -168,15 +170,10 @@ class CaptureWriter(Closing):
             self._require_unchanged()
             self._mcap.end_chunk()
             self._file.flush()
-        self._kept_bytes = self._mcap.size
+        self.size = self._mcap.size
         self._kept_until = self._newest
         self._flush_at = NEVER
         self._chunk_messages = self._chunk_bytes = 0
-
-    @property
-    def size(self) -> int:
-        """How many bytes of the file have been written, in complete chunks."""
-        return self._kept_bytes
 
     def go_on_in(self, path: Path, metadata: Mapping[str, str]) -> None:
         """Finish the file, and go on in a new one.
@@ -224,7 +221,7 @@ class CaptureWriter(Closing):
             channels.append(records.Channel(topic.channel, *of))
         self._mcap.table(schemas, channels)
         self._file.flush()
-        self._kept_bytes = self._mcap.size
+        self.size = self._mcap.size
 
     def _add(self, channel: int, data: bytes, t: int) -> None:
         # A message costs about a microsecond: nothing here that is not needed for each.
@@ -261,10 +258,10 @@ class CaptureWriter(Closing):
                 f"the capture file {printable(self.path)} was deleted while recording: what it "
                 "held is lost, record again"
             )
-        if stat.S_ISREG(status.st_mode) and status.st_size != self._kept_bytes:
+        if stat.S_ISREG(status.st_mode) and status.st_size != self.size:
             self._fail(
                 f"another program made the capture file {printable(self.path)} {status.st_size} "
-                f"bytes long while recording, it should have {self._kept_bytes}: what it cut off "
+                f"bytes long while recording, it should have {self.size}: what it cut off "
                 "is lost, record again"
             )
 
@@ -285,7 +282,7 @@ class CaptureWriter(Closing):
         except OSError as error:
             why = "disk full" if error.errno in FULL else printable(error.strerror or error)
             name = printable(self.path)
-            if not self._kept_bytes:
+            if not self.size:
                 self._fail(f"{why}: {name} cannot be begun", error)
             self._fail(f"{why}: {self._kept()} in {name}{self._before}", error)
 
@@ -300,8 +297,8 @@ class CaptureWriter(Closing):
         with suppress(OSError):
             if self._file.closed:  # a file system may report only then that it lost something
                 raise CaptureError(sentence) from cause
-            if os.fstat(self._file.fileno()).st_size > self._kept_bytes:
-                os.ftruncate(self._file.fileno(), self._kept_bytes)
+            if os.fstat(self._file.fileno()).st_size > self.size:
+                os.ftruncate(self._file.fileno(), self.size)
         with suppress(OSError):
             self._file.raw.close()
         raise CaptureError(sentence) from cause

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from decimal import Decimal
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Unpack
 
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, Severity
 from bilprov.analyzer.decode.session import SessionSettings
@@ -23,7 +23,7 @@ from bilprov.captures import topics
 from bilprov.captures.background import BackgroundWriter
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.parts import part_path, part_paths, require_new
-from bilprov.captures.schemas import MS, Checkpoint, Chunk, Direction, Line, Resumption
+from bilprov.captures.schemas import MS, Checkpoint, Chunk, Line, Resumption
 from bilprov.captures.storage.records import STRING_BYTES
 from bilprov.captures.text import printable
 from bilprov.captures.writer import CaptureWriter
@@ -140,16 +140,12 @@ def session_metadata(
     *,
     ports: Mapping[str, str],
     line: str,
-    timeout: int | None,
-    skew: int,
-    heard: Iterable[Direction],
-    attached: bool = False,
+    **settings: Unpack[SessionSettings],
 ) -> dict[str, str]:
     """The capture's metadata record `bilprov`, which a replay needs to decode in the same way.
 
-    `ports` maps each port's role to its name, `line` is the line settings as text, `timeout` and
-    `skew` are in ns, `heard` are the directions that are listened to, and `attached` is true if
-    listening began in running traffic.
+    `ports` maps each port's role to its name, `line` is the line settings as text, `settings` are
+    those of the Session that decodes.
     """
     return {
         "version": kit_version(),
@@ -158,24 +154,18 @@ def session_metadata(
         **{f"port_{part}": name for part, name in ports.items()},
         "line": line,
         "clock": "monotonic; log_time = wall clock at start + monotonic",
-        **decoding_metadata(
-            {"timeout": timeout, "skew": skew, "heard": frozenset(heard), "attached": attached}
-        ),
+        **decoding_metadata(settings),
     }
 
 
 def decoding_metadata(settings: SessionSettings) -> dict[str, str]:
     """Settings of a Session as the metadata of a capture says them, without loss."""
     return {
-        "truncation_timeout_ms": _milliseconds(settings["timeout"] or 0),
-        "skew_ms": _milliseconds(settings["skew"]),
+        "truncation_timeout_ms": f"{(settings['timeout'] or 0) / MS:.15g}",
+        "skew_ms": f"{settings['skew'] / MS:.15g}",
         "heard": " ".join(sorted(settings["heard"])),
-        "attached": "yes" if settings["attached"] else "no",
+        "attached": "yes" if settings.get("attached") else "no",
     }
-
-
-def _milliseconds(t: int) -> str:
-    return f"{t / MS:.15g}"
 
 
 def grammar_metadata(protocol: Protocol) -> dict[str, str]:

@@ -48,15 +48,11 @@ class Survey:
         self._held = np.zeros(0, np.uint64)  # times, of a foreign file in order of time
         self._passed = np.uint64(0)
         self._late = 0
-        self._notes = [damage] if damage else []
+        self.notes = [damage] if damage else []
+        """Sentences about what is damaged or left out so far."""
         self._more_notes = 0
         self._left_out = False  # whether a note tells of records that are not read
         self._stated: int | None = None  # messages that the file's statistics count
-
-    @property
-    def damaged(self) -> bool:
-        """Whether anything so far is damaged or left out."""
-        return bool(self._notes)
 
     def blocks(self) -> Iterator[Messages]:
         """Yield the messages of the file, in blocks, with which the survey goes on."""
@@ -99,7 +95,7 @@ class Survey:
             # Whole records went or came, of which the rest of the file tells nothing.
             self._note(f"{held} messages are there, the file's statistics count {self._stated}")
         if self._more_notes:
-            self._notes.append(f"{self._more_notes} further places are damaged")
+            self.notes.append(f"{self._more_notes} further places are damaged")
         own = self._records.own
         first, earliest, last = self._times or (0, 0, 0)
         first = first if own else earliest
@@ -124,7 +120,7 @@ class Survey:
             counts=_by_topic(self._counts, channels),
             sizes=_by_topic(self._sizes, channels),
             unfinished=not self._finished,
-            damage=tuple(self._notes),
+            damage=tuple(self.notes),
         )
 
     def _table(self) -> dict[int, tuple[str, str]]:
@@ -187,7 +183,7 @@ class Survey:
         known = self._channels.get(channel.id)
         if known is None and len(self._channels) >= records.CHANNELS:
             note = f"the file describes more than the {records.CHANNELS} channels allowed"
-            if note not in self._notes:
+            if note not in self.notes:
                 self._note(note)
             return
         if known is None or (verified and channel.id not in self._verified):
@@ -212,8 +208,8 @@ class Survey:
             self._note(f"{where} damaged and left out ({lost.damage})")
 
     def _note(self, sentence: str) -> None:
-        if len(self._notes) < DAMAGE_NOTES:
-            self._notes.append(sentence)
+        if len(self.notes) < DAMAGE_NOTES:
+            self.notes.append(sentence)
         else:
             self._more_notes += 1
 

@@ -22,7 +22,7 @@ from bilprov.analyzer.client.operations import (
     Reply,
 )
 from bilprov.analyzer.decode.records import Record, shapes_of
-from bilprov.analyzer.decode.session import Session
+from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.replay.recorder import RecordWriter, session_metadata
 from bilprov.analyzer.transport.line_settings import timeout_in_ns
 from bilprov.analyzer.version import kit_version
@@ -68,7 +68,7 @@ class RunRecorder(Closing, RunListener):
             line=str(target.line),
             timeout=timeout,
             skew=0,
-            heard=("host", "device"),
+            heard=BOTH,
         )
         self._session = Session(protocol, timeout=timeout, skew=0)
         start = wall_clock() if start_wall is None else start_wall
