@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,15 +51,12 @@ class Events:
         )
 
     @classmethod
-    def joined(cls, parts: Sequence[Events | Chunk | Line]) -> Events:
-        """The rows of some parts and single events, in order."""
+    def joined(cls, parts: Sequence[Events | Line]) -> Events:
+        """The rows of some parts and single line events, in order."""
         arrays: list[Events] = []
-        for kind, group in groupby(parts, lambda part: isinstance(part, Events)):
-            members = list(group)
-            if kind:
-                arrays += [part for part in members if isinstance(part, Events)]
-            else:
-                arrays.append(cls.of([part for part in members if not isinstance(part, Events)]))
+        for is_line, group in groupby(parts, lambda part: isinstance(part, Line)):
+            members: list[Any] = list(group)
+            arrays += [cls.of(members)] if is_line else members
         if len(arrays) == 1:
             return arrays[0]
         return cls(

@@ -21,7 +21,6 @@ import struct
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from enum import IntEnum
 from itertools import repeat
 from operator import itemgetter
 from typing import BinaryIO, NamedTuple
@@ -46,30 +45,16 @@ from bilprov.spec.protocol import Protocol
 LINKTYPE_RTAC_SERIAL = 250
 
 
-class Event(IntEnum):
-    """The serial event types of the link type."""
-
-    STATUS_CHANGE = 0
-    DATA_TX_START = 1
-    DATA_RX_START = 2
-    DATA_TX_END = 3
-    DATA_RX_END = 4
-    CAPTURE_DATA_LOST = 5
-    CAPTURE_COMPLETE = 6
-    FRAMING_ERROR = 7
-    PARITY_ERROR = 8
-    SERIAL_BREAK = 9
-    SERIAL_OVERFLOW = 10
-
-
+# The serial event types of the link type.
+_STATUS_CHANGE, _TX_START, _RX_START, _TX_END, _RX_END = range(5)
 _LINE_EVENTS = {
-    "gap": Event.CAPTURE_DATA_LOST,
-    "reconnected": Event.CAPTURE_DATA_LOST,
-    "close": Event.CAPTURE_COMPLETE,
-    "framing": Event.FRAMING_ERROR,
-    "parity": Event.PARITY_ERROR,
-    "break": Event.SERIAL_BREAK,
-    "overrun": Event.SERIAL_OVERFLOW,
+    "gap": 5,  # CAPTURE_DATA_LOST
+    "reconnected": 5,
+    "close": 6,  # CAPTURE_COMPLETE
+    "framing": 7,
+    "parity": 8,
+    "break": 9,
+    "overrun": 10,
 }
 _TAPS = ("host", "device")  # the interfaces, in order
 
@@ -82,7 +67,7 @@ class Packet(NamedTuple):
 
     t: int
     interface: int
-    event: Event
+    event: int
     data: bytes = b""
     comment: str = ""
 
@@ -154,24 +139,24 @@ def _made(batches: Iterable[Batch], chosen: Chosen, asked: deque[int]) -> Iterat
 
 def _of_host(record: HostRecord) -> Iterator[Packet]:
     if record.judgement is None:
-        yield Packet(record.end, 0, Event.DATA_TX_END, record.data, f"garbage: {record.note}")
+        yield Packet(record.end, 0, _TX_END, record.data, f"garbage: {record.note}")
         return
-    yield Packet(record.end, 0, Event.DATA_TX_START, record.data)
+    yield Packet(record.end, 0, _TX_START, record.data)
     if record.kind == "truncated":
-        yield Packet(record.known, 0, Event.DATA_TX_END, b"", _CUT_SHORT)
+        yield Packet(record.known, 0, _TX_END, b"", _CUT_SHORT)
 
 
 def _of_answer(record: DeviceRecord, *, stray: bool) -> Packet:
     data = record.data
     if not stray:
-        return Packet(record.t, 1, Event.DATA_RX_START, data)
+        return Packet(record.t, 1, _RX_START, data)
     why = record.reason if record.instruction is None else _ELSEWHERE
-    return Packet(record.t, 1, Event.DATA_RX_END, data, why)
+    return Packet(record.t, 1, _RX_END, data, why)
 
 
 def _of_line(line: Line) -> Packet:
     interface = _TAPS.index(line.tap or "host")
-    event = _LINE_EVENTS.get(line.event, Event.STATUS_CHANGE)
+    event = _LINE_EVENTS.get(line.event, _STATUS_CHANGE)
     comment = f"{line.event}: {line.detail}" if line.detail else line.event
     return Packet(line.t, interface, event, b"", comment)
 
@@ -233,11 +218,7 @@ def _interface(capture: Capture, protocol: Protocol, tap: str) -> bytes:
 def _ports(capture: Capture) -> dict[str, str]:
     """The names of the recorded ports by their role."""
     metadata = sorted(capture.metadata.items())
-    return {
-        printable(key.removeprefix("port_")): printable(name)
-        for key, name in metadata
-        if key.startswith("port_")
-    }
+    return {key.removeprefix("port_"): name for key, name in metadata if key.startswith("port_")}
 
 
 def _any_block(kind: int, body: bytes) -> bytes:
