@@ -31,7 +31,7 @@ class BackgroundWriter(Closing):
 
     The `writer` is a new one, which nobody else uses from then on. What is handed over is written
     in order and reaches the operating system at most 0.1 s later, or at once when 256 KiB wait.
-    While 16 MiB wait, handing over waits too; `waited_ns` adds up for how long.
+    While 16 MiB wait, handing over waits too.
 
     The capture may go on in further files. `paths` are those that are there, the newest last, and
     `oldest` is the time (ns since the start) with which the first of them begins.
@@ -42,7 +42,6 @@ class BackgroundWriter(Closing):
     """
 
     def __init__(self, writer: CaptureWriter) -> None:
-        self.waited_ns = 0
         self.failure = ""
         self._writer = writer
         self._newest = writer.path
@@ -117,22 +116,15 @@ class BackgroundWriter(Closing):
         size += EVENT_BYTES
         if self._waiting >= WAKE_BYTES:
             self._wake.set()
-            if self._waiting + size > QUEUE_BYTES:
-                self._wait_for_room(max(0, QUEUE_BYTES - size))
+            while self._waiting > max(0, QUEUE_BYTES - size) and self._thread.is_alive():
+                time.sleep(0.001)
+            self._check()
         self._queue.append((act, given, size))
         self._put_bytes += size
 
     @property
     def _waiting(self) -> int:
         return self._put_bytes - self._taken_bytes
-
-    def _wait_for_room(self, most: int) -> None:
-        began = time.monotonic_ns()
-        while self._waiting > most and self._thread.is_alive():
-            self._wake.set()
-            time.sleep(0.001)
-        self.waited_ns += time.monotonic_ns() - began
-        self._check()
 
     def _run(self) -> None:
         try:

@@ -85,7 +85,7 @@ class Capture:
     `recorded()`, `attachments()`, `grammar_text` and the values of `contents.metadata`.
 
     `start` is the wall clock in ns at `t` = 0; `metadata` is the record `bilprov` without the
-    grammar's text, empty if there is none; `library` names the writer. `unfinished` is true if the
+    grammar's text, empty if there is none. `unfinished` is true if the
     writer never closed the file: then the complete records are read. `damage` has a sentence for
     each part that is left out.
 
@@ -103,7 +103,6 @@ class Capture:
     path: Path
     start: int
     metadata: dict[str, str]
-    library: str
     unfinished: bool
     damage: tuple[str, ...]
     contents: Contents = field(repr=False)
@@ -492,7 +491,6 @@ def _capture_of(path: Path, volumes: tuple[Volume, ...], *, cut_short: bool = Fa
             for key, text in contents.metadata.items()
             if key != topics.GRAMMAR_TEXT
         },
-        library=contents.library,
         unfinished=contents.unfinished or cut_short,
         damage=contents.damage,
         contents=contents,
@@ -580,7 +578,7 @@ def open_evidence(path: str | Path, wanted: Collection[str]) -> Evidence:
     wrong = next(iter(capture.damage), "") or _wrong_checksum(path, capture.unfinished)
     if not capture.damage and not capture.contents.own:
         raise CaptureError(
-            f"{printable(path)} was saved by another program ({capture.library}), not "
+            f"{printable(path)} was saved by another program ({capture.contents.library}), not "
             "all of it is covered by a checksum (CRC): name the file as bilprov wrote it"
         )
     if wrong:

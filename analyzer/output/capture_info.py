@@ -46,7 +46,7 @@ def summarized(capture: Capture, protocol: Protocol) -> dict[str, Any]:
         "path": str(capture.path),
         "size": contents.size,
         "parts": tuple(part.path.name for part in capture.volumes) if capture.in_parts else (),
-        "library": capture.library,
+        "library": contents.library,
         "start": _moment(start),
         "end": _moment(end),
         "zero": _moment(capture.start),

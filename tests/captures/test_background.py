@@ -60,7 +60,6 @@ def test_what_is_handed_over_comes_back_in_order(tmp_path: Path) -> None:
     read = open_capture(path)
     assert list(read) == events
     assert (read.unfinished, read.damage, read.contents.counts["/checkpoint"]) == (False, (), 1)
-    assert capture.waited_ns == 0
 
 
 @pytest.mark.waits
@@ -93,7 +92,6 @@ class Handing:
         self.thread.join(PATIENCE)
         assert not self.thread.is_alive()
         assert self.count == 3 * FITS
-        assert self.capture.waited_ns > 0
 
 
 @pytest.mark.waits

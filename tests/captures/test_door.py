@@ -51,7 +51,7 @@ def safe(held: object) -> bool:
 
 def given_by(capture: Capture) -> Iterator[object]:
     contents = capture.contents
-    yield capture.library, capture.metadata, capture.damage
+    yield contents.library, capture.metadata, capture.damage
     yield contents.channels, contents.counts, contents.sizes
     yield contents.first - capture.start, contents.last - capture.start, capture.left_out
     yield from capture.sights()

@@ -78,9 +78,9 @@ def entries(content: bytes, start: int, kind: int = 8) -> list[int]:
 
 def test_it_tells_what_a_survey_tells(path: Path) -> None:
     indexed, surveyed = opened(path), open_capture(path)
-    for name in ("path", "start", "metadata", "library", "unfinished", "damage"):
+    for name in ("path", "start", "metadata", "unfinished", "damage"):
         assert getattr(indexed, name) == getattr(surveyed, name)
-    for name in ("counts", "channels", "first", "last", "own", "size"):
+    for name in ("library", "counts", "channels", "first", "last", "own", "size"):
         assert getattr(indexed.contents, name) == getattr(surveyed.contents, name)
     assert list(indexed.sights()) == list(surveyed.sights())
     assert list(indexed.events()) == list(indexed) == list(surveyed.events())

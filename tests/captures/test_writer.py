@@ -145,7 +145,7 @@ def test_metadata_and_channels_are_in_the_file_before_the_first_message(tmp_path
     capture = writer(tmp_path / "a.mcap", grammar="robot car", ports="a, b")
     read = open_capture(tmp_path / "a.mcap")
     assert read.metadata == {"grammar": "robot car", "ports": "a, b", "start": str(START)}
-    assert (read.library, read.start, read.unfinished) == ("bilprov 0.1.0", START, True)
+    assert (read.contents.library, read.start, read.unfinished) == ("bilprov 0.1.0", START, True)
     assert (list(read), read.damage) == ([], ())
     capture.close()
 
