@@ -14,18 +14,9 @@ from typing import Any, Final
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from bilprov.analyzer.decode import anomalies
+from bilprov.analyzer.decode import anomalies, pairing
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
-from bilprov.analyzer.decode.pairing import (
-    MOST,
-    Heard,
-    Held,
-    ReplyFramer,
-    Waiting,
-    passes_over,
-    told,
-    waiting_frames,
-)
+from bilprov.analyzer.decode.pairing import MOST, Heard, Held, ReplyFramer, Waiting
 from bilprov.analyzer.decode.records import (
     DeviceRecord,
     FaultRecord,
@@ -247,7 +238,9 @@ class Decoder:
             frame=self._framer.held,
             frame_start=start,
             frame_end=end,
-            waiting=waiting_frames(map(told, self._waiting), numbered=not self._protocol.plain),
+            waiting=pairing.waiting_frames(
+                map(pairing.told, self._waiting), numbered=not self._protocol.plain
+            ),
             held=tuple((held.t, held.byte) for held in self._held),
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,
@@ -447,7 +440,7 @@ class Decoder:
                 self._unsolicited(self._held.popleft(), out)
             self._held.append(held)
             return
-        if passes_over(held, self._waiting, self._late):
+        if pairing.passes_over(held, self._waiting, self._late):
             self._give_up_waiting(now, out)
         self._pair(held, self._waiting.popleft(), out)
 

@@ -13,20 +13,8 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import TYPE_CHECKING, NoReturn
 
-from bilprov.analyzer.filters import masks
-from bilprov.analyzer.filters.fields import (
-    UNITS,
-    Field,
-    Instant,
-    Kind,
-    Value,
-    by_folded,
-    bytes_names,
-    fields_of,
-    find,
-    folded,
-    instant,
-)
+from bilprov.analyzer.filters import fields, masks
+from bilprov.analyzer.filters.fields import Field, Instant, Kind, Value, folded
 from bilprov.analyzer.filters.masks import DATE, TIME_OF_DAY, Operand, Test
 from bilprov.analyzer.filters.syntax import TEXTS, Part, octets_of, parse, refuse, refuse_part
 from bilprov.captures.text import near
@@ -94,8 +82,8 @@ class _Checker:
     def _beside(self, part: Part, other: Part) -> Part:
         """A word beside numbers: a name, though it is spelled like a value (`Speed > 3`)."""
         numbers = other.kind in ("number", "range", "set")
-        if part.kind == "word" and numbers and find(self._protocol, part.text) is None:
-            field = by_folded(self._protocol).get(folded(part.text))
+        if part.kind == "word" and numbers and fields.find(self._protocol, part.text) is None:
+            field = fields.by_folded(self._protocol).get(folded(part.text))
             return part._replace(text=field.name) if field else part
         return part
 
@@ -182,7 +170,7 @@ class _Checker:
         if part.kind in ("compared", "and", "or", "not"):
             refuse(part, "a condition is not compared: join it with and, or, not")
         if part.kind == "word":
-            return find(self._protocol, part.text)
+            return fields.find(self._protocol, part.text)
         return self._operand(part)[1] if part.kind in ("item", "bits") else None
 
     def _operand(self, part: Part) -> tuple[Operand, Field]:
@@ -225,7 +213,7 @@ class _Checker:
             case Kind.TEXT, "word" | "quoted":
                 return part.text
             case Kind.CLOCK, _:
-                moment = instant(part.text) if part.kind in ("moment", "quoted") else None
+                moment = fields.instant(part.text) if part.kind in ("moment", "quoted") else None
                 if moment is None:
                     why = "is not a time of day like 14:03:20; seconds since the start are t"
                     refuse_part(part, why)
@@ -264,20 +252,20 @@ class _Checker:
 
     def _refuse_unknown(self, part: Part) -> NoReturn:
         """Refuse a word that is no name, and no value that fits."""
-        fields, known = fields_of(self._protocol), find(self._protocol, part.text)
+        names, known = fields.fields_of(self._protocol), fields.find(self._protocol, part.text)
         if known is not None:
             refuse_part(part, f"is {known.kind_of}, which does not fit here")
         if owners := self._owners(part.text):
             refuse_part(part, f"is a value of {owners[0]}, which does not fit here")
-        meant = near(part.text, [*fields, *(w for field in fields.values() for w in field.words)])
-        names = dict.fromkeys(f"{n.split('.')[0]}.*" if "." in n else n for n in fields)
-        hint = f"did you mean {meant}?" if meant else f"there are {', '.join(names)}"
+        meant = near(part.text, [*names, *(w for field in names.values() for w in field.words)])
+        short = dict.fromkeys(f"{n.split('.')[0]}.*" if "." in n else n for n in names)
+        hint = f"did you mean {meant}?" if meant else f"there are {', '.join(short)}"
         refuse_part(part, f"is not a name here: {hint}")
 
     def _owners(self, text: str) -> list[str]:
         """The names of which a word is a value, `name` first."""
-        fields = fields_of(self._protocol).values()
-        return sorted((f.name for f in fields if f.value_of(text) is not None), key="name".__ne__)
+        known = fields.fields_of(self._protocol).values()
+        return sorted((f.name for f in known if f.value_of(text) is not None), key="name".__ne__)
 
 
 def _named(part: Part, field: Field) -> Value | None:
@@ -293,7 +281,7 @@ def _measured(part: Part, field: Field) -> float:
     (unit,) = part.parts
     if field.kind is Kind.NUMBER:
         refuse_part(unit, f"does not fit: {field.name} has no unit, so write {part.text}")
-    power = UNITS.get(unit.text)
+    power = fields.UNITS.get(unit.text)
     if power is None:
         refuse_part(unit, "is not a unit of time; there are us, ms and s")
     # Read as one number: the nearest to it, as a row's time is the nearest to its nanoseconds.
@@ -379,5 +367,5 @@ def compile_filter(text: str, protocol: Protocol) -> Filter:
     The names are those of `fields_of(protocol)`. Raises FilterError, in one sentence that begins
     with the column.
     """
-    test = _Checker(protocol).condition(parse(text, bytes_names(protocol)))
+    test = _Checker(protocol).condition(parse(text, fields.bytes_names(protocol)))
     return Filter(test, protocol)

@@ -28,18 +28,13 @@ from bilprov.analyzer.decode.batch import (
 )
 from bilprov.analyzer.decode.json_lines import OUTCOME_WORDS, JsonLine, json_line
 from bilprov.analyzer.filters.fields import DAY, NONE, STEP, UNCODED, Kind, fields_of, offset
-from bilprov.spec.arrays.layouts import (
-    BAD_DATA,
-    OUTCOMES,
-    VALID,
-    WIDEST,
-    field_values,
-    part_values,
-)
+from bilprov.spec.arrays import layouts
+from bilprov.spec.arrays.layouts import BAD_DATA, OUTCOMES, VALID, WIDEST
 from bilprov.spec.codec import Judgement
 from bilprov.spec.data import DataSpec
 from bilprov.spec.layout import Role
 from bilprov.spec.protocol import Protocol
+from bilprov.spec.replies import Reply
 from bilprov.spec.state import NOT_KNOWN
 
 TIME_OF_DAY, DATE = "time of day", "time"
@@ -118,12 +113,6 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
                     spec, found, rows.offset[found] + head, rows.size[found] - head - tail
                 )
 
-    def register(name: str) -> Column:
-        writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
-        found = np.flatnonzero((rows.kind == INSTRUCTION) & np.isin(rows.header, writing))
-        told = [one.judgement.values for one in rows.samples(found) if one.judgement]
-        return _told(name, told, found, len(rows))
-
     own: Makers = {
         "id": partial(_part_of, protocol, rows, "id"),
         "len": length,
@@ -137,7 +126,9 @@ def _host_columns(protocol: Protocol, rows: HostRows, start: int | None) -> Colu
     }
     odd = (rows.verdict != VALID) | rows.uncertain
     judged = _of_judgements(protocol, rows, rows.due, attrgetter("judgement"))
-    fields = _of_fields(protocol, rows, carried, register)
+    writing = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.writes]
+    told = rows.kind == INSTRUCTION, writing, attrgetter("judgement")
+    fields = _of_fields(protocol, rows, carried, *told)
     return _columns(own, _of_both(rows, odd, start), judged, fields)
 
 
@@ -165,12 +156,6 @@ def _device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> 
     def of(data: DataSpec, found: NDArray[np.int64]) -> _Carried:
         return _Carried(data, found, rows.fields_at[found], rows.fields_size[found])
 
-    def register(name: str) -> Column:
-        reading = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.reads]
-        found = np.flatnonzero(rows.answering & np.isin(rows.header, reading))
-        told = [one.reply.values if one.reply else () for one in rows.samples(found)]
-        return _told(name, told, found, len(rows))
-
     own: Makers = {
         "address": lambda: Numbers(rows.address, rows.address >= 0),
         "direction": lambda: _one("device"),
@@ -184,7 +169,8 @@ def _device_columns(protocol: Protocol, rows: DeviceRows, start: int | None) -> 
         "agrees": lambda: Words(rows.agrees + 1, (None, False, True)),
     }
     judged = _of_judgements(protocol, rows, None, attrgetter("answered"))
-    fields = _of_fields(protocol, rows, carried, register)
+    reading = [protocol.key_of(spec.id) for spec in protocol.instructions if spec.reads]
+    fields = _of_fields(protocol, rows, carried, rows.answering, reading, attrgetter("reply"))
     return _columns(own, _of_both(rows, rows.odd, start), judged, fields)
 
 
@@ -309,7 +295,7 @@ def _part_of(protocol: Protocol, rows: HostRows, role: Role) -> Column:
     found = np.flatnonzero(there)
     value = np.zeros(len(rows), np.int64)
     start = rows.offset[found]
-    value[found] = part_values(part, rows.data, start, start + rows.size[found])
+    value[found] = layouts.part_values(part, rows.data, start, start + rows.size[found])
     return Numbers(value, there)
 
 
@@ -326,15 +312,21 @@ def _of_fields(
     protocol: Protocol,
     of: HostRows | DeviceRows,
     carried: Callable[[], Iterable[_Carried]],
-    register: Callable[[str], Column],
+    whole: Mask,
+    headers: list[int],
+    telling: Callable[[Any], Judgement | Reply | None],
 ) -> Makers:
-    """The fields of the rows of one side by their keys, and the named registers."""
+    """The fields of the rows of one side by their keys, and the named registers.
+
+    Those that are `whole` and have one of the `headers` may tell registers: what of their records
+    is `telling`.
+    """
     count, data = len(of), of.data
 
     def made(name: str, kind: Kind) -> Column:
         value, present = np.zeros(count, np.int64), np.zeros(count, np.bool_)
         start, size = np.zeros(count, np.int64), np.full(count, -1, np.int64)
-        for spec, rows, at, whole in carried():
+        for spec, rows, at, many in carried():
             for part in spec.fields:
                 if part.name != name or part.constant is not None:
                     continue
@@ -343,14 +335,28 @@ def _of_fields(
                     to_end = part is spec.fields[-1] and spec.counted is not None
                     start[rows] = at + part.offset + before
                     size[rows] = np.maximum(
-                        (whole - part.offset if to_end else part.size) - before, 0
+                        (many - part.offset if to_end else part.size) - before, 0
                     )
                     continue
-                values = field_values(part, data, at)
+                values = layouts.field_values(part, data, at)
                 if values.dtype.kind != "i":  # wider than 64 bits with a sign
                     value = value.astype(object)
                 value[rows], present[rows] = values, True
         return Octets(data, start, size) if kind is Kind.BYTES else Numbers(value, present)
+
+    def register(name: str) -> Column:
+        """A register; a row that writes it at several devices has several values."""
+        rows = np.flatnonzero(whole & np.isin(of.header, headers))
+        values = [one.values if one else () for one in map(telling, of.samples(rows))]
+        told = [[(key.partition("@")[0], value) for key, value in one] for one in values]
+        counts = [Counter(key for key, _ in one) for one in told]
+        most = max((max(each.values(), default=1) for each in counts), default=1)
+        value, present = np.zeros((most, count), object), np.zeros((most, count), np.bool_)
+        for row, one in zip(rows.tolist(), told, strict=True):
+            found = [value for key, value in one if key == name]
+            value[: len(found), row] = found
+            present[: len(found), row] = True
+        return Numbers(value, present)
 
     return {
         **{
@@ -360,27 +366,6 @@ def _of_fields(
         },
         **{f"fields.{name}": partial(register, name) for name in protocol.named_registers},
     }
-
-
-def _told(
-    name: str,
-    told: Iterable[Iterable[tuple[str, Any]]],
-    rows: NDArray[np.int64],
-    count: int,
-) -> Column:
-    """A register that some rows may tell; those are decoded one by one.
-
-    A row that writes it at several devices has several values.
-    """
-    found = [[(one.partition("@")[0], value) for one, value in fields] for fields in told]
-    counts = [Counter(one for one, _ in fields) for fields in found]
-    most = max((max(each.values(), default=1) for each in counts), default=1)
-    value, present = np.zeros((most, count), object), np.zeros((most, count), np.bool_)
-    for row, fields in zip(rows.tolist(), found, strict=True):
-        values = [value for one, value in fields if one == name]
-        value[: len(values), row] = values
-        present[: len(values), row] = True
-    return Numbers(value, present)
 
 
 def _truth(mask: Mask) -> Words:
