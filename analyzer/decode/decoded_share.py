@@ -80,7 +80,7 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
     for record in records:
         if not isinstance(record, HostRecord | DeviceRecord):
             continue
-        direction = _direction(record)
+        direction: Direction = "host" if isinstance(record, HostRecord) else "device"
         side = share.sides.setdefault(direction, Side())
         if _decodes(record):
             side.decoded += len(record.data)
@@ -92,11 +92,11 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
                 asked = record.answered if isinstance(record, DeviceRecord) else None
                 counted = covered(protocol, asked)
                 wrong[direction].append(Checked(record.data, counted))
-        if begun is not None and direction == _direction(begun) and len(data) < _LOOKED_AT:
+        if type(record) is type(begun) and len(data) < _LOOKED_AT:
             data += record.data
         side.bytes += len(record.data)
     if begun is not None:
-        direction = _direction(begun)
+        direction = "host" if isinstance(begun, HostRecord) else "device"
         near = _near(protocol, begun, data)
         share.first = Undecoded(direction, offset, begun.t, data[:_SHOWN], near)
         fitting = [
@@ -105,10 +105,6 @@ def decoded_share(protocol: Protocol, records: Iterable[Record]) -> DecodedShare
         ]
         share.check = next(filter(None, fitting if direction == "host" else fitting[::-1]), "")
     return share
-
-
-def _direction(record: HostRecord | DeviceRecord) -> Direction:
-    return "host" if isinstance(record, HostRecord) else "device"
 
 
 def _decodes(record: HostRecord | DeviceRecord) -> bool:

@@ -128,7 +128,7 @@ def _counts(totals: Totals, duration: float, load: Json | None) -> Json:
         "expected": totals.expected(),
         "responses": totals.responses(),
         **parts_of(totals, "agreeing", "disagreeing"),
-        "anomalies": dict(totals.faults.most_common()),
+        "anomalies": dict(totals.faults_of().most_common()),
         "by_direction": {
             name: dict(totals.faults_of(side).most_common()) for name, side in directions.items()
         },

@@ -7,7 +7,7 @@ are kept in buckets, of which there are never too many.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -315,11 +315,6 @@ class Totals:
         """How many answers the device has given, whatever their length."""
         return self._answers.total()
 
-    @property
-    def faults(self) -> Counter[str]:
-        """Anomalies by kind."""
-        return self.faults_of()
-
     def faults_of(self, direction: str | None = None, identity: int | None = None) -> Counter[str]:
         """Anomalies by kind of one direction (`host`, `device`, "" for neither), one ID, or all."""
         counts: Counter[str] = Counter()
@@ -330,7 +325,10 @@ class Totals:
 
     def instructions(self) -> dict[str, Instruction]:
         """The counts of each instruction of the grammar, and of each unused ID that occurs."""
-        return {name: self._instruction(identity) for identity, name in self._named_ids()}
+        named = {spec.id: spec.name for spec in self._protocol.instructions}
+        for identity in np.unique(self._ids[self._headers > 0]).tolist():
+            named.setdefault(identity, f"unused {identity}" if identity >= 0 else "unreadable")
+        return {name: self._instruction(identity) for identity, name in named.items()}
 
     def expected(self) -> dict[str, int]:
         """How often each response is the one that a conforming device gives."""
@@ -358,14 +356,6 @@ class Totals:
         width = 10 if self._protocol.plain else 0  # unused codes are ordered by their numbers
         others = sorted(counts.keys() - {*self._names}, key=lambda name: name.rjust(width))
         return {name: counts[name] for name in (*used, *others)}
-
-    def _named_ids(self) -> Iterator[tuple[int, str]]:
-        for spec in self._protocol.instructions:
-            yield spec.id, spec.name
-        known = self._protocol.by_id
-        for identity in np.unique(self._ids[self._headers > 0]).tolist():
-            if identity not in known:
-                yield identity, f"unused {identity}" if identity >= 0 else "unreadable"
 
     def _instruction(self, identity: int) -> Instruction:
         group = self._groups[self._ids == identity]

@@ -128,7 +128,7 @@ def require_agreement(path: Path, protocol: Protocol) -> None:
     kinds = Counter(row["kind"] for row in frames)
     assert kinds.pop("response", 0) == totals.device_bytes
     assert kinds == totals.kinds
-    assert totals.faults == Counter(fault for row in rows for fault in row["faults"])
+    assert totals.faults_of() == Counter(fault for row in rows for fault in row["faults"])
     verdicts = Counter(row["agrees"] for row in rows)
     assert (totals.agreeing, totals.disagreeing) == (verdicts[True], verdicts[False])
     answers = [r for r in records if isinstance(r, DeviceRecord)]
