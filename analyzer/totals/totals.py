@@ -375,7 +375,7 @@ class Totals:
         if not len(end):
             return []
         header = hosts.header[rows]
-        self.kinds.update(dict(zip(KINDS, np.bincount(kind).tolist(), strict=False)))
+        self.kinds += Counter(dict(zip(KINDS, np.bincount(kind).tolist(), strict=False)))
         self.host_bytes += int(size.sum())
         self.rates.count("host_bytes", end, size)
         self._add_kinds("host", hosts.faults.of(mask), hosts.known[rows], header)
