@@ -121,8 +121,7 @@ class Decoder:
             if now - self._host_until >= self._timeout:
                 self._in_doubt = False  # no frame can be open
             self._host_until = now
-            for framed in self._framer.feed(data, now):
-                self._framed(framed, out)
+            self._framed(self._framer.feed(data, now), out)
             self._read_replies(out)
             return
         lengths, held, unhurried = self._protocol.lengths, self._held, self._unhurried
@@ -131,8 +130,7 @@ class Decoder:
             missing = self._framer.missing
             end = at + (missing or 1 + lengths[data[at]])
             if missing or end > size:
-                for framed in self._framer.feed(data[at:end], now):
-                    self._framed(framed, out)
+                self._framed(self._framer.feed(data[at:end], now), out)
             else:
                 self._frame("instruction", data[at:end], now, now, now, out)
             if held or not unhurried:
@@ -189,8 +187,7 @@ class Decoder:
 
     def finish(self, now: int, out: list[Record]) -> None:
         """End the recording at `now` (ns): cut the open frame short and release held answers."""
-        for framed in self._framer.drop(now, "truncated"):
-            self._framed(framed, out)
+        self._framed(self._framer.drop(now, "truncated"), out)
         while self._held:
             self._unsolicited(self._held.popleft(), out)
         self._read_replies(out)
@@ -301,8 +298,7 @@ class Decoder:
         return due
 
     def _cut_short(self, now: int, out: list[Record]) -> None:
-        for framed in self._framer.advance(now):
-            self._framed(framed, out)
+        self._framed(self._framer.advance(now), out)
 
     def _give_up_frame(self, now: int, out: list[Record]) -> None:
         """Give up a frame in which the device answered and which the host did not continue.
@@ -315,8 +311,7 @@ class Decoder:
         held = self._held
         expected = self._steps[self._framer.held].judgement.response.code
         if held and held[0].byte == expected:
-            for framed in self._framer.drop(now, "truncated"):
-                self._framed(framed, out)
+            self._framed(self._framer.drop(now, "truncated"), out)
             return
         for framed in self._framer.drop(now):
             self.garbage(framed, anomalies.MID_FRAME, out)
@@ -366,11 +361,12 @@ class Decoder:
             self._set(heard.reply.address, sets)
             self._unpaired(held, anomalies.ALONE, out)
 
-    def _framed(self, framed: Framed, out: list[Record]) -> None:
-        if framed.kind == "garbage":
-            self.garbage(framed, anomalies.NO_FRAME, out)
-        else:
-            self._frame(framed.kind, framed.data, *framed[1:4], out)
+    def _framed(self, frames: Iterable[Framed], out: list[Record]) -> None:
+        for framed in frames:
+            if framed.kind == "garbage":
+                self.garbage(framed, anomalies.NO_FRAME, out)
+            else:
+                self._frame(framed.kind, framed.data, *framed[1:4], out)
 
     def _frame(
         self, kind: Kind, data: bytes, start: int, end: int, known: int, out: list[Record]

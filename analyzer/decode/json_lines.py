@@ -148,26 +148,30 @@ NO_FIELDS: dict[str, Any] = {}
 _HEX = [f"{byte:02x}" for byte in range(256)]
 
 
+_EMPTY = JsonLine(0.0, None, "fault", "", None, NO_FIELDS, None, "", None, State())
+
+
 @PerFrame
 def _frame_line(record: HostRecord) -> JsonLine:
     """The line of a frame, which is the same wherever it comes but for its time and its place."""
     judgement = record.judgement
-    spec = judgement.instruction if judgement else None
-    return JsonLine(
-        t=0.0,
+    line = replace(
+        _EMPTY,
         direction="host",
-        kind=record.kind,
         hex=record.hex,
-        name=spec.name if spec else None,
-        fields=plain_values(judgement.values) if judgement else NO_FIELDS,
-        judgement=judgement.expected if judgement else None,
         reason=record.reason,
-        latency=None,
-        state=record.state,
         faults=serious_kinds(record),
-        outcome=_outcome(judgement) if judgement and judgement.framed else UNSET,
-        address=_known(judgement.address) if judgement else UNSET,
         uncertain=record.uncertain or UNSET,
+    )
+    if judgement is None:
+        return line
+    return replace(
+        line,
+        name=judgement.instruction.name if judgement.instruction else None,
+        fields=plain_values(judgement.values),
+        judgement=judgement.expected,
+        outcome=_outcome(judgement) if judgement.framed else UNSET,
+        address=_known(judgement.address),
     )
 
 
@@ -176,16 +180,13 @@ def _fault_line(record: LineRecord | FaultRecord) -> JsonLine:
     fault, kind, direction = record.faults[0], "fault", None
     if isinstance(record, LineRecord):
         kind, direction = "gap" if record.lost else "fault", record.value.tap or None
-    return JsonLine(
+    return replace(
+        _EMPTY,
         t=fault.t / 1e9,
         direction=direction,
         kind=kind,
-        hex="",
         name=printable(fault.kind) if kind == "fault" else None,
-        fields=NO_FIELDS,
-        judgement=None,
         reason=fault.reason,
-        latency=None,
         state=record.state,
         sequence=fault.instruction,
         faults=serious_kinds(record),

@@ -223,9 +223,6 @@ class _Parser:
             return self._take()
         return None
 
-    def _written(self, token: Part) -> str:
-        return printable(self._text[token.start : token.end])
-
     def _reach(self, wanted: bool, left: Part | None = None, sign: str = "", **more: bool) -> None:
         """Note the place if the text ends here; the innermost part is the first to say it."""
         if self.place is None and not self._peek().kind:
@@ -319,7 +316,7 @@ class _Parser:
             self._reach(False, left, sign, listed=True)
         token = self._peek()
         if token.kind and token.text not in CLOSING.values():
-            refuse(token, f"a comma is missing before {self._written(token)!r}")
+            refuse(token, f"a comma is missing before {token.shown!r}")
         return Part("set", opening.start, self._close().end, parts=tuple(parts))
 
     def _are_bytes(self, left: Part | None, token: Part) -> bool:
@@ -354,8 +351,7 @@ class _Parser:
         if token.text == "(":
             return self._bracketed(token, sign, left)
         if token.kind:
-            piece = self._written(token)
-            refuse(token, f"{piece!r} cannot stand here, expected {_wanted(sign)}")
+            refuse(token, f"{token.shown!r} cannot stand here, expected {_wanted(sign)}")
         end = len(self._text.rstrip())
         raise FilterError(f"something is missing at the end: {_wanted(sign)}", end, end + 1)
 
@@ -393,7 +389,7 @@ class _Parser:
 
     def _refuse_rest(self, token: Part, part: Part | None) -> NoReturn:
         """Say what is wrong with a token behind a part that is complete. Raises FilterError."""
-        piece = self._written(token)
+        piece = token.shown
         if token.text in CLOSING.values():
             why = f"{piece!r} closes nothing that is open"
         elif instead_of(piece):

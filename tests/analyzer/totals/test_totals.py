@@ -223,7 +223,7 @@ def test_two_recordings_together_have_the_counts_of_both(protocol: Protocol) -> 
     assert together.responses() == both.responses()
     assert together.latencies.spread() == both.latencies.spread()
     assert together.latencies.histogram() == both.latencies.histogram()
-    assert together.faults_of() == both.faults
+    assert together.faults_of() == both.faults_of()
     assert (together.agreeing, together.disagreeing) == (both.agreeing, both.disagreeing)
     assert together.host_bytes == both.host_bytes
     assert together.peak == max(one.peak, other.peak)
