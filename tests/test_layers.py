@@ -91,7 +91,6 @@ HOMES = {
         "captures/storage/",
         "analyzer/decode/batch.py",
         "analyzer/decode/columns.py",
-        "analyzer/decode/column_batch.py",
         "analyzer/totals/",
         "analyzer/filters/masks.py",
         "analyzer/screen/",

@@ -11,27 +11,314 @@ and no two requests wait between which the host has paused.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import pairwise, repeat
-from typing import NamedTuple
+from operator import attrgetter
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from bilprov.analyzer.decode.batch import sliced
+from bilprov.analyzer.decode import anomalies
+from bilprov.analyzer.decode.batch import (
+    INSTRUCTION,
+    Batch,
+    DeviceRows,
+    HostRows,
+    OtherRows,
+    Selection,
+    StateColumns,
+    repeated,
+    sliced,
+)
 from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
-from bilprov.analyzer.decode.column_batch import ColumnBatch, Decoding
 from bilprov.analyzer.decode.decoder import TURNS
-from bilprov.analyzer.decode.pairing import MOST, waiting_frames
+from bilprov.analyzer.decode.pairing import MOST, Held, Waiting, waiting_frames
+from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
-from bilprov.captures.schemas import MS, Chunk
+from bilprov.captures.schemas import MS, Chunk, Line
 from bilprov.spec.arrays.layouts import Mask, Places, Requests
 from bilprov.spec.arrays.states import Known
-from bilprov.spec.arrays.tables import answer_tables, request_tables
-from bilprov.spec.codec import Steps
+from bilprov.spec.arrays.tables import (
+    Answers,
+    answer_tables,
+    request_tables,
+)
+from bilprov.spec.codec import Judgement, Steps
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.replies import GIVES_UP
-from bilprov.spec.state import OTHERS
+from bilprov.spec.replies import GIVES_UP, Reply, read_as, usual_way
+from bilprov.spec.state import OTHERS, State
+
+_FEW = 256  # frames that are looked up one by one faster than they are compared
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnBatch(Batch):
+    """Regular traffic as arrays: every frame is whole, every answer is to the request in turn.
+
+    `data` are the host's bytes and `heard` the device's. The `requests` are the new frames, which
+    came from `start` to `end` (ns); the first has the number `first`. Answer j of `answers`, whose
+    first byte came at `t` (ns), is to the frame of row j of `asked`, which has the number
+    `sequence` and ended at `asked_end` (ns); `after` counts the new frames before it. `before` is
+    the state before the new frames. Before each of the `lines` come `line_after` new frames and
+    `line_heard` answers.
+    """
+
+    decoding: ColumnDecoder
+    data: NDArray[np.uint8]
+    heard: NDArray[np.uint8]
+    requests: Requests
+    first: int
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    asked: Requests
+    asked_end: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+    answers: Answers
+    t: NDArray[np.int64]
+    after: NDArray[np.int64]
+    before: Known
+    lines: Sequence[Line]
+    line_after: NDArray[np.int64]
+    line_heard: NDArray[np.int64]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        kept = [getattr(self, field.name) for field in fields(self)]
+        return type(self), tuple(kept)  # without what is worked out from them
+
+    def __len__(self) -> int:
+        return len(self.start) + len(self.t) + len(self.lines)
+
+    @cached_property
+    def hosts(self) -> HostRows:
+        """The host's rows."""
+        count, alone, tables = len(self.start), self._alone, self.decoding.requests
+        timelines = self._timelines
+        return HostRows(
+            t=self.start,
+            end=self.end,
+            known=self.end,
+            kind=np.broadcast_to(np.uint8(INSTRUCTION), count),
+            data=self.data,
+            offset=self.requests.offset,
+            size=self.requests.size,
+            verdict=self.requests.verdict,
+            sequence=self.first + np.arange(count),
+            states=StateColumns(timelines.kind, count, lambda name: timelines[name][1:]),
+            samples=alone._host_samples,
+            header=tables.keys.take(self.requests.kind),
+            due=tables.due(self.data, self.requests),
+            uncertain=np.broadcast_to(np.False_, count),
+        )
+
+    @cached_property
+    def devices(self) -> DeviceRows:
+        """The device's rows."""
+        alone, tables, answers = self._alone, self.decoding, self.answers
+        verdict, timelines, after = self.asked.verdict, self._timelines, self.after
+        right = tables.answers.agree(self.asked, answers)
+        fields_at, fields_size = tables.answers.fields(self.asked.kind, answers)
+        latency = self.t - self.asked_end
+        late = latency > tables.late
+
+        def sort(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+            """Rows with the same number have the same kinds of anomalies."""
+            wrong: NDArray[np.int64] = 512 * verdict[rows].astype(np.int64) + answers.code[rows]
+            return late[rows] * (1 << 18) + wrong
+
+        return DeviceRows(
+            t=self.t,
+            byte=self._byte(slice(None)),
+            sequence=self.sequence,
+            header=tables.requests.keys.take(self.asked.kind),
+            verdict=verdict,
+            latency=latency,
+            agrees=right.view(np.int8),
+            odd=~right | late | (latency < 0),
+            states=StateColumns(timelines.kind, len(after), lambda n: timelines[n].take(after)),
+            samples=alone._samples,
+            sort=sort,
+            data=self.heard,
+            offset=answers.offset,
+            size=answers.size,
+            name=answers.code,
+            names=tables.answers.names,
+            fields_at=fields_at,
+            fields_size=fields_size,
+            address=tables.answers.addresses(self.asked.kind, self.heard, answers),
+        )
+
+    @cached_property
+    def others(self) -> OtherRows:
+        """The other rows."""
+        after = self.line_after
+        states = self._timelines.states.take(after).tolist() if len(after) else []
+        return OtherRows(
+            [
+                LineRecord(line, False, state, anomalies.of_line(line, lost=False))
+                for line, state in zip(self.lines, states, strict=True)
+            ]
+        )
+
+    @cached_property
+    def places(self) -> tuple[NDArray[np.int64], ...]:
+        """The numbers of the host's, the device's and the other rows among all rows in order."""
+        hosts, devices = np.arange(len(self.start)), np.arange(len(self.t))
+        before = _up_to(self.after, hosts) + _up_to(self.line_after, hosts)
+        return (
+            hosts + before,
+            devices + self.after + _up_to(self.line_heard, devices),
+            np.arange(len(self.lines)) + self.line_after + self.line_heard,
+        )
+
+    def _byte(self, rows: slice | NDArray[np.int64]) -> NDArray[np.integer]:
+        """The codes of some of the answers."""
+        code, tables = self.answers.code[rows], self.decoding
+        return code if tables.protocol.plain else tables.answers.bytes.take(code)
+
+    def records(self, chosen: Selection | None = None) -> Sequence[Record]:
+        """The rows in order as records; the chosen ones, None for all."""
+        hosts, devices, others = (
+            np.arange(len(places)) if chosen is None else np.flatnonzero(mask)
+            for places, mask in zip(self.places, chosen or self.places, strict=True)
+        )
+        states = self._timelines.states
+        made: list[Record] = [*self._host_records(hosts, states.take(hosts + 1).tolist())]
+        made += self._answers(devices, states.take(self.after[devices]).tolist())
+        made += [self.others.listed[row] for row in others.tolist()]
+        rows = zip(self.places, (hosts, devices, others), strict=True)
+        order = np.argsort(np.concatenate([places[some] for places, some in rows]))
+        records: list[Record] = np.fromiter(made, object, len(made))[order].tolist()
+        return records
+
+    @cached_property
+    def _alone(self) -> Self:
+        """The batch without its rows, for what they call.
+
+        If they held the batch that holds them, all would stay in memory until the garbage collector
+        runs, which it hardly ever does among arrays.
+        """
+        return copy(self)
+
+    def _host_records(self, rows: NDArray[np.int64], states: list[State]) -> Iterator[HostRecord]:
+        """The records of some of the host's rows, in these states."""
+        end = objects(self.end[rows])
+        judged = self._judgements(rows).tolist()
+        return map(
+            HostRecord,
+            objects(self.start[rows]),
+            end,
+            end,
+            repeat("instruction"),
+            map(attrgetter("frame"), judged),
+            judged,
+            (self.first + rows).tolist(),
+            states,
+        )
+
+    def _host_samples(self, rows: NDArray[np.int64]) -> list[HostRecord]:
+        return [*self._host_records(rows, [self.before.state] * len(rows))]
+
+    def _samples(self, rows: NDArray[np.int64]) -> list[DeviceRecord]:
+        return self._answers(rows, [self.before.state] * len(rows))
+
+    def _answers(self, rows: NDArray[np.int64], states: list[State]) -> list[DeviceRecord]:
+        """The records of some of the device's rows, in these states."""
+        tables, t, end = self.decoding, self.t[rows], self.asked_end[rows]
+        asked, answers = self.asked.rows(rows), self.answers.rows(rows)
+        odd = ~tables.answers.agree(asked, answers) | (t - end > tables.late) | (t < end)
+        # The judgements of the frames that they answer.
+        new = self.sequence[rows] - self.first
+        carried = int(np.searchsorted(new, 0))
+        before = self._judged(asked.rows(slice(carried)))
+        judged = [*before.tolist(), *self._judgements(new[carried:]).tolist()]
+        made = list(
+            map(
+                DeviceRecord,
+                objects(t),
+                self._byte(rows).tolist(),
+                map(tables.answers.responses.__getitem__, answers.code.tolist()),
+                judged,
+                self.sequence[rows].tolist(),
+                objects(t - end),
+                repeat(True),
+                states,
+                repeat(()),
+                repeat(None) if tables.protocol.plain else self._replies(rows, judged),
+            )
+        )
+        for at in np.flatnonzero(odd).tolist():
+            one = made[at]
+            assert one.answered is not None
+            assert one.instruction is not None
+            waiting = Waiting(one.instruction, int(end[at]), int(end[at]), one.answered)
+            held = Held(one.t, one.byte, one.reply)
+            made[at] = anomalies.answer_record(
+                tables.protocol, held, one.state, waiting, skew=tables.skew
+            )
+        return made
+
+    def _replies(self, rows: NDArray[np.int64], judged: Sequence[Judgement]) -> Iterator[Reply]:
+        """The answers of several bytes to these frames."""
+        protocol = self.decoding.protocol
+        frames = sliced(self.heard, self.answers.offset[rows], self.answers.end[rows])
+        for frame, asked in zip(frames, judged, strict=True):
+            yield read_as(protocol, usual_way(protocol, asked.instruction), frame, asked)
+
+    def _judgements(self, rows: NDArray[np.int64]) -> NDArray[np.object_]:
+        """The judgements of some of the new frames."""
+        if 2 * len(rows) < len(self.start):
+            return self._judged(self.requests.rows(rows))
+        return self._all_judged.take(rows)
+
+    @cached_property
+    def _all_judged(self) -> NDArray[np.object_]:  # which the records of both sides have
+        return self._judged(self.requests)
+
+    def _judged(self, requests: Requests) -> NDArray[np.object_]:
+        """The judgements of some frames; where frames are equal, one of them is looked up."""
+        one, place = self._distinct(requests)
+        frames = sliced(self.data, requests.offset[one], requests.end[one])
+        steps = self.decoding.steps
+        return np.fromiter((steps[frame].judgement for frame in frames), object, len(one))[place]
+
+    def _distinct(self, requests: Requests) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """A row of each frame that differs from the others, and which of these each row equals.
+
+        Frames of 8 bytes and more count as different, and so do a few.
+        """
+        rows = np.arange(len(requests.size))
+        if len(rows) < _FEW:
+            return rows, rows
+        eight = self.data.take(requests.offset[:, None] + np.arange(8), mode="clip").view("<u8")
+        bits = np.minimum(8 * requests.size, 64).astype(np.uint64)
+        low = eight[:, 0] & ((np.uint64(1) << bits) - np.uint64(1))
+        key = np.where(requests.size < 8, low, rows.astype(np.uint64)) | bits << np.uint64(56)
+        _, one, place = np.unique(key, return_index=True, return_inverse=True)
+        return one, place
+
+    @cached_property
+    def _timelines(self) -> StateColumns:
+        """The variables before the new frames and after each."""
+        tables, known = self.decoding.requests.states, (self.data, self.requests, self.before)
+        count = len(self.start) + 1
+        return StateColumns(type(self.before.state), count, lambda n: tables.column(n, *known))
+
+
+def _up_to(values: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many of the values are at most the number of each row."""
+    return np.bincount(values, minlength=len(rows))[: len(rows)].cumsum()
+
+
+def objects(values: NDArray[np.int64]) -> list[int]:
+    """Numbers as a list, in which neighbours that are equal are one object."""
+    changed = np.ones(len(values), np.bool_)
+    changed[1:] = values[1:] != values[:-1]
+    listed: list[int] = repeated(values[changed].tolist(), changed).tolist()
+    return listed
 
 
 class Heard(NamedTuple):
@@ -143,15 +430,17 @@ class ColumnDecoder:
     """
 
     def __init__(self, protocol: Protocol, *, timeout: int, skew: int, paired: bool) -> None:
-        requests = self._requests = request_tables(protocol)
-        answers = self._answers = answer_tables(protocol)
+        self.protocol = protocol
+        self.requests = request_tables(protocol)
+        self.answers = answer_tables(protocol)
+        self.steps = Steps(protocol)
+        self.skew = skew
+        self.late = round(protocol.timing.answer_deadline * MS)
         self._paired = paired
         self._timeout = timeout
         # How long an answer without its request, or one that is not complete, is held at least.
         self._held = min(skew, QUIET) if protocol.plain else max(timeout, skew)
         self._longest = round(protocol.timing.answer_longest * MS)
-        late = round(protocol.timing.answer_deadline * MS)
-        self._decoding = Decoding(protocol, requests, answers, Steps(protocol), skew, late)
         self._plain = protocol.plain
 
     def carry(self, state: DecoderState, begun: Sequence[Chunk]) -> Carry | None:
@@ -161,10 +450,10 @@ class ColumnDecoder:
         """
         if state.out_of_step is not None or (begun and begun[0].t != state.frame_start):
             return None  # the open frame ends early; its end was put off while nothing was read
-        asked = list(state.instructions(self._decoding.protocol))
+        asked = list(state.instructions(self.protocol))
         waiting = b"".join(frame for *_, frame in asked)
         host = _reads_before([(state.time, waiting), *((one.t, one.data) for one in begun)])
-        found = self._requests.cut(host.data[: len(waiting)], 0)
+        found = self.requests.cut(host.data[: len(waiting)], 0)
         if found.end < len(waiting):
             return None  # a faulty request waits, too
         return Carry(
@@ -213,7 +502,7 @@ class ColumnDecoder:
             open_until = int(carry.host.t[-1]) + self._timeout
             due.append(open_until)
         if len(carry.device.data) and self._plain:
-            due.append(max(int(carry.device.t[0]), open_until) + self._decoding.skew)
+            due.append(max(int(carry.device.t[0]), open_until) + self.skew)
         elif len(carry.device.data):
             due.append(int(carry.device.t[-1]) + self._held)
         return min(due, default=None)
@@ -235,7 +524,7 @@ class ColumnDecoder:
             cut = int(line_event[turns.index(True)])
 
         # Requests, and those of them that wait for an answer.
-        found = self._requests.cut(host.data, before.begun, host.upto)
+        found = self.requests.cut(host.data, before.begun, host.upto)
         requests = found.whole
         if not found.regular:
             cut = min(cut, host.event_of(found.end))
@@ -252,7 +541,7 @@ class ColumnDecoder:
             sequence = np.append(before.sequence, sequence)
 
         # Answers: answer j is to request j of those.
-        given = self._answers.cut(host.data, asked, device.data, device.upto)
+        given = self.answers.cut(host.data, asked, device.data, device.upto)
         answers, pairs = given.whole, slice(len(given.whole.code))
         if not given.regular:
             cut = min(cut, device.event_of(given.end))
@@ -288,8 +577,8 @@ class ColumnDecoder:
                 within = early & (said.bytes > taken)
                 within &= device.newest(len(events)) > host.newest(len(events))
             # A late answer that is wrong may be to the next request: see `passes_over`.
-            late = np.flatnonzero(answer_t - asked_end[pairs] > self._decoding.late)
-            wrong = late[~self._answers.agree(asked.rows(late), answers.rows(late))]
+            late = np.flatnonzero(answer_t - asked_end[pairs] > self.late)
+            wrong = late[~self.answers.agree(asked.rows(late), answers.rows(late))]
             if len(wrong):
                 cut = min(cut, device.event_of(int(wrong[0])))
             after = np.repeat(frames.take(1 + device.event), many)
@@ -297,11 +586,11 @@ class ColumnDecoder:
         else:
             before_it = np.flatnonzero(whole < asked_come[pairs])
             ended = device.t.take(device.of(answers.end[before_it] - 1))
-            unasked = before_it[ended < asked_end[before_it] - self._decoding.skew]
+            unasked = before_it[ended < asked_end[before_it] - self.skew]
             if len(unasked):  # no answers to these requests: see `Decoder`
                 cut = min(cut, int(asked_come[unasked[0]]))
             falls_due |= _paused(told, heard, t, self._held)
-            paused = np.diff(asked_end, prepend=asked_end[:1]) >= self._decoding.late // GIVES_UP
+            paused = np.diff(asked_end, prepend=asked_end[:1]) >= self.late // GIVES_UP
             pauses = np.append(0, np.cumsum(paused))
             falls_due |= pauses[asked_by[:-1]] > pauses[np.minimum(answered + 1, asked_by)[:-1]]
             after = frames.take(1 + paired)
@@ -315,12 +604,12 @@ class ColumnDecoder:
         begun, low = int(taken[cut]), int(heard[cut])
         new = requests.rows(slice(count))
         # The states from which decoding goes on.
-        known, protocol = Known(rest.state, None), self._decoding.protocol
-        if protocol.layout.part("address") and self._requests.states.has_effects:
+        known, protocol = Known(rest.state, None), self.protocol
+        if protocol.layout.part("address") and self.requests.states.has_effects:
             known = Known(rest.state, {OTHERS: protocol.power_on, **dict(rest.by_address or ())})
         line_event = line_event[line_event < cut]
         batch = ColumnBatch(
-            decoding=self._decoding,
+            decoding=self,
             data=host.data[:begun],
             heard=device.data[:low],
             requests=new,
@@ -345,8 +634,8 @@ class ColumnDecoder:
             return batch, 0, before
 
         # What is left.
-        if self._requests.states.has_effects:
-            known = self._requests.states.last(host.data, new, known)
+        if self.requests.states.has_effects:
+            known = self.requests.states.last(host.data, new, known)
             rest = replace(rest, state=known.state)
             if known.by_address is not None:
                 rest = replace(rest, by_address=tuple(sorted(known.by_address.items())))
@@ -370,7 +659,7 @@ class ColumnDecoder:
         """The requests that wait for an answer."""
         if not self._paired:
             return slice(0)
-        due = self._requests.due(data, requests)
+        due = self.requests.due(data, requests)
         return slice(None) if due is None or due.all() else due
 
     def _given_up(self, device: Reads, told: Heard, heard: Places, t: Places) -> Mask:

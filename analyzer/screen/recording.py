@@ -27,7 +27,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from bilprov.analyzer.decode.batch import Batch, Records
-from bilprov.analyzer.decode.column_batch import Decoding
+from bilprov.analyzer.decode.columns import ColumnDecoder
 from bilprov.analyzer.decode.records import Record
 from bilprov.analyzer.files import whole_file, why_not_writable
 from bilprov.analyzer.output.outputs import opened_output
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 _LEVEL = 1  # of zstd
 _UNPACKED = 4  # batches that stay unpacked
-_SHARED = (Decoding, InstructionSpec, ResponseSpec)
+_SHARED = (ColumnDecoder, InstructionSpec, ResponseSpec)
 _KEPT: dict[int, object] = {}  # what packed batches share, of which there are a few for a grammar
 
 

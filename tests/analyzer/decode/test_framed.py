@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from bilprov.analyzer.decode.batch import Records
-from bilprov.analyzer.decode.column_batch import ColumnBatch
+from bilprov.analyzer.decode.columns import ColumnBatch
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import FaultRecord
 from bilprov.analyzer.decode.session import SKEW, Session

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.decode.batch import Records
-from bilprov.analyzer.decode.column_batch import ColumnBatch
+from bilprov.analyzer.decode.columns import ColumnBatch
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.filters.filter import compile_filter

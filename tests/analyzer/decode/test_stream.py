@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from bilprov.analyzer.decode import columns, pairing
 from bilprov.analyzer.decode.batch import Batch, Kinds, Records
-from bilprov.analyzer.decode.column_batch import ColumnBatch
+from bilprov.analyzer.decode.columns import ColumnBatch
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.captures.schemas import Chunk, Line

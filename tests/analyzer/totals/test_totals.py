@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bilprov.analyzer.decode.batch import Batch, Records
-from bilprov.analyzer.decode.column_batch import ColumnBatch
+from bilprov.analyzer.decode.columns import ColumnBatch
 from bilprov.analyzer.decode.json_lines import json_line
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, Record, serious_faults
 from bilprov.analyzer.decode.stream import StreamDecoder
