@@ -49,7 +49,7 @@ UNUSED = {
         "rich",
         "pyarrow",
     },
-    "completion fish": HEAVY,
+    "completion fish": HEAVY - {"msgspec"},
     "simulate --list-faults": {"mcap", "numpy", "rich", "bilprov.conformance.cases"},
     "send sim": {"prompt_toolkit", "rich", "numpy", "mcap"},
     "conform sim --level smoke --list": {"mcap", "numpy", "rich", "importlib.metadata"},

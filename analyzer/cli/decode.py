@@ -14,7 +14,6 @@ import msgspec
 from msgspec.structs import replace
 
 from bilprov.analyzer.cli.command import argument, command, flag, option, protocol_in_use
-from bilprov.analyzer.cli.command_files import opened_captures
 from bilprov.analyzer.cli.options import (
     compiled,
     filter_option,
@@ -25,27 +24,14 @@ from bilprov.analyzer.cli.options import (
     sender_option,
     text_format_option,
 )
-from bilprov.analyzer.cli.typed_input import (
-    are_json_lines,
-    bytes_from_hex,
-    decoded_chunks,
-    encoded,
-    file_or_bytes,
-    recorded_chunks,
-    requests_typed,
-)
-from bilprov.analyzer.decode.records import DeviceRecord, Record
-from bilprov.analyzer.decode.session import BOTH, Session
 from bilprov.analyzer.output.console import show_as
-from bilprov.analyzer.output.outputs import Shown, opened_output
 from bilprov.captures.errors import CaptureError
-from bilprov.captures.parts import kept_parts
 from bilprov.captures.schemas import Chunk, Direction
-from bilprov.spec.codec import spaced
-from bilprov.spec.protocol import Protocol
 
 if TYPE_CHECKING:
     from bilprov.analyzer.decode.batch import Batch
+    from bilprov.analyzer.decode.records import Record
+    from bilprov.spec.protocol import Protocol
 
 PIECE = 1 << 16  # bytes
 
@@ -78,10 +64,14 @@ def decode(options: DecodeOptions) -> None:
     taken as sent without a pause: only the last frame can be cut short. The data of some answers
     can be read only with their --request.
     """
+    from bilprov.analyzer.cli import typed_input
+    from bilprov.analyzer.decode.session import BOTH, Session
+    from bilprov.analyzer.output.outputs import Shown, opened_output
+
     sender, words = options.sender, options.words
     if not words and sys.stdin.isatty():
         raise click.UsageError("nothing to decode: give HEX, a FILE or - for standard input")
-    source = None if words in ((), ("-",)) else file_or_bytes(words)
+    source = None if words in ((), ("-",)) else typed_input.file_or_bytes(words)
     kind = _kind(source) if isinstance(source, Path) else "bytes"
     if options.half_duplex and kind == "bytes":
         raise click.UsageError("--half-duplex is for captures and JSON lines, which have times")
@@ -89,6 +79,7 @@ def decode(options: DecodeOptions) -> None:
         raise click.UsageError(f"{kind} have the requests: leave out --request")
     if kind == "captures":
         only_for_bytes()
+        from bilprov.analyzer.cli.command_files import opened_captures
         from bilprov.analyzer.replay.capture_decoding import opened_whole
 
         (capture,), protocol = opened_captures([str(source)], half_duplex=options.half_duplex)
@@ -99,7 +90,7 @@ def decode(options: DecodeOptions) -> None:
     out = opened_output(options.style, protocol)
     if kind == "bytes":
         with refused():
-            requests = requests_typed(protocol, options.request, sender)
+            requests = typed_input.requests_typed(protocol, options.request, sender)
         asked = b"".join(one.frame for one in requests)
         if isinstance(source, bytes) and test is None:
             # Without batches, and so without numpy, which takes longer to load than all else here.
@@ -111,8 +102,8 @@ def decode(options: DecodeOptions) -> None:
         batches = _of_bytes(source, sender, protocol, asked)
     elif kind == "JSON lines":
         assert isinstance(source, Path)
-        chunks = recorded_chunks(source, sender)
-        batches = decoded_chunks(protocol, chunks, half_duplex=options.half_duplex)
+        chunks = typed_input.recorded_chunks(source, sender)
+        batches = typed_input.decoded_chunks(protocol, chunks, half_duplex=options.half_duplex)
     shown = Shown(out, test and test.started(start))
     for batch in batches:
         shown.show(batch)
@@ -120,11 +111,15 @@ def decode(options: DecodeOptions) -> None:
 
 def _answers(records: Iterable[Record]) -> list[Record]:
     """The answers; how long they took nobody knows."""
+    from bilprov.analyzer.decode.records import DeviceRecord
+
     return [replace(one, latency=None) for one in records if isinstance(one, DeviceRecord)]
 
 
 def _kind(path: Path) -> Literal["bytes", "captures", "JSON lines"]:
     """What a file has in it, by how it begins."""
+    from bilprov.analyzer.cli.typed_input import are_json_lines
+    from bilprov.captures.parts import kept_parts
     from bilprov.captures.storage.records import MAGIC
 
     if not path.is_file():  # a pipe's bytes can be read only once
@@ -143,6 +138,7 @@ def _of_bytes(
     `asked` are the requests that they answer, b"" where they are not known.
     """
     from bilprov.analyzer.decode.batch import Records
+    from bilprov.analyzer.decode.session import BOTH
     from bilprov.analyzer.decode.stream import StreamDecoder
 
     decoder = StreamDecoder(protocol, heard=BOTH if asked else frozenset({sender}))
@@ -194,6 +190,7 @@ def explain(options: ExplainOptions) -> None:
     For each frame: what its bits mean, what a conforming device answers and does, why, the clause,
     reading or erratum of the document that this rests on, and the nearest valid frame.
     """
+    from bilprov.analyzer.cli.typed_input import bytes_from_hex, requests_typed
     from bilprov.analyzer.output.explanation import as_json, drawn
     from bilprov.spec import explain as explaining
 
@@ -228,6 +225,9 @@ def encode(options: EncodeOptions) -> None:
 
     INSTRUCTION is a name in the grammar, FIELD one of its fields.
     """
+    from bilprov.analyzer.cli.typed_input import encoded
+    from bilprov.spec.codec import spaced
+
     protocol = protocol_in_use()
     with refused():
         frame = encoded(protocol, options.name, options.values)

@@ -32,7 +32,6 @@ from click import exceptions
 
 from bilprov.analyzer.output.console import NARROW
 from bilprov.analyzer.transport.signals import halt_if_ending
-from bilprov.spec.errors import UserError, one_line
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -189,6 +188,8 @@ def interrupts_kept() -> Iterator[None]:
 
 def report(error: BaseException) -> int:
     """Print what went wrong, in one sentence on standard error, and return the exit code."""
+    from bilprov.spec.errors import UserError
+
     if isinstance(error, (KeyboardInterrupt, click.Abort)):
         # So that it does not wait for a slow reader. A test that captures output has no such file.
         with suppress(OSError, ValueError):
@@ -214,6 +215,8 @@ def report(error: BaseException) -> int:
 
 def say(sentence: str) -> None:
     """Print a sentence on standard error as one safe line of at most 4,000 characters."""
+    from bilprov.spec.errors import one_line
+
     click.echo(f"bilprov: {one_line(sentence)}", err=True)
 
 

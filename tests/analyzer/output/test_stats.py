@@ -90,7 +90,7 @@ def test_the_settings_of_the_recording_are_used(tmp_path: Path, protocol: Protoc
     events: list[Event] = [Chunk(0, "host", b"\x11"), Chunk(30 * MS, "host", b"\x05")]
 
     kinds = [
-        capture_totals(
+        +capture_totals(
             open_capture(written(tmp_path / f"{ms}.mcap", events, truncation_timeout_ms=ms)),
             protocol,
         ).kinds
