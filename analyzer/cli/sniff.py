@@ -171,9 +171,6 @@ def sniff(options: SniffOptions) -> int:
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
             note(source.served)
-        gc.collect()
-        gc.freeze()
-        gc.disable()  # it would stop the reader at any moment; `_listen` collects
         stack.callback(gc.unfreeze)
         stack.callback(gc.enable)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
@@ -273,6 +270,9 @@ def _listen(
     end = None if duration is None else round(duration * 1e9)
     lost: dict[str, str] = {}
     recorder, told = pipeline.recorder, False
+    gc.collect()
+    gc.freeze()
+    gc.disable()  # it would stop the reader at any moment; garbage is collected below
     collected = time.monotonic()
     while not (stopper.stopped or pipeline.shown.full or (source.ended and not wait)):
         now, due = source.now(), pipeline.deadline
