@@ -12,7 +12,6 @@ from functools import lru_cache
 import click
 
 from bilprov.analyzer.decode.records import (
-    Anomaly,
     DeviceRecord,
     HostRecord,
     LineRecord,
@@ -21,7 +20,6 @@ from bilprov.analyzer.decode.records import (
     Severity,
     severity_of,
 )
-from bilprov.captures.schemas import Line
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.replies import usual_way
@@ -86,8 +84,13 @@ class LineRenderer:
         if isinstance(record, DeviceRecord):
             return f"{self._time(record.t)} {self._device_line(record)}"
         if isinstance(record, LineRecord) and not record.faults:
-            return f"{self._time(record.t)} - {_line_event(record.value)}"
-        return self._fault_line(record.faults[0])
+            line = record.value
+            detail = f": {printable(line.detail)}" if line.detail else ""
+            what = f"{line.tap} line {printable(line.event)}{detail}".lstrip()
+            return f"{self._time(record.t)} - {what}"
+        fault = record.faults[0]
+        words = f"{fault.kind}: {fault.reason}"
+        return f"{self._time(fault.t)} ! {self._paint(words, fault.severity)}"
 
     def _host_text(self, record: HostRecord) -> tuple[str, str]:
         """What stands before the state, and behind it."""
@@ -106,10 +109,6 @@ class LineRenderer:
         body = f"{coded:<{self._width}}  {name:<13}"
         return f"← {self._paint(body, severity)}"
 
-    def _fault_line(self, fault: Anomaly) -> str:
-        words = f"{fault.kind}: {fault.reason}"
-        return f"{self._time(fault.t)} ! {self._paint(words, fault.severity)}"
-
     def _state_text(self, state: State) -> str:
         words = state.described
         if not words:
@@ -126,12 +125,6 @@ class LineRenderer:
 def painted(text: str, severity: Severity | None) -> str:
     """The text in the colour of what it tells: green where nothing is odd."""
     return click.style(text, fg="green" if severity is None else SEVERITY_COLOURS[severity])
-
-
-def _line_event(line: Line) -> str:
-    where = f"{line.tap} line" if line.tap else "line"
-    detail = f": {printable(line.detail)}" if line.detail else ""
-    return f"{where} {printable(line.event)}{detail}"
 
 
 def _seconds(t: int) -> str:
