@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
-from bilprov.conformance.causes.exchanges import ANSWER, Bag, Exchange
+from bilprov.conformance.causes.exchanges import (
+    ANSWER,
+    MOTION,
+    Bag,
+    Deviation,
+    Exchange,
+    Exchanges,
+    Known,
+)
 from bilprov.conformance.causes.features import Feature, Rule, matches
 from bilprov.conformance.causes.learner import Learner, Table
-from bilprov.conformance.causes.relations import Effect, Relation, relations, resuming
+from bilprov.conformance.causes.relations import (
+    Effect,
+    Relation,
+    Value,
+    relations,
+    resuming,
+)
 
 _EFFECTS, _RULES = 12, 4
 """Different deviations that are explained, those seen most, and rules for each of them, at most."""
@@ -19,6 +33,8 @@ _FEW_LEFT = 0.1
 """The share of the deviations of an effect that one rule for it and others may leave out."""
 _FEW, _FEW_SHARE = 4, 0.15
 """Cases, and their share of the widest cause's, that may be what another cause brings about."""
+_TAKEN = 2
+"""Causes that are taken as known in turn, at most."""
 _THIN = 5
 """What the condition of a cause may cost for each of its cases."""
 _BACK = 64
@@ -61,10 +77,80 @@ class Cause:
         """Whether what it does may show at later frames, too."""
         return not all(effect.bags[0].deviation.right_code for effect in self.effects)
 
+    @property
+    def kinds(self) -> set[Deviation | tuple[str, str]]:
+        """The deviations that it explains: of a motion each, else the facets and how they do."""
+        found = [bag.deviation for effect in self.effects for bag in effect.bags]
+        return {one if one.facet == MOTION else one[:2] for one in found}
+
+    def explains(self, bag: Bag) -> bool:
+        """Return whether a deviation is one of its own."""
+        alike = (bag.deviation[:2] == (e.relation.facet, e.relation.how) for e in self.effects)
+        return any(alike) and any(matches(self.rule, e) for e in bag.exchanges)
+
+    def made(self, exchange: Exchange) -> dict[str, Value]:
+        """Return what the device makes of an exchange, by facet, where that is not what is due."""
+        if not matches(self.rule, exchange):
+            return {}
+        relations = [e.relation for e in self.effects if e.relation.facet != ANSWER]
+        shown = [one for one in relations if one.predict and one.differs(exchange)]
+        return {one.facet: one.predict(exchange) for one in shown if one.predict}
+
     def foresees(self, exchange: Exchange) -> bool:
         """Return whether it takes in an exchange and would show there."""
         differs = any(effect.relation.differs(exchange) for effect in self.effects)
         return differs and matches(self.rule, exchange)
+
+
+def fewest_causes(
+    features: Sequence[Feature],
+    exchanges: Exchanges,
+    failed: Container[str],
+    again: Callable[[Known], Exchanges],
+) -> list[Cause]:
+    """Find the fewest and simplest causes of the deviations in the failed cases.
+
+    What a device makes of a frame may stay unseen, so that a second fault shows in another state
+    than is expected, or does not show. So where there are several, the simplest causes that nothing
+    contradicts are taken as known in turn: `again` gives the exchanges with what the device is then
+    known to make of them.
+    """
+
+    def found(of: Exchanges, bags: Iterable[Bag]) -> list[Cause]:
+        causes = find_causes(features, of.all, bags, failed)
+        return [cause for cause in causes if any(case in failed for case in cause.cases)]
+
+    causes = found(exchanges, exchanges.bags)
+    certain = _certain(causes)[:_TAKEN] if len(causes) > 1 else []
+    for cause in certain:
+        known = again(cause.made)
+        others = found(known, (bag for bag in known.bags if not cause.explains(bag)))
+        solution = [cause, *others]
+        as_many = len(_cases(solution)) >= len(_cases(causes))
+        if as_many and _complexity(solution) < _complexity(causes):
+            return solution
+    return causes
+
+
+def _cases(causes: Iterable[Cause]) -> set[str]:
+    """The ids of the cases that these causes explain."""
+    return set().union(*(cause.cases for cause in causes))
+
+
+def _complexity(causes: Sequence[Cause]) -> tuple[int, int]:
+    """How many causes there are, and how much it takes to say their rules."""
+    return len(causes), sum(_cost(cause.rule) for cause in causes)
+
+
+def _certain(causes: Sequence[Cause]) -> list[Cause]:
+    """The causes of a wrong state whose deviations no other one explains, the simplest first."""
+    certain = [
+        cause
+        for cause in causes
+        if any(e.relation.facet != ANSWER and e.relation.predict for e in cause.effects)
+        and all(cause.kinds.isdisjoint(other.kinds) for other in causes if other is not cause)
+    ]
+    return sorted(certain, key=lambda cause: _cost(cause.rule))
 
 
 def find_causes(
@@ -136,9 +222,9 @@ def _brought_about(bag: Bag, causes: Sequence[Cause], back: int) -> Cause | None
 
 
 def _effects(bags: Iterable[Bag], clean: Sequence[Exchange]) -> list[Effect]:
-    kinds: dict[tuple[str, str], list[Bag]] = {}
+    kinds: dict[tuple[str, str, bool], list[Bag]] = {}
     for bag in bags:
-        kinds.setdefault(bag.deviation[:2], []).append(bag)
+        kinds.setdefault((*bag.deviation[:2], bag.keeps_moving), []).append(bag)
     return [
         Effect(relation, own, _against(relation, own, clean))
         for kind in kinds.values()

@@ -7,7 +7,7 @@ frame hides is no evidence for it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import NamedTuple
@@ -149,6 +149,12 @@ class Bag(NamedTuple):
         """The kind of motion of a device that stands still."""
         return str(self.exchanges[0].before.state.wheels.still)
 
+    @property
+    def keeps_moving(self) -> bool:
+        """Whether the device moves where it must stand: what matters most."""
+        facet, _, expected, seen = self.deviation
+        return facet == MOTION and expected == self.still != seen
+
 
 class Timing(NamedTuple):
     """Times of a line (ns): what pause ends a frame, a byte, how late an answer may come."""
@@ -158,11 +164,24 @@ class Timing(NamedTuple):
     longest: int
 
 
-class Exchanges:
-    """The exchanges of a trace, and the bags of those that deviate from the model."""
+Known = Callable[[Exchange], Mapping[str, "int | str | None"]]
 
-    def __init__(self, model: Model, events: Iterable[Event], timing: Timing) -> None:
+
+def _nothing(exchange: Exchange) -> Mapping[str, int | str | None]:
+    return {}
+
+
+class Exchanges:
+    """The exchanges of a trace, and the bags of those that deviate from the model.
+
+    `known` gives what a device is known to make of an exchange, besides the model, by facet.
+    """
+
+    def __init__(
+        self, model: Model, events: Iterable[Event], timing: Timing, known: Known = _nothing
+    ) -> None:
         self.all: list[Exchange] = []
+        self._known = known
         self.bags: list[Bag] = []
         self._model, self._car = model, model.protocol.car
         self._of_motion = facets_of_motion(model.protocol)
@@ -341,6 +360,8 @@ class Exchanges:
             self._may_show_in(exchange)
             self._expected = self._model.after(self._expected, exchange.step.frame_effect)
             exchange.after = self._expected
+            if known := self._known(exchange):
+                self._expected = self._made(known)
             if guilty:
                 self._expected = replace(
                     self._expected, unknown=frozenset(self._model.protocol.variables)
@@ -354,6 +375,12 @@ class Exchanges:
             self._unseen.clear()
         elif looks:
             self._judge_looks(burst, answers, looks, guilty)
+
+    def _made(self, known: Mapping[str, int | str | None]) -> ExpectedState:
+        """The expected state with the values of facets that this device is known to make."""
+        named = {self._car.by if facet == MOTION else facet: v for facet, v in known.items()}
+        state, unknown = self._expected.state.but(**named), self._expected.unknown - named.keys()
+        return replace(self._expected, state=state, unknown=unknown)
 
     def _paired(
         self, burst: list[Exchange], answers: list[tuple[int, int]]

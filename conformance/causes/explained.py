@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from bilprov.analyzer.client.operations import Procedure, followed, listen, power_cycle
@@ -152,11 +152,11 @@ class Explainer:
         failed = {r.id for r in run.results if r.verdict is Verdict.FAIL}
         if not failed:
             return []
-        from bilprov.conformance.causes.causes import find_causes  # it needs numpy
+        from bilprov.conformance.causes.causes import fewest_causes  # it needs numpy
 
-        exchanges = self.exchanges = Exchanges(run.model, self._trace.events, self.timing)
-        found = find_causes(features(run.protocol), exchanges.all, exchanges.bags, failed)
-        found = [cause for cause in found if not failed.isdisjoint(cause.cases)]
+        rebuilt = partial(Exchanges, run.model, self._trace.events, self.timing)
+        self.exchanges = rebuilt()
+        found = fewest_causes(features(run.protocol), self.exchanges, failed, rebuilt)
         _mark_moving(found, run.results)
         found.sort(key=lambda cause: (_rank(cause), -len(cause.cases)))
         finder = Finder(run.model, self.timing)

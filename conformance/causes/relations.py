@@ -102,10 +102,7 @@ class Effect:
     @property
     def keeps_moving(self) -> bool:
         """Whether the device moves where it must stand: what matters most."""
-        return self.relation.facet == MOTION and any(
-            bag.deviation.expected == bag.still and bag.deviation.seen != bag.still
-            for bag in self.bags
-        )
+        return any(bag.keeps_moving for bag in self.bags)
 
 
 def value_after(facet: str, exchange: Exchange) -> Value:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -26,6 +27,7 @@ from bilprov.conformance.causes.exchanges import (
     WHEELS,
     Bag,
     Deviation,
+    Exchange,
     Exchanges,
     Timing,
 )
@@ -352,6 +354,31 @@ def test_the_rule_of_a_deviation_takes_in_the_rare_frames_that_show_it(protocol:
     found = Exchanges(Model(protocol, Choices()), events, Timing(5 * MS, 86_806, 250 * MS))
     [cause] = find_causes(features(protocol), found.all, found.bags, [""])
     assert not [bag for bag in found.bags if not matches(cause.rule, bag.exchanges[0])]
+
+
+def test_what_keeps_it_moving_is_told_apart_from_another_motion(protocol: Protocol) -> None:
+    bank = fault_bank(protocol)
+    swapped = bank["rotateright-rotateleft-swapped"]
+    causes = report_of(protocol, both(swapped, bank["no-stop-on-bad-data"])).causes
+    assert [cause.axis for cause in causes] == ["stop", "state"]
+    assert causes[0].when == "bad data"
+    assert "instead of stopped" not in causes[1].sentence
+
+
+def test_what_a_device_is_known_to_make_of_a_frame_holds_for_the_next(protocol: Protocol) -> None:
+    events = []
+    for number, frame in enumerate(["11 50", "30", "20", "81 ff"]):
+        at = 10 * MS * (number + 1)
+        events.append(Done(Send(bytes.fromhex(frame)), at))
+        events.append(Done(None, Received(((at + MS, 0),), at + MS)))
+    timing = Timing(5 * MS, 86_806, 250 * MS)
+    rebuilt = partial(Exchanges, Model(protocol, Choices()), events, timing)
+
+    def ignored(exchange: Exchange) -> dict[str, int | str | None]:
+        return {MOTION: "backward"} if exchange.kind == "Forward" else {}
+
+    motions = [e.all[-1].before.state.motion for e in (rebuilt(), rebuilt(ignored))]
+    assert motions == ["forward", "backward"]
 
 
 def test_that_it_answers_no_more_is_a_cause_beside_others(protocol: Protocol) -> None:
