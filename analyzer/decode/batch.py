@@ -165,11 +165,6 @@ class HostRows:
         code = np.where(self.verdict == VALID, 0, 1 + self.kind)
         return Kinds(code, [(), ("faulty instruction",), ("truncated",), ("garbage",)])
 
-    def frames(self, rows: slice | NDArray[Any]) -> list[bytes]:
-        """The bytes of some rows."""
-        start = self.offset[rows]
-        return sliced(self.data, start, start + self.size[rows])
-
 
 @dataclass(frozen=True, eq=False)
 class DeviceRows:

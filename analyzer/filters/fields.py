@@ -175,7 +175,8 @@ def _of_rows(protocol: Protocol) -> list[Field]:
     codes = {spec.name: spec.code for spec in protocol.responses}
     given = {**codes, PLAIN_ANSWER.name: UNCODED} if protocol.uncoded else codes
     due = codes if protocol.plain else {**codes, Outcome.VALID.value: UNCODED, NO_ANSWER.name: NONE}
-    names = _itself([*protocol.by_name, *_answer_names(protocol), *_ROWS_OF_THEIR_OWN])
+    uncoded = [] if protocol.reply.part("code") else [PLAIN_ANSWER.name]
+    names = _itself([*protocol.by_name, *codes, *uncoded, *_ROWS_OF_THEIR_OWN])
     kinds = _itself([*get_args(FrameKind), "fault"])
     longest = protocol.data_lengths[-1]
     came = "the response code that the device sent"
@@ -206,12 +207,6 @@ def _of_rows(protocol: Protocol) -> list[Field]:
         Field("t_ns", number, "the same in ns"),
         Field("time", Kind.CLOCK, "the time of day, or with a date before it"),
     ]
-
-
-def _answer_names(protocol: Protocol) -> list[str]:
-    """The names that answers can have; of flags, each by itself."""
-    named = [spec.name for spec in protocol.responses]
-    return named if protocol.reply.part("code") else [*named, PLAIN_ANSWER.name]
 
 
 def _of_frames(protocol: Protocol) -> Iterator[Field]:

@@ -515,16 +515,13 @@ def _compared(left: Column, sign: str, right: Column) -> Mask:
 def _words_compared(left: Words, compare: Callable[[Any, Any], Any], right: Words) -> Mask:
     if left is right:
         return np.array([word is not None for word in left.words]).take(left.code)
-    many = len(right.words)
-    holds = [
-        one is not None and other is not None and compare(one, other)
-        for one in left.words
-        for other in right.words
-    ]
-    table = np.array(holds, np.bool_)
+    table = np.zeros((len(left.words), len(right.words)), np.bool_)
+    for place in np.ndindex(table.shape):
+        one, other = left.words[place[0]], right.words[place[1]]
+        table[place] = one is not None and other is not None and compare(one, other)
     if right.code.ndim == 0:
-        return table[int(right.code) :: many].take(left.code)
-    return table.take(left.code.astype(np.int64) * many + right.code)
+        return table[:, int(right.code)].take(left.code)
+    return np.asarray(table[left.code, right.code])
 
 
 def _containing(column: Octets, part: NDArray[np.uint8]) -> Mask:

@@ -128,14 +128,7 @@ KEPT = 20  # violations that are listed; all are counted
 
 MOVING = "moving after a fault"
 _UNSEEN = "it is not clear which instruction was answered"
-_LOST = "bytes were lost before the answer"
-_OVER = "the traffic ended before the answer was due"
 _DEAF = "the other direction was not listened to"
-_SILENT = "no answer is due"
-_LACKED = "the grammar may lack the instruction"
-_GARBAGE = "bytes that belong to no frame"
-_LATE = "later than TIMING.answer_deadline"
-_UNANSWERED = "TIMING.answer_longest"
 
 
 class Violation(msgspec.Struct, frozen=True):
@@ -268,7 +261,7 @@ class PassiveJudge:
 
     def finish(self) -> Findings:
         """End the traffic and return the findings."""
-        self._give_up(_OVER)
+        self._give_up("the traffic ended before the answer was due")
         self._findings.coverage = self._coverage.covered()
         return self._findings
 
@@ -276,7 +269,7 @@ class PassiveJudge:
         judgement, number = record.judgement, record.sequence
         self._decoded = max(self._decoded, record.end)
         if judgement is None or number is None:
-            self._findings.not_judged[_GARBAGE] += len(record.data)
+            self._findings.not_judged["bytes that belong to no frame"] += len(record.data)
             self._stopped_by = None  # the device may have read these bytes as an instruction
             return
         self._findings.instructions += 1
@@ -294,7 +287,7 @@ class PassiveJudge:
         lost = record.t <= self._flushes_until
         self._newest = number
         if not judgement.answer_due:
-            self._findings.not_judged[_SILENT] += 1
+            self._findings.not_judged["no answer is due"] += 1
             return
         if lost or not (judgement.valid or _is_short(judgement)):
             self._flushes_until = record.end + self._idle
@@ -322,7 +315,7 @@ class PassiveJudge:
             self._findings.not_judged[_UNSEEN] += 1
             return
         if ("disagreeing", Severity.INFO) in [(one.kind, one.severity) for one in record.faults]:
-            self._findings.not_judged[_LACKED] += 1
+            self._findings.not_judged["the grammar may lack the instruction"] += 1
             return
         self._findings.judged += 1
         self._coverage.answer(record)
@@ -371,7 +364,7 @@ class PassiveJudge:
             self._away -= taps
         lost = record.lost or bool(self._away)
         if lost:
-            self._give_up(_LOST)
+            self._give_up("bytes were lost before the answer")
             self._heard = record.t
         if event == UNREAD:
             self._unread_from = record.t
@@ -389,12 +382,12 @@ class PassiveJudge:
 
     def _legal(self, fault: Anomaly, reading: str) -> None:
         """Count what is legal, by its reading; the readings are those of the car's document."""
-        declared = _LATE if fault.kind == "slow" else fault.kind
+        declared = "later than TIMING.answer_deadline" if fault.kind == "slow" else fault.kind
         self._findings.readings[reading if self._protocol.plain else declared] += 1
 
     def _violate(self, fault: Anomaly, clause: str, reading: str) -> None:
         if not self._protocol.plain:  # the readings are those of the car's document
-            reading = _UNANSWERED if fault.kind == "unanswered" else ""
+            reading = "TIMING.answer_longest" if fault.kind == "unanswered" else ""
         self._findings.violations[fault.kind] += 1
         if len(self._findings.listed) < KEPT:
             self._findings.listed.append(

@@ -145,12 +145,10 @@ def _folded(timeline: Timeline) -> Iterator[str]:
 
 def _reduced(timeline: Timeline) -> str:
     """What of the recording is not in the page."""
+    steps = {"states": timeline.states()[1], "latencies": timeline.latencies()[1]}
     said = [
         f"{name} are reduced to the lowest and the highest in each {_span(step / SECOND)}"
-        for name, step in (
-            ("states", timeline.states()[1]),
-            ("latencies", timeline.latencies()[1]),
-        )
+        for name, step in steps.items()
         if step
     ]
     _, step = timeline.marks()

@@ -187,6 +187,9 @@ class Timeline:
             first += len(rows)
 
 
+Merge: TypeAlias = Callable[[Table, Places, Places, int], Table]
+
+
 class _Rows:
     """A table of at most `most` rows; when there are more, `merge` puts rows together.
 
@@ -194,13 +197,7 @@ class _Rows:
     Then there are so many `steps` at most.
     """
 
-    def __init__(
-        self,
-        merge: Callable[[Table, Places, Places, int], Table],
-        width: int,
-        most: int,
-        steps: int,
-    ) -> None:
+    def __init__(self, merge: Merge, width: int, most: int, steps: int) -> None:
         self._merge = merge
         self._most, self._steps = most, steps
         self._pieces = [np.zeros((0, width), np.int64)]
@@ -271,15 +268,8 @@ def _held_after(rows: Table, step: int) -> Table:
 
 def _merged_latencies(table: Table, first: Places, start: Places, step: int) -> Table:
     """The latencies of each step in a row."""
-    _, low, high, count = table.T
-    return np.column_stack(
-        [
-            start,
-            np.minimum.reduceat(low, first),
-            np.maximum.reduceat(high, first),
-            np.add.reduceat(count, first),
-        ]
-    )
+    kept = zip((np.minimum, np.maximum, np.add), table.T[1:], strict=True)
+    return np.column_stack([start, *(one.reduceat(column, first) for one, column in kept)])
 
 
 def _merged_marks(table: Table, first: Places, start: Places, step: int) -> Table:
