@@ -165,13 +165,9 @@ def _in_order(
 def _settable(protocol: Protocol, state: State, reached: Mapping[str, Mapping[str, Any]]) -> State:
     """The state, each variable with the value nearest to its own that some instruction sets."""
     values: dict[str, Any] = {}
-    for later in reached.values():
-        for name, value in later.items():
-            if name != protocol.car.by:
-                values.setdefault(name, []).append(value)
-    for name, ends in values.items():
-        own = getattr(state, name)
-        values[name] = min(ends, key=lambda value: abs(value - own))
+    for name in {*state.variables} - {protocol.car.by}:
+        own, ends = getattr(state, name), [one[name] for one in reached.values() if name in one]
+        values[name] = min(ends, key=lambda value: abs(value - own), default=own)
     return state.but(**values)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from construct import (
@@ -75,11 +76,6 @@ __all__ = [
 Natural = Annotated[int, Meta(ge=0)]
 Code = Annotated[int, Meta(ge=0, le=255)]
 Milliseconds = Annotated[float, Meta(gt=0.001, le=3_600_000)]
-_ORDERED = (
-    ("truncation_shortest", "truncation_timeout"),
-    ("truncation_timeout", "truncation_longest"),
-    ("answer_deadline", "answer_longest"),
-)  # the first is at most as long as the second
 
 
 class Outcome(Enum):
@@ -284,7 +280,8 @@ class Timing(Declared, frozen=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for first, then in _ORDERED:
+        truncation = ("truncation_shortest", "truncation_timeout", "truncation_longest")
+        for first, then in (*pairwise(truncation), ("answer_deadline", "answer_longest")):
             least, most = getattr(self, first), getattr(self, then)
             if least > most:
                 raise WrongValue(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import Literal, NamedTuple
 
-from bilprov.spec.layout import Check, Layout
+from bilprov.spec.layout import Layout
 from bilprov.spec.protocol import Protocol
 
 Kind = Literal["instruction", "truncated", "garbage"]
@@ -125,7 +125,8 @@ class Framer:
             size = self._size(held, at)
             if size is None or size > len(held) - at:
                 break
-            if size < 0 or (self._check and self._misread(self._check, held, at, size)):
+            damaged = size > 0 and self._check and not self._check.holds(held[at : at + size])
+            if size < 0 or (damaged and self._right_frame(held, at + 1, at + size) is not None):
                 self._skip(at, 1)
                 at += 1
                 continue
@@ -169,12 +170,6 @@ class Framer:
         if layout.part("length") or len(self._held) < layout.head + layout.tail:
             return False
         return layout.value("id", bytes(self._held)) not in self._protocol.by_id
-
-    def _misread(self, check: Check, held: bytes, at: int, size: int) -> bool:
-        """Whether the frame that seems to be there is wrong, and a right one begins within it."""
-        if check.holds(held[at : at + size]):
-            return False
-        return self._right_frame(held, at + 1, at + size) is not None
 
     def _right_frame(self, held: bytes, first: int, after: int) -> int | None:
         """The first place in `first`..`after` at which a frame begins whose check is right."""

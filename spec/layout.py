@@ -208,10 +208,10 @@ class Layout(msgspec.Struct, frozen=True, dict=True):
     def sync(self) -> bytes:
         """The constant bytes in front."""
         found = b""
-        for part in self.parts:
-            if part.role != "constant" or part.offset != len(found):
+        for at, mask, value in self.fixed:
+            if (at, mask) != (len(found), 0xFF):
                 break
-            found += part.constant
+            found += bytes([value])
         return found
 
     @cached_property

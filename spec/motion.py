@@ -95,10 +95,8 @@ class Wheels(Declared, frozen=True, kw_only=True, dict=True):
         if effect is None:
             return Moment.FAULT
         motion = self.motion(effect)
-        if motion is None:
-            return Moment.SETTING
-        if motion not in self.turns:
-            return Moment.STOP
+        if motion is None or motion not in self.turns:
+            return Moment.SETTING if motion is None else Moment.STOP
         return Moment.ROTATION if self.rotates(motion) else Moment.DRIVE
 
     def wheels(self, state: State, full_steering: int) -> tuple[int, int]:

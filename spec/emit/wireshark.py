@@ -16,9 +16,8 @@ from msgspec.structs import asdict, astuple
 
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.emit.python import each_once, snake_case
-from bilprov.spec.fields import Outcome
 from bilprov.spec.layout import Check, Layout
-from bilprov.spec.protocol import NO_ANSWER, Protocol, ResponseSpec
+from bilprov.spec.protocol import NO_ANSWER, Protocol
 from bilprov.spec.replies import GIVES_UP
 from bilprov.spec.state import AllOf, Changed, Effect, From
 
@@ -92,7 +91,11 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
             spec.code: [one.value for one in spec.outcomes] for spec in protocol.responses
         },
         "flags": protocol.flags,
-        "outcomes": {one.name: _outcome(one, protocol.answers[one]) for one in protocol.answers},
+        # An outcome's word, the code that is due (None: none), whether it is answered at all.
+        "outcomes": {
+            one.name: [one.value, None if due.code < 0 else due.code, due is not NO_ANSWER]
+            for one, due in protocol.answers.items()
+        },
         "state": [
             {"word": f"state.{name}", "name": name, "kind": "STRING" if spec.words else "INT64"}
             for name, spec in protocol.variables.items()
@@ -106,11 +109,6 @@ def _grammar(protocol: Protocol) -> dict[str, Any]:
         "answer_deadline": timing.answer_deadline,
         "answer_longest": timing.answer_longest,
     }
-
-
-def _outcome(outcome: Outcome, due: ResponseSpec) -> list[Any]:
-    """An outcome's word, the code that is due (None: none), and whether it is answered at all."""
-    return [outcome.value, None if due.code < 0 else due.code, due is not NO_ANSWER]
 
 
 def _laid_out(layout: Layout, code: str = "") -> dict[str, Any]:
