@@ -112,8 +112,7 @@ class StateColumns:
             return np.zeros(self._count, np.bool_)
         terms = [self[name] == self.kind.code(name, one) for name, one in at_rest.values.items()]
         both = np.logical_or if isinstance(at_rest, AnyOf) else np.logical_and
-        found: Mask = np.logical_not(both.reduce(terms))
-        return found
+        return np.asarray(~both.reduce(terms))
 
     @cached_property
     def states(self) -> NDArray[np.object_]:

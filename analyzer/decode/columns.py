@@ -531,7 +531,10 @@ class ColumnDecoder:
         ends = requests.end
         start, last_read = host.t.take(host.of(requests.offset)), host.of(ends - 1)
         end, come = host.t.take(last_read), host.event.take(last_read)
-        rows = self._due(host.data, requests)
+        rows: slice | Mask = slice(0)
+        if self._paired:
+            due = self.requests.due(host.data, requests)
+            rows = slice(None) if due is None or due.all() else due
         sequence = np.arange(rest.sequence, rest.sequence + len(end))[rows]
         asked, asked_end, asked_come = requests.rows(rows), end[rows], come[rows]
         if len(before.end):
@@ -572,7 +575,11 @@ class ColumnDecoder:
         if self._plain:
             early = told.bytes > heard
             if early.any():
-                falls_due |= self._given_up(device, told, heard, t)
+                # A byte that came before its request may be given up.
+                first = np.append(device.t, 0).take(np.searchsorted(device.upto, heard, "right"))
+                given_up = early[:-1] & (t - first[:-1] >= self._held)
+                given_up |= told.bytes[1:] - heard[1:] > MOST
+                falls_due |= given_up if self._held else given_up | early[1:]
                 # An answer within an open frame may end that: see `Decoder`.
                 within = early & (said.bytes > taken)
                 within &= device.newest(len(events)) > host.newest(len(events))
@@ -654,25 +661,6 @@ class ColumnDecoder:
                 rest=replace(rest, time=int(t[cut - 1]), sequence=rest.sequence + count),
             ),
         )
-
-    def _due(self, data: NDArray[np.uint8], requests: Requests) -> slice | Mask:
-        """The requests that wait for an answer."""
-        if not self._paired:
-            return slice(0)
-        due = self.requests.due(data, requests)
-        return slice(None) if due is None or due.all() else due
-
-    def _given_up(self, device: Reads, told: Heard, heard: Places, t: Places) -> Mask:
-        """At which events a byte may be given up that came before its request.
-
-        `told` is what came from the device, and `heard` counts the bytes that are answers, after
-        0, 1, 2 ... events.
-        """
-        early = told.bytes > heard
-        first = np.append(device.t, 0).take(np.searchsorted(device.upto, heard, "right"))
-        given_up: Mask = early[:-1] & (t - first[:-1] >= self._held)
-        given_up |= told.bytes[1:] - heard[1:] > MOST
-        return given_up if self._held else given_up | early[1:]
 
 
 _SHORT = 4  # bytes of a read
