@@ -210,7 +210,9 @@ class Capture:
     @property
     def left_out(self) -> int:
         """How many bytes of the file are not read, because they are damaged or incomplete."""
-        return sum(_left_out(volume.contents) for volume in self.volumes)
+        regions = [region for volume in self.volumes for region in volume.contents.regions]
+        read = len(MAGIC) * len(self.volumes) + sum(end - first for first, end in regions)
+        return self.contents.size - read
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield the complete attachments in file order. Raises CaptureError as `events` does."""
@@ -352,11 +354,6 @@ def _resumes(message: Stored) -> bool:
         return False
     value = decoded(message.data, Checkpoint)
     return value is not None and bool(value.resumes)
-
-
-def _left_out(contents: Contents) -> int:
-    read = sum(end - first for first, end in contents.regions)
-    return contents.size - min(len(MAGIC), contents.size) - read
 
 
 def open_front(path: str | Path) -> Capture:

@@ -198,14 +198,13 @@ class Comparison:
     def latencies(self) -> dict[str, dict[str, Any]]:
         """How the latencies of `a` and `b` are spread, by the name of the instruction."""
         first, second = (
-            {name: _spread(one.latencies) for name, one in totals.instructions().items()}
+            {name: one.latencies for name, one in totals.instructions().items() if one.latencies}
             for totals in self.totals
         )
-        sides = {
-            name: {"a": first.get(name), "b": second.get(name)}
+        return {
+            name: {"a": _spread(first.get(name)), "b": _spread(second.get(name))}
             for name in sorted({*first, *second})
         }
-        return {name: both for name, both in sides.items() if any(both.values())}
 
     def _differs(self, kind: Kind, first: Exchange | None, second: Exchange | None) -> None:
         self.differences[kind] += 1

@@ -447,8 +447,8 @@ class _Times:
 
     def add(self, first: int, last: int) -> None:
         """Add a span."""
-        self._first.append(min(first, last))
-        self._last.append(max(first, last))
+        self._first.append(first)
+        self._last.append(last)
 
     def add_exchanges(self, exchanges: Iterable[Exchange]) -> None:
         """Add the spans of those that are selected."""

@@ -7,7 +7,6 @@ events can be played at recorded, faster or slower time.
 
 from __future__ import annotations
 
-import math
 import select
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -241,9 +240,7 @@ def _nanoseconds(capture: Capture, key: str) -> int | None:
         value = float(capture.metadata[key])
     except (KeyError, ValueError):
         return None
-    if not math.isfinite(value) or not 0 <= value <= _LONGEST:
-        return None
-    return round(value * MS)
+    return round(value * MS) if 0 <= value <= _LONGEST else None
 
 
 TEXT_BATCH = 1 << 14

@@ -313,11 +313,9 @@ class Recorder(BackgroundWriter):
         for event in events:
             if self._part_since is None:
                 self._part_since = event.t
-            if isinstance(event, Chunk):
-                self.chunk(event)
-                self.bytes += len(event.data)
-            else:
-                self.write(event, event.t)
+            size = len(event.data) if isinstance(event, Chunk) else 0
+            self._put(self._file.event, event, size=size)
+            self.bytes += size
 
     def decoded(self, frames: int, now: int, records: Callable[[], Iterable[Record]]) -> None:
         """Write a decoded batch, which has so many host frames; `records` is called if it is due.

@@ -217,10 +217,7 @@ class RecordFile:
         """The entries of the message indexes that stand at `offset`, and where these end."""
         entries = []
         self._file.seek(offset)
-        while True:
-            head = self._file.read(_INDEX_FRONT.size)
-            if len(head) < _INDEX_FRONT.size:
-                break
+        while len(head := self._file.read(_INDEX_FRONT.size)) == _INDEX_FRONT.size:
             opcode, length, _, size = _INDEX_FRONT.unpack(head)
             if opcode != Opcode.MESSAGE_INDEX or size + 6 != length or size > most:
                 break

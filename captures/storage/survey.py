@@ -200,11 +200,8 @@ class Survey:
         if lost.whole_again:
             self._note(f"bytes {lost.start} to {lost.end} are damaged and left out ({lost.damage})")
         elif self._finished or not isinstance(lost.damage, CutOff):
-            where = (
-                "the index at the end is"
-                if self._records.past_data
-                else f"all from byte {lost.start} on is"
-            )
+            past = self._records.past_data
+            where = "the index at the end is" if past else f"all from byte {lost.start} on is"
             self._note(f"{where} damaged and left out ({lost.damage})")
 
     def _note(self, sentence: str) -> None:
