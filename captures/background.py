@@ -118,7 +118,6 @@ class BackgroundWriter(Closing):
             self._wake.set()
             while self._waiting > max(0, QUEUE_BYTES - size) and self._thread.is_alive():
                 time.sleep(0.001)
-            self._check()
         self._queue.append((act, given, size))
         self._put_bytes += size
 

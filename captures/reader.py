@@ -52,18 +52,6 @@ class Message(NamedTuple):
     sequence: int
 
 
-class Loss(NamedTuple):
-    """A place where messages of a capture are lost: the times (ns) beside it, and what is lost.
-
-    The times are those of the messages before and after it, since the capture's start. What is lost
-    behind the last message is no such place: `Capture.left_out` counts its bytes.
-    """
-
-    before: int
-    after: int
-    what: str
-
-
 @dataclass(frozen=True, slots=True)
 class StoredCheckpoint:
     """A checkpoint of a file, and the place of its message: what stands behind it comes after.
@@ -179,13 +167,18 @@ class Capture:
                     t = since(self.start, message.log_time)
                     yield Message(topic, t, message.data, message.sequence)
 
-    def losses(self) -> Iterator[Loss]:
-        """Yield the places where messages are lost, in order. Raises CaptureError as `events`."""
+    def losses(self) -> Iterator[tuple[int, int, str]]:
+        """Yield the places where messages are lost: the times (ns) beside each, and what is lost.
+
+        The times are those of the messages before and after it, since the capture's start. What is
+        lost behind the last message is no such place: `left_out` counts its bytes. Raises
+        CaptureError as `events`.
+        """
         before = 0
         for message in self._stored():
             t = since(self.start, message.log_time)
             if message.lost:
-                yield Loss(min(before, t), t, message.lost)
+                yield min(before, t), t, message.lost
             before = max(before, t)
 
     def number(self, key: str) -> int | None:
@@ -231,9 +224,8 @@ class Capture:
         from bilprov.captures.storage.contents import checkpoints_before
 
         recorded = self.metadata.get(topics.GRAMMAR_HASH)
-        if not self.contents.counts.get(topics.CHECKPOINT) or (
-            grammar and recorded and recorded != grammar
-        ):
+        other = grammar and recorded and recorded != grammar
+        if other or not self.contents.counts.get(topics.CHECKPOINT):
             return None
         read = partial(checkpoints_before, time=self.start + t)
         for number in reversed(range(len(self.volumes) if self.indexed else 0)):
@@ -350,9 +342,8 @@ def _check_size(file: BufferedReader, contents: Contents) -> None:
 
 
 def _resumes(message: Stored) -> bool:
-    if message.channel != topics.BY_VALUE[Checkpoint].channel:
-        return False
-    value = decoded(message.data, Checkpoint)
+    stands_there = message.channel == topics.BY_VALUE[Checkpoint].channel
+    value = decoded(message.data, Checkpoint) if stands_there else None
     return value is not None and bool(value.resumes)
 
 
@@ -399,19 +390,17 @@ def appended(capture: Capture) -> Capture | None:
 
     None where no complete record was added. Raises CaptureError if the file cannot be read.
     """
-    from mcap.opcode import Opcode
-
-    from bilprov.captures.storage.recovery import Lost, RecordFile
+    from bilprov.captures.storage.recovery import Lost, RecordFile, read_footer
 
     volume = capture.volumes[0]
     start = end = volume.contents.regions[-1][1]
-    finished = False
     with _opened(volume.path) as file:
         size = _size_of(file)
         for found in RecordFile(file, size).walk(start, size):
             if isinstance(found, Lost):
                 break
-            end, finished = found.end, found.opcode == Opcode.FOOTER
+            end = found.end
+        finished = bool(read_footer(file, size))
     if end == start:
         return None
     # Its messages are counted on from those before, which a capture by itself would miss.

@@ -69,7 +69,8 @@ class CaptureWriter(Closing):
         self._shapes = shapes
         self._sequence = self._newest = self._kept_until = 0
         self._before = ""  # what else holds a part of the recording
-        self._failure = ""
+        self.failure = ""
+        """Why the file could not be written, after which nothing more is; "" before."""
         self._begin(Path(path), metadata)
 
     def _begin(self, path: Path, metadata: Mapping[str, str]) -> None:
@@ -96,11 +97,6 @@ class CaptureWriter(Closing):
             with suppress(OSError):
                 path.unlink()  # it holds nothing
             raise
-
-    @property
-    def failed(self) -> bool:
-        """Whether the file could not be written; then nothing more is."""
-        return bool(self._failure)
 
     def chunk(self, chunk: Chunk) -> None:
         """Write a chunk; more than 64 KiB become several messages with the same time.
@@ -273,8 +269,8 @@ class CaptureWriter(Closing):
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
-        if self._failure:
-            raise CaptureError(self._failure)
+        if self.failure:
+            raise CaptureError(self.failure)
         if self._closed:
             raise ValueError(f"the capture {printable(self.path)} is closed")
         try:
@@ -290,7 +286,7 @@ class CaptureWriter(Closing):
         return f"what was captured until {self._kept_until / 1e9:.1f} s is kept"
 
     def _fail(self, sentence: str, cause: OSError | None = None) -> None:
-        self._failure = sentence
+        self.failure = sentence
         self._closed = True
         # Closing the raw file discards the buffered data that cannot be written; truncating the
         # half-written chunk leaves complete records only.

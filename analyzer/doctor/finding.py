@@ -135,9 +135,9 @@ def of_capture(path: Path) -> Iterator[Finding]:
     yield Finding("file", Grade.FINE, f"{quantity(size, 'byte')}, {messages} over {seconds:.1f} s")
     for sentence in capture.damage:
         yield Finding("damage", Grade.BLOCKS, sentence)
-    for loss in losses[:_SHOWN]:
-        when = f"between {loss.before / 1e9:.3f} and {loss.after / 1e9:.3f} s"
-        yield Finding("lost", Grade.BLOCKS, f"{when}: {loss.what}")
+    for before, after, what in losses[:_SHOWN]:
+        when = f"between {before / 1e9:.3f} and {after / 1e9:.3f} s"
+        yield Finding("lost", Grade.BLOCKS, f"{when}: {what}")
     if len(losses) > _SHOWN:
         yield Finding("lost", Grade.BLOCKS, "messages are lost in further places")
     if capture.unfinished:

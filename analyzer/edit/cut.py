@@ -213,7 +213,7 @@ def new_capture(
         raise CaptureError(f"{printable(out)} cannot be written: {error}") from error
     except CaptureError as error:
         cause = error.__cause__
-        if not isinstance(cause, OSError) or not (copy is None or copy.failed):
+        if not isinstance(cause, OSError) or not (copy is None or copy.failure):
             raise  # the capture that is read
         why = cause.strerror
         raise CaptureError(

@@ -169,7 +169,6 @@ _SECTION, _INTERFACE, _ENHANCED_PACKET = 0x0A0D0D0A, 1, 6
 _END_OF_OPTIONS, _COMMENT = 0, 1
 _USER_APPLICATION = 4  # of a section
 _NAME, _DESCRIPTION, _SPEED, _RESOLUTION = 2, 3, 8, 9  # of an interface
-_NANOSECONDS = 9  # as a resolution: 10^-9 s
 _PACKET_FRONT = struct.Struct("<5I")
 _RTAC_FRONT = struct.Struct(">IIBBH")
 _LATEST = (1 << 64) - 1  # ns
@@ -210,7 +209,7 @@ def _interface(capture: Capture, protocol: Protocol, tap: str) -> bytes:
             (_NAME, tap.encode()),
             (_DESCRIPTION, _utf8(f"{port}, {line}" if port else str(line))),
             (_SPEED, struct.pack("<Q", line.baud & _LATEST)),
-            (_RESOLUTION, bytes([_NANOSECONDS])),
+            (_RESOLUTION, bytes([9])),  # 10^-9 s
         ),
     )
 

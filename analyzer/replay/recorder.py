@@ -80,9 +80,6 @@ STOP_ABOVE: Final = 2_000  # host frames within a second
 RESUME_BELOW: Final = STOP_ABOVE // 2  # host frames/s
 RESUME_AFTER: Final = 5 * SECOND
 
-STOPPED: Final = "decoded topics stopped"
-RESUMED: Final = "decoded topics resumed"
-
 
 class Throttle:
     """Counts host frames by the second. `stopped` tells whether the decoded topics are stopped.
@@ -116,13 +113,13 @@ class Throttle:
             if self.stopped:
                 return None
             self.stopped = True
-            return STOPPED, (
+            return "decoded topics stopped", (
                 f"{self._frames:,} host frames within a second, allowed are {STOP_ABOVE:,}: from "
                 "here on the raw bytes alone are recorded (bilprov capture decode adds the rest)"
             )
         if ended and self.stopped and now - self._calm_since >= RESUME_AFTER:
             self.stopped = False
-            return RESUMED, (
+            return "decoded topics resumed", (
                 f"{rate:,} host frames within a second, for {RESUME_AFTER // SECOND} s less than "
                 f"{RESUME_BELOW:,}: from here on everything is recorded again"
             )
@@ -372,7 +369,6 @@ class Recorder(BackgroundWriter):
 
 MOST_BYTES: Final = 1 << 30
 PARTS: Final = 16  # so many are there when the oldest goes
-_NAME: Final = "session.mcap"
 
 
 def new_name() -> str:
@@ -401,7 +397,8 @@ class Spool(Recorder):
             )
         except OSError as error:
             raise CaptureError(f"the session cannot be saved: {error.strerror}") from error
-        super().__init__(Path(self._folder.name, _NAME), start_wall, metadata, rotation, shapes)
+        name = Path(self._folder.name, "session.mcap")
+        super().__init__(name, start_wall, metadata, rotation, shapes)
 
     def keep(self, path: Path) -> tuple[Path, ...]:
         """Keep the finished recording under a new name, in its parts if it has several; its files.

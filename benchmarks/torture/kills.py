@@ -94,7 +94,7 @@ def judged(path: Path, data: bytes, moments: list[Moment]) -> Kill:
     end, _, waited = moments[-1]
     try:
         capture, kept = open_capture(path), heard(path)["host"]
-        damage = [*capture.damage, *(loss.what for loss in capture.losses())]
+        damage = [*capture.damage, *(what for _, _, what in capture.losses())]
     except CaptureError as error:
         return Kill(end - moments[0][0], 0.0, f"unreadable: {error}")
     if not data or data[: len(kept)] != kept:

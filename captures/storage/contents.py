@@ -39,7 +39,6 @@ from bilprov.captures.wall_clock import stated_number
 
 SUMMARY_BYTES: Final = 64 * 1024 * 1024  # enough for half a million chunks
 
-_READ: Final = 1024 * 1024  # bytes at once, for a checksum
 _PASSED: Final = {
     Opcode.SCHEMA,
     Opcode.ATTACHMENT_INDEX,
@@ -72,7 +71,7 @@ class Index:
         """Whether the checksum over all data, which older kits did not write, is right."""
         file.seek(0)
         crc, left = 0, self.data_end
-        while left and (data := file.read(min(left, _READ))):
+        while left and (data := file.read(min(left, 1 << 20))):
             crc = zlib.crc32(data, crc)
             left -= len(data)
         return self.data_crc == crc

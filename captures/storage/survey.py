@@ -32,7 +32,6 @@ class Survey:
 
     def __init__(self, file: BufferedReader, size: int, damage: str = "") -> None:
         self._records = RecordFile(file, size)
-        self._size = size
         self._finished = bool(read_footer(file, size))
         self._regions: list[tuple[int, int]] = []
         self._library = ""
@@ -63,7 +62,7 @@ class Survey:
     def _pieces(self) -> Iterator[Piece]:
         """Yield the messages of the file, and take in all else."""
         start = len(MAGIC)
-        for found in self._records.walk(start, self._size):
+        for found in self._records.walk(start, self._records.size):
             if isinstance(found, Lost):
                 self._note_loss(found)
             else:
@@ -72,7 +71,7 @@ class Survey:
                     yield Piece(found.content, found.starts, "")
                 if self._regions and self._regions[-1][1] == start:
                     start, _ = self._regions.pop()
-                end = self._size if found.opcode == Opcode.FOOTER else found.end
+                end = self._records.size if found.opcode == Opcode.FOOTER else found.end
                 self._regions.append((start, end))
             start = found.end
 
@@ -106,7 +105,7 @@ class Survey:
         ]
         stated = (start for start in map(stated_number, starts) if start is not None)
         return Contents(
-            size=self._size,
+            size=self._records.size,
             regions=tuple(self._regions),
             own=own,
             in_order=self._in_order,

@@ -15,9 +15,7 @@ from bilprov.analyzer.replay.recorder import (
     CHECKPOINT_AFTER,
     CHECKPOINT_BYTES,
     CHECKPOINT_STATE,
-    RESUMED,
     SECOND,
-    STOPPED,
     Recorder,
     Throttle,
 )
@@ -30,6 +28,7 @@ from tests.support.messages import Message, messages
 
 pytestmark = pytest.mark.slow  # more than make quick has time for
 
+STOPPED, RESUMED = "decoded topics stopped", "decoded topics resumed"
 START = 1_790_000_000_000_000_000
 
 
