@@ -814,7 +814,7 @@ def _require_rest_and_wheels(declared: _Grammar, variables: Mapping[str, Variabl
         raise GrammarError("it declares WHEELS and no AT_REST")
     taken = {"t", "left", "right", "wheels", "curve", "answer", "motion"} - {wheels.by}
     for name in taken & {*variables}:
-        raise GrammarError(f"STATE has the variable {name}, which a probe tells of every car")
+        raise GrammarError(f"STATE has the variable {name}, which a probe reports for every car")
 
 
 _OF_A_CAR = ("AT_REST", "WHEELS", "DEVICE")
