@@ -29,6 +29,7 @@ from bilprov.conformance.causes.exchanges import (
     Deviation,
     Exchange,
     Exchanges,
+    Known,
     Timing,
 )
 from bilprov.conformance.causes.features import Literal, features, matches
@@ -99,6 +100,17 @@ NAMED = [
 ]  # fmt: skip
 
 
+def exchanges_of(protocol: Protocol, events: list[Any], *known: Known) -> Exchanges:
+    timing = Timing(50 * MS, 86_806, 250 * MS)
+    return Exchanges(Model(protocol, Choices()), events, timing, *known)
+
+
+def sent(at: int, frame: str, code: int = 0) -> list[Done]:
+    """A frame in hex sent at a time in ms, and its answer."""
+    answer = Received(((at * MS + MS, code),), at * MS + MS)
+    return [Done(Send(bytes.fromhex(frame)), at * MS), Done(None, answer)]
+
+
 def report_of(protocol: Protocol, fault: Fault) -> Report:
     return conform(Simulator(protocol, fault), grammar=protocol, options=SMOKE)
 
@@ -118,21 +130,6 @@ def test_one_cause_names_what_goes_wrong_and_when(
     assert set(cause.cases) <= failed
     assert report.unexplained == len(failed - set(cause.cases)) <= 1
     assert cause.tried
-
-
-def test_a_device_that_conforms_has_no_causes(protocol: Protocol) -> None:
-    report = conform(Simulator(protocol), options=SMOKE)
-    assert report.causes == ()
-    assert report.unexplained == 0
-
-
-def test_what_keeps_it_moving_stands_before_a_wrong_led(protocol: Protocol) -> None:
-    bank = fault_bank(protocol)
-    report = report_of(protocol, both(bank["led-b-stuck-off"], bank["no-stop-on-bad-data"]))
-    axes = [cause.axis for cause in report.causes]
-    assert axes[:2] == ["stop", "state"]
-    assert "bad data" in report.causes[0].when
-    assert "LED" in report.causes[1].when
 
 
 def test_a_wrong_answer_behind_which_it_does_not_stop_keeps_it_moving(protocol: Protocol) -> None:
@@ -180,29 +177,22 @@ def test_a_setting_kept_in_a_signed_byte_is_named_as_that(protocol: Protocol) ->
 def test_what_was_seen_before_a_frame_is_no_evidence_for_it(protocol: Protocol) -> None:
     look = look_class(protocol.state_type)
 
-    def sent(at: int, frame: bytes) -> list[Done]:
-        return [
-            Done(Send(frame), at * MS),
-            Done(None, Received(((at * MS + MS, 0),), at * MS + MS)),
-        ]
-
     def seen(at: int, *, moving: bool) -> Done:
         return Done(None, Observation(at * MS, at * MS, look(at * MS, moving)))
 
     events: list[Done | Mark] = [
         Mark("moves", over=False),
-        *sent(10, bytes.fromhex("11 ff")),
-        *sent(20, bytes.fromhex("20")),
+        *sent(10, "11 ff"),
+        *sent(20, "20"),
         seen(300, moving=True),
         Mark("moves", over=True),
         Mark("stops", over=False),
         seen(1000, moving=True),
-        *sent(1010, bytes.fromhex("00")),
+        *sent(1010, "00"),
         seen(1300, moving=False),
         Mark("stops", over=True),
     ]
-    timing = Timing(50 * MS, 86_806, 250 * MS)
-    found = Exchanges(Model(protocol, Choices()), events, timing)
+    found = exchanges_of(protocol, events)
     assert found.bags == []
     assert [bool(one.settled) for one in found.all] == [False, True, True]
 
@@ -216,7 +206,7 @@ def seen_after(protocol: Protocol, burst: str, **told: Any) -> Exchanges:
             None, Observation(300 * MS, 300 * MS, look_class(protocol.state_type)(300 * MS, **told))
         ),
     ]
-    return Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS))
+    return exchanges_of(protocol, events)
 
 
 def test_a_look_shows_the_wheels_of_frames_that_turn_them_alike(protocol: Protocol) -> None:
@@ -249,8 +239,7 @@ def test_a_frame_that_may_have_been_cut_is_no_evidence(
         Done(Send(b"\xff"), pause * MS),
         Done(None, Received(((pause * MS + MS, 0),), pause * MS + MS)),
     ]
-    timing = Timing(50 * MS, 86_806, 250 * MS)
-    [exchange] = Exchanges(Model(protocol, Choices()), events, timing).all
+    [exchange] = exchanges_of(protocol, events).all
     assert exchange.right == ({ANSWER} if certain else set())
 
 
@@ -270,7 +259,7 @@ def test_an_answer_may_still_come_where_answers_are_often_late(
 
     for delay in (*[290] * late, None, 1):
         sent(delay)
-    found = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS))
+    found = exchanges_of(protocol, events)
     assert [one.deviations[ANSWER].how for one in found.all[:late]] == ["late"] * late
     assert (ANSWER in found.all[-1].right) == certain
 
@@ -285,7 +274,7 @@ def test_the_answer_to_a_frame_cut_short_may_come_before_its_time_out_was_noted(
         Done(Send(b"\x20"), 36 * MS),
         Done(None, Received(((37 * MS, 0),), 40 * MS)),
     ]
-    found = Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS))
+    found = exchanges_of(protocol, events)
     assert [one.kind for one in found.all] == (["truncated", "Forward"] if cut else ["Speed"])
     assert all(one.right == {ANSWER} for one in found.all if cut)
 
@@ -346,12 +335,9 @@ def test_a_rare_deviation_that_the_rule_of_another_leaves_out_is_a_cause(
 
 
 def test_the_rule_of_a_deviation_takes_in_the_rare_frames_that_show_it(protocol: Protocol) -> None:
-    events: list[Done | Mark] = []
-    for number, frame in enumerate(["00"] * 1600 + ["81 ff"] * 20):
-        at = 10 * MS * (number + 1)
-        events.append(Done(Send(bytes.fromhex(frame)), at))
-        events.append(Done(None, Received(((at + MS, 1),), at + MS)))
-    found = Exchanges(Model(protocol, Choices()), events, Timing(5 * MS, 86_806, 250 * MS))
+    frames = enumerate(["00"] * 1600 + ["81 ff"] * 20)
+    events = [event for number, frame in frames for event in sent(10 * number, frame, 1)]
+    found = exchanges_of(protocol, events)
     [cause] = find_causes(features(protocol), found.all, found.bags, [""])
     assert not [bag for bag in found.bags if not matches(cause.rule, bag.exchanges[0])]
 
@@ -366,13 +352,9 @@ def test_what_keeps_it_moving_is_told_apart_from_another_motion(protocol: Protoc
 
 
 def test_what_a_device_is_known_to_make_of_a_frame_holds_for_the_next(protocol: Protocol) -> None:
-    events = []
-    for number, frame in enumerate(["11 50", "30", "20", "81 ff"]):
-        at = 10 * MS * (number + 1)
-        events.append(Done(Send(bytes.fromhex(frame)), at))
-        events.append(Done(None, Received(((at + MS, 0),), at + MS)))
-    timing = Timing(5 * MS, 86_806, 250 * MS)
-    rebuilt = partial(Exchanges, Model(protocol, Choices()), events, timing)
+    frames = enumerate(["11 50", "30", "20", "81 ff"])
+    events = [event for number, frame in frames for event in sent(10 * number, frame)]
+    rebuilt = partial(exchanges_of, protocol, events)
 
     def ignored(exchange: Exchange) -> dict[str, int | str | None]:
         return {MOTION: "backward"} if exchange.kind == "Forward" else {}

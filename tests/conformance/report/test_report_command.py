@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from bilprov.conformance.report.run_report import Comparison, Report, reproducer
 from bilprov.spec.protocol import Protocol
 from tests.support.commands import command
 from tests.support.reports import a_case, a_run, every_verdict, hostile
-from tests.support.robots import PATIENCE
 
 pytestmark = pytest.mark.waits
 
@@ -154,18 +152,6 @@ def test_the_sums_of_a_file_are_those_of_its_cases(protocol: Protocol, tmp_path:
     assert document["exit"] == 0
     assert (report.verdict, report.exit, report.counts["fail"]) == (Verdict.FAIL, 1, 1)
     assert json.loads(as_json(report))["exit"] == 1
-
-
-def test_a_result_is_read_from_a_pipe(protocol: Protocol, tmp_path: Path) -> None:
-    report = a_run(protocol, "valid/LED/1")
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    writer = threading.Thread(target=pipe.write_bytes, args=(as_json(report),))
-    writer.start()
-
-    piped = command("report", str(pipe))
-    writer.join(PATIENCE)
-    assert piped.returncode == 0, piped.stderr
 
 
 # -- side by side ---------------------------------------------------------------------------------
