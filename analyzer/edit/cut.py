@@ -68,7 +68,6 @@ if TYPE_CHECKING:
     from bilprov.analyzer.filters.filter import Filter
 
 BATCH_VALUES = 1 << 12
-_BATCH_BYTES = 1 << 15
 
 
 class Timed(NamedTuple):
@@ -95,7 +94,7 @@ def batched(values: Iterator[Timed], most: int = BATCH_VALUES) -> Iterator[list[
     for one in values:
         batch.append(one)
         size += len(one.value.data) if isinstance(one.value, Chunk) else 0
-        if len(batch) >= most or size >= _BATCH_BYTES:
+        if len(batch) >= most or size >= 1 << 15:
             yield batch
             batch, size = [], 0
     if batch:

@@ -58,7 +58,6 @@ _LINE_EVENTS = {
 }
 _TAPS = ("host", "device")  # the interfaces, in order
 
-_CUT_SHORT = "the frame before it was cut short"
 _ELSEWHERE = "the instruction that it answers is not in this file"
 
 
@@ -94,7 +93,7 @@ def _packets(chosen: Chosen) -> Iterator[Sequence[Packet]]:
     """
     decoder = capture_decoder(chosen.capture, chosen.protocol)
     # Chosen instructions whose answers may follow; bounded, since a device may never answer.
-    asked: deque[int] = deque(maxlen=_MOST_ASKED)
+    asked: deque[int] = deque(maxlen=1 << 18)
     waiting: list[Packet] = []
     read = chosen.capture.batches()
     for events in event_batches(read, chosen.progress, chosen.window, TEXT_BATCH):
@@ -143,7 +142,7 @@ def _of_host(record: HostRecord) -> Iterator[Packet]:
         return
     yield Packet(record.end, 0, _TX_START, record.data)
     if record.kind == "truncated":
-        yield Packet(record.known, 0, _TX_END, b"", _CUT_SHORT)
+        yield Packet(record.known, 0, _TX_END, b"", "the frame before it was cut short")
 
 
 def _of_answer(record: DeviceRecord, *, stray: bool) -> Packet:
@@ -159,9 +158,6 @@ def _of_line(line: Line) -> Packet:
     event = _LINE_EVENTS.get(line.event, _STATUS_CHANGE)
     comment = f"{line.event}: {line.detail}" if line.detail else line.event
     return Packet(line.t, interface, event, b"", comment)
-
-
-_MOST_ASKED = 1 << 18
 
 
 # The format: https://ietf-opsawg-wg.github.io/draft-ietf-opsawg-pcap/draft-ietf-opsawg-pcapng.html

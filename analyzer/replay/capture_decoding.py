@@ -248,7 +248,6 @@ TEXT_BATCH = 1 << 14
 
 BATCH_BYTES = 1 << 18
 _BYTES_A_READ = 2
-_FIRST_BATCH = 1 << 10  # bytes; so that there is soon something to show
 
 WHOLE = Window()
 
@@ -319,7 +318,7 @@ def event_batches(
 
     Raises CaptureError as `Capture.batches` does.
     """
-    most = min(_FIRST_BATCH, largest)
+    most = min(1 << 10, largest)  # so that there is soon something to show
     for read in events:
         at = 0
         while at < len(read):

@@ -29,7 +29,6 @@ DAMAGED = -2
 """Stands for the code of an answer that is damaged."""
 
 _MOST_UNASKED = 1 << 16  # bytes kept behind one frame: a flood must not fill the memory
-_SHOWN = 16  # unasked bytes that a sentence lists
 
 
 @dataclass(slots=True, eq=False)
@@ -153,7 +152,7 @@ def differences(protocol: Protocol, recorded: Exchanges, now: Exchanges) -> Iter
             return
     before, unasked = len(recorded.unasked), now.unasked
     if len(unasked) not in (0, before):
-        said = unasked[:_SHOWN].hex(" ")
+        said = unasked[:16].hex(" ")
         words = f"bytes that answer no instruction: recorded {before}, now {len(unasked)} ({said})"
         yield Anomaly(0, "difference", Severity.ERROR, words)
 

@@ -20,6 +20,7 @@ DATA_END_BYTES: Final = 4
 CHUNK_BYTES: Final = 16 * 1024 * 1024  # of one chunk, as stored and as unpacked
 MESSAGE_BYTES: Final = 64 * 1024  # of data of one message
 STRING_BYTES: Final = 64 * 1024  # of one string of a header, a channel or a metadata record
+STRINGS: Final = 8192  # of one record: each costs many times its bytes
 RECORD_BYTES: Final = 16 * 1024 * 1024  # of any other record whose content is read
 ATTACHMENT_BYTES: Final = 64 * 1024 * 1024  # of one attachment whose content is read
 CHANNELS: Final = 64  # in one file

@@ -63,6 +63,8 @@ _PARSED: dict[int, Any] = {
 class _Fields(ReadDataStream):
     """The content of a record, whose fields end no earlier than the record says."""
 
+    strings = 0
+
     def read(self, length: int) -> bytes:
         data: bytes = super().read(length)
         if len(data) < length:
@@ -72,6 +74,9 @@ class _Fields(ReadDataStream):
     def read_prefixed_string(self) -> str:
         """Read the next string; invalid UTF-8 becomes escapes."""
         length = self.read4()
+        self.strings += 1
+        if self.strings > records.STRINGS:
+            raise Damaged(f"a record has more than the {records.STRINGS} strings allowed")
         if length > records.STRING_BYTES:
             raise Damaged(f"a string is {length} bytes, allowed are {records.STRING_BYTES}")
         return self.read(length).decode("utf-8", "backslashreplace")

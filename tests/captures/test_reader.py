@@ -336,6 +336,16 @@ def test_limits_of_a_foreign_file_hold(tmp_path: Path) -> None:
         assert len(capture.contents.channels) == records.CHANNELS
 
 
+def test_metadata_of_more_strings_than_allowed_are_left_out(tmp_path: Path) -> None:
+    def fill(writer: Writer) -> None:
+        writer.add_metadata("many", {str(n): "" for n in range(records.STRINGS)})
+        writer.add_message(raw_topics(writer)[0], 1, b"a", 0)
+
+    capture = open_capture(foreign(tmp_path / "f.mcap", fill))
+    assert [type(event) for event in capture] == [Chunk]
+    assert "more than the 8192 strings allowed" in capture.damage[0]
+
+
 def test_a_chunk_above_the_limit_is_left_out_and_what_follows_is_read(tmp_path: Path) -> None:
     def fill(writer: Writer) -> None:
         host, _ = raw_topics(writer)
