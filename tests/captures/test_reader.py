@@ -342,7 +342,7 @@ def test_metadata_of_more_strings_than_allowed_are_left_out(tmp_path: Path) -> N
         writer.add_message(raw_topics(writer)[0], 1, b"a", 0)
 
     capture = open_capture(foreign(tmp_path / "f.mcap", fill))
-    assert [type(event) for event in capture] == [Chunk]
+    assert [event.data for event in capture if isinstance(event, Chunk)] == [b"a"]
     assert "more than the 8192 strings allowed" in capture.damage[0]
 
 
