@@ -166,8 +166,10 @@ def answering_late(machine: FakeMachine, pause: float) -> Iterator[str]:
             time.sleep(pause)
             os.write(pair.master, ANSWER[4:])
 
-        threading.Thread(target=answers).start()
+        thread = threading.Thread(target=answers)
+        thread.start()
         yield pair.name
+        thread.join()  # else it writes to whatever has the descriptor of the closed pty
 
 
 def test_a_client_waits_for_the_rest_of_an_answer_that_an_adapter_holds_back(
