@@ -82,6 +82,8 @@ def require(what: str, value: Any, allowed: Any) -> None:
         expected = re.sub(r", got.*| - at.*", "", str(error))
         kind, bounds = re.sub(r"^Expected|^Invalid.*|`", "", expected).strip().partition(" ")[::2]
         words = _KINDS.get(kind, f"a {kind}") if kind else ", ".join(map(str, get_args(allowed)))
+        if kind == "object" and isinstance(allowed, type):
+            words = f"a {allowed.__name__}"
         within = " within it" if " - at " in str(error) else ""
         sentence = f"{what} is {shown(value)}, allowed{within} is {words} {bounds}"
         raise WrongValue(sentence.strip()) from error

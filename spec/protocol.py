@@ -83,7 +83,7 @@ class _Grammar(msgspec.Struct, frozen=True):
     """What a grammar declares, by name."""
 
     FRAME: Construct
-    INSTRUCTIONS: Mapping[Natural, Construct]
+    INSTRUCTIONS: Mapping[int, Construct]
     NAME: Title
     VERSION: Title
     DOCUMENT: Title
@@ -902,7 +902,7 @@ def _instruction(
     part = layout.part("id")
     if part is None:
         raise GrammarError("FRAME has no part named id, by which a frame names its instruction")
-    if identity > part.most:
+    if not 0 <= identity <= part.most:
         raise GrammarError(
             f"the header cannot carry the ID {identity} of {shown(name)}, allowed are 0 to "
             f"{part.most}"
