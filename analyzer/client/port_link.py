@@ -79,6 +79,7 @@ class PortLink:
         except LinkError as error:
             raise self._lost(error) from error
         except ProbeError as error:
+            self._asked = False  # no reply is waited for
             raise Ended(str(error), error=True, line_works=True) from error
 
     def _lost(self, error: LinkError) -> Ended:
@@ -98,9 +99,9 @@ class PortLink:
             return Ended(sentence, error=True, line_works=False)
         self._place = Place(again.name)
         self.port.renew(again)
-        now = self.now()
+        now, asked, self._asked = self.now(), self._asked, False
         try:
-            if self._asked and self.probe is not None:  # or the next look got this one's reply
+            if asked and self.probe is not None:  # or the next look got this one's reply
                 self.probe.look(self.now, asked=True)
         except ProbeError as broken:
             return Ended(str(broken), error=True, line_works=True)

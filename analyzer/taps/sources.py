@@ -319,7 +319,7 @@ class Bridge(Source):
             timeout_s = _RETRY if timeout_s is None else min(timeout_s, _RETRY)
         port = self._ports.get("device")
         ready = self._ready(timeout_s, [self._pty, *self._openings.descriptors, *also])
-        if port and self._openings.taken():
+        if self._openings.taken() and port:
             port.pulse_dtr()
         said = self._pty.read() if self._pty in ready else b""
         if said:

@@ -329,19 +329,26 @@ def is_pty(name: str) -> bool:
 class _Pump(Closing):
     """Copies what a URL handler without a descriptor (loop, rfc2217) has read to one for select.
 
-    Such a handler puts each byte into a queue, and None at the end.
+    Such a handler puts each byte into a queue, and None at the end; not where its thread fails.
     """
 
     def __init__(self, handle: Any) -> None:
         self._came = handle.queue if hasattr(handle, "queue") else handle._read_buffer
         self._reader, self._writer = socket.socketpair()
+        self._reader.setblocking(False)  # others may take what select has found
         self.fileno = self._reader.fileno
         threading.Thread(target=self._copy, daemon=True).start()
+        if thread := getattr(handle, "_thread", None):
+            threading.Thread(target=self._mark_end, args=(thread,), daemon=True).start()
 
     def _copy(self) -> None:
         with self._writer, contextlib.suppress(OSError):  # closed at the other end
             while byte := self._came.get():
                 self._writer.sendall(byte)
+
+    def _mark_end(self, thread: threading.Thread) -> None:
+        thread.join()
+        self._came.put(None)
 
     def close(self) -> None:
         """End the copying; further calls do nothing."""

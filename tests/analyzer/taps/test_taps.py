@@ -424,6 +424,21 @@ def test_a_bridge_ends_with_its_device(bridge: Bridge, device_line: PtyPair) -> 
     assert bridge.poll(None) == []
 
 
+def test_a_host_that_opens_a_bridge_without_its_device_does_not_keep_it_busy(
+    device_line: PtyPair, tmp_path: Path
+) -> None:
+    (tmp_path / "port").symlink_to(device_line.name)
+    with Bridge(open_port(str(tmp_path / "port"))) as bridge:
+        device_line.close()
+        bridge.poll(None)
+        with open_port(bridge.served):
+            bridge.poll(0.1)
+            begun = time.monotonic()
+            assert bridge.poll(0.1) == []
+
+    assert time.monotonic() - begun >= 0.1
+
+
 def test_closing_a_source_closes_its_ports(bridge: Bridge, device_line: PtyPair) -> None:
     bridge.close()
     bridge.close()

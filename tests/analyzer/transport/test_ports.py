@@ -219,6 +219,33 @@ def test_every_byte_passes_rfc2217_and_none_is_lost_when_the_peer_goes(
             read_from(port, 1)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_rfc2217_peer_that_breaks_the_telnet_layer_is_lost(listener: socket.socket) -> None:
+    def answer() -> None:
+        peer = listener.accept()[0]
+        line = serial.serial_for_url("loop://", timeout=0)
+        manager = serial.rfc2217.PortManager(line, Redirector(peer))  # type: ignore[arg-type]
+        with peer, line:
+            while b"x" not in b"".join(manager.filter(peer.recv(4096))):
+                pass
+            peer.sendall(b"x\xff\xf0")  # the end of an option that has not begun
+            peer.recv(1)
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    with open_port(url(listener, "rfc2217")) as port:
+        port.write(b"x")
+        assert read_from(port, 1) == b"x"
+        with pytest.raises(LinkError, match="closed by the other side"):
+            read_from(port, 1)
+    thread.join()
+
+
+def test_a_loop_never_waits_where_others_took_what_was_there() -> None:
+    with open_port("loop://") as port:
+        assert port.read(ready=True) == b""
+
+
 def test_a_break_does_not_throw_away_pending_bytes(pty: PtyPair) -> None:
     slave = os.open(pty.name, os.O_RDWR | os.O_NOCTTY)
     try:

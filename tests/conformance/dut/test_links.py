@@ -300,6 +300,33 @@ def test_the_reply_to_a_look_that_an_unplug_cut_short_is_not_that_to_the_next(
     assert seen.look.moving is False
 
 
+def test_a_look_that_an_unplug_cut_short_is_waited_for_once(
+    tmp_path: Path, protocol: Protocol
+) -> None:
+    with ExitStack() as stack:
+        lines = [stack.enter_context(open_pty()) for _ in range(2)]
+        link, probe, first, _ = stack.enter_context(unplugged(tmp_path, protocol, PATIENCE))
+
+        def replug(old: PtyPair, new: PtyPair) -> None:
+            old.close()
+            (tmp_path / "new").symlink_to(new.name)
+            (tmp_path / "new").replace(tmp_path / "port")
+
+        def cut_short() -> None:
+            probe.asked.wait(PATIENCE)
+            replug(first, lines[0])
+            probe.reply(b"1")
+
+        away = threading.Thread(target=cut_short)
+        away.start()
+        with pytest.raises(Reconnected):
+            link.do(Observe())
+        away.join()
+        replug(lines[0], lines[1])
+        with pytest.raises(Reconnected):
+            heard_of(link, 1, LONG)
+
+
 def test_a_run_that_was_stopped_does_not_wait_long_for_its_port(
     tmp_path: Path, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
 ) -> None:
