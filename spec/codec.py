@@ -338,6 +338,11 @@ def build(protocol: Protocol, name: str, fields: Mapping[str, Any] | None = None
             ", ".join([*parts, *(part.name for part in spec.fields if part.name)]) or "no fields"
         )
         raise ValueError(f"{spec.name} has no field {', '.join(given)}; it takes {takes}")
+    length = protocol.layout.part("length")
+    if length and len(data) > length.most:
+        raise ValueError(
+            f"{spec.name} has {data_bytes(len(data))}; a header announces at most {length.most}"
+        )
     return protocol.layout.build({**parts, "id": spec.id}, data)
 
 

@@ -476,11 +476,16 @@ def _number(name: str, declared: Construct, others: str) -> tuple[Number, dict[s
     number = number_of(unwrapped(inner.subcon) if named else inner, name, others)
     allowed: dict[str, Any] = {}
     low, high = number.low, number.high
+    if named:
+        values = inner.encmapping if isinstance(inner, Enum) else inner.flags
+        for word, value in values.items():
+            require(f"the value of {word} of {name}", value, int)
+        if not values:
+            raise WrongValue(f"{name} names no values; write them, or a number")
+        names = tuple((str(word), int(value)) for word, value in values.items())
+        allowed["names" if isinstance(inner, Enum) else "flags"] = names
     if isinstance(inner, Enum):
-        allowed["names"] = tuple((str(one), int(at)) for one, at in inner.encmapping.items())
         low, high = min(inner.decmapping), max(inner.decmapping)
-    if isinstance(inner, FlagsEnum):
-        allowed["flags"] = tuple(inner.flags.items())
     if ranged:
         low, high = ranged.low, ranged.high
         allowed |= {"bits": ranged.bits, "reading": ranged.reading, "code": ranged.code}

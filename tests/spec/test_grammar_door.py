@@ -18,6 +18,7 @@ from tests.support.grammars import embedded, mutated
 
 SPEED = '"speed" / Ranged(Byte, 0, 255)'
 LED = "Ranged(Byte, 0, 7,"
+ENUM = {"import BitsInteger,": "import BitsInteger, Enum,"}
 RIGHT = 'steering=From("strength")),'
 FAULTY = 'FAULTY = Sets(motion="stopped", steering=0)'
 ID, LENGTH = '"id" / BitsInteger(4)', '"length" / BitsInteger(4)'
@@ -52,7 +53,14 @@ WRONG: list[tuple[dict[str, str], str]] = [
     ({'safety="section 2"': "safety=2"}, "Clauses.safety is 2"),
     ({'NAME = "robot-car"': 'NAME = "\\x1b]0;x\\x07"'}, "NAME holds"),
     ({'VERSION = "1.1"': "VERSION = 1.1"}, "VERSION is 1.1, allowed is a text"),
+    ({'"OK", Outcome.VALID': '"", Outcome.VALID'}, "the name of an Answer is empty, allowed is"),
+    ({'"OK", Outcome.VALID': '"ALL WELL", Outcome.VALID'}, "is 'ALL WELL', allowed is one word"),
     # fields
+    (field('"speed" / Enum(Byte)') | ENUM, "Speed.speed names no values"),
+    (
+        field('"speed" / Enum(Byte, slow=1.5)') | ENUM,
+        "the value of slow of Speed.speed is 1.5, allowed is a whole number",
+    ),
     (field('"speed" / Ranged(Byte, 0, 2.5)'), "is 2.5, allowed"),
     (field('"speed" / Ranged(Byte, 0, 256)'), "has the range 0 to 256, allowed is one from low"),
     (field('"speed" / Ranged(5, 0, 255)'), "Ranged.subcon is 5, allowed is a Construct (line"),

@@ -288,3 +288,12 @@ def test_requests_and_answers_are_read_and_built(row: tuple[object, ...]) -> Non
     assert (request.valid, request.name) == (True, instruction)
     assert (reply.reason, dict(reply.fields)) == ("", fields)
     assert agrees(protocol, request, reply)
+
+
+def test_more_data_than_a_header_announces_are_refused() -> None:
+    values = {"address": 1, "register": 1}
+    protocol = load_protocol("dynamixel1")
+
+    assert len(build(protocol, "Write", {**values, "values": "00" * 252})) == 259
+    with pytest.raises(ValueError, match="Write has 254 data bytes; a header announces at most"):
+        build(protocol, "Write", {**values, "values": "00" * 253})
