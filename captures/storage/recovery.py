@@ -66,7 +66,8 @@ class _Fields(ReadDataStream):
     strings = 0
 
     def read(self, length: int) -> bytes:
-        data: bytes = super().read(length)
+        # A stated length may be more than can be asked for.
+        data: bytes = super().read(min(length, ATTACHED))
         if len(data) < length:
             raise EndOfFile
         return data

@@ -143,6 +143,17 @@ def test_an_attachment_with_a_wrong_checksum_is_damage_also_in_an_unfinished_fil
         recheck(str(path))
 
 
+def test_an_attachment_that_states_an_endless_length_is_damage(small: Path, tmp_path: Path) -> None:
+    content = bytearray(small.read_bytes())
+    media_type = b"application/json"
+    length = content.index(media_type) + len(media_type)
+    content[length + 7] ^= 0x80  # the highest bit of 64
+    path = tmp_path / "endless.mcap"
+    path.write_bytes(content)
+
+    assert "a record is shorter than its fields" in str(open_capture(path).damage)
+
+
 def test_a_file_of_another_program_is_no_evidence(tmp_path: Path) -> None:
     path = tmp_path / "theirs.mcap"
     with path.open("wb") as file:
