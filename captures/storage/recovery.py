@@ -16,7 +16,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, MessageIndex, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from bilprov.captures.storage import records
@@ -47,17 +47,8 @@ ATTACHED: Final = records.ATTACHMENT_BYTES + 1024
 _CHUNK = struct.Struct("<16xQII")  # times; size, CRC, length of the compression's name
 _U64 = struct.Struct("<Q")
 _INDEX_FRONT = struct.Struct("<BQHI")  # opcode, length, channel, bytes of the entries
+_STATED: Final = 46 + 10 * (1 << 16)  # bytes of statistics that count the messages of all channels
 INDEX_RECORDS = {0x08, 0x0A, Opcode.STATISTICS, 0x0D, 0x0E, Opcode.FOOTER}
-
-_PARSED: dict[int, Any] = {
-    Opcode.HEADER: Header,
-    Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.STATISTICS: Statistics,
-    Opcode.SCHEMA: Schema,
-    Opcode.MESSAGE_INDEX: MessageIndex,
-}
 
 
 class _Fields(ReadDataStream):
@@ -83,11 +74,35 @@ class _Fields(ReadDataStream):
         return self.read(length).decode("utf-8", "backslashreplace")
 
 
+class _Entries:
+    """A message index, of which nobody needs each entry: a hostile file has millions of them."""
+
+    @staticmethod
+    def read(fields: _Fields) -> None:
+        """Raise Damaged if there is half an entry."""
+        fields.read2()
+        if len(fields.read(fields.read4())) % 16:
+            raise Damaged("a message index has half an entry")
+
+
+_PARSED: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.STATISTICS: Statistics,
+    Opcode.SCHEMA: Schema,
+    Opcode.MESSAGE_INDEX: _Entries,
+}
+
+
 def parsed(opcode: int, content: bytes, own: bool) -> Any:
     """Parse one of the records of `_PARSED`; its texts are as stored. Raises Damaged.
 
     An attachment has a checksum; one of 0 is none, which is accepted unless it is our `own`.
     """
+    if opcode == Opcode.STATISTICS and len(content) > _STATED:
+        raise Damaged("statistics count the messages of more channels than there can be")
     fields = _Fields(io.BytesIO(content))
     try:
         record = _PARSED[opcode].read(fields)

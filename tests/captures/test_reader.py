@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import struct
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from functools import partial
@@ -20,7 +21,8 @@ from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.schemas import Chunk, Line
 from bilprov.captures.storage import records, recovery
-from bilprov.captures.storage.recovery import RecordFile
+from bilprov.captures.storage.records import Damaged
+from bilprov.captures.storage.recovery import RecordFile, parsed
 from bilprov.captures.topics import TOPICS
 from bilprov.captures.writer import CaptureWriter
 from tests.support.captures import record_places
@@ -469,3 +471,23 @@ def test_a_file_that_unpacks_to_far_more_than_its_size_is_read_up_to_a_limit(
     assert "unpacks to more than 32 MiB and 100 x its size" in capture.damage[0]
     room = recovery.UNPACKED_FREE + recovery.UNPACKED_SHARE * path.stat().st_size
     assert 0 < sum(capture.contents.sizes.values()) <= room
+
+
+def test_a_large_message_index_costs_no_more_memory_than_its_bytes() -> None:
+    entries = bytes(1 << 20)
+    content = struct.pack("<HI", 1, len(entries)) + entries
+
+    tracemalloc.start()
+    parsed(Opcode.MESSAGE_INDEX, content, own=True)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert most < 4 * len(content)
+    with pytest.raises(Damaged, match="half an entry"):
+        parsed(Opcode.MESSAGE_INDEX, struct.pack("<HI", 1, 24) + bytes(24), own=False)
+
+
+def test_statistics_of_more_channels_than_there_can_be_are_damage() -> None:
+    counts = bytes(10 * (1 << 16) + 10)
+    with pytest.raises(Damaged, match="more channels than there can be"):
+        parsed(Opcode.STATISTICS, bytes(42) + struct.pack("<I", len(counts)) + counts, own=False)
