@@ -24,10 +24,11 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import accumulate, chain
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 from msgspec.structs import replace
 
 from bilprov.analyzer.decode.batch import Batch
@@ -444,28 +445,34 @@ class _Times:
     def __init__(self) -> None:
         self._first, self._last = array("q"), array("q")
 
-    def add(self, first: int, last: int) -> None:
-        """Add a span."""
-        self._first.append(first)
-        self._last.append(last)
-
-    def add_exchanges(self, exchanges: Iterable[Exchange]) -> None:
-        """Add the spans of those that are selected."""
-        for one in exchanges:
-            if one.selected and one.frame:
-                self.add(one.frame.t, max(one.frame.known, one.until))
+    def add(self, spans: Iterable[tuple[int, int]]) -> None:
+        """Add spans, as few as they make together."""
+        for first, last in sorted(spans):
+            if self._last and self._first[-1] <= first <= self._last[-1]:
+                self._last[-1] = max(self._last[-1], last)
+            else:
+                self._first.append(first)
+                self._last.append(last)
 
     def in_order(self) -> Callable[[int, int], bool]:
         """What tells whether a span has some of another one, from a first to a last time."""
-        order = sorted(range(len(self._first)), key=self._first.__getitem__)
-        first = array("q", (self._first[at] for at in order))
-        latest = array("q", accumulate((self._last[at] for at in order), max))
+        begun, ended = (np.array(times, np.int64) for times in (self._first, self._last))
+        order = np.argsort(begun, kind="stable")
+        first = array("q", begun[order].tobytes())
+        latest = array("q", np.maximum.accumulate(ended[order]).tobytes())
 
         def meets(begin: int, end: int) -> bool:
             begun = bisect_right(first, end)
             return begun > 0 and latest[begun - 1] >= begin
 
         return meets
+
+
+def _spans(exchanges: Iterable[Exchange]) -> Iterator[tuple[int, int]]:
+    """From when to when the selected ones went."""
+    for one in exchanges:
+        if one.selected and one.frame:
+            yield one.frame.t, max(one.frame.known, one.until)
 
 
 def _selected_times(
@@ -479,16 +486,17 @@ def _selected_times(
     times, pairs = _Times(), Exchanges(paired=settings["heard"] >= BOTH)
     for batch in opened.decoded(copy.progress, window, TEXT_BATCH):
         chosen = batch.in_order(test.selection(batch) & batch.inside(window.first, window.after))
+        spans: list[tuple[int, int]] = []
         for record, selected in zip(batch.records(), chosen.tolist(), strict=True):
             pairs.record(record, selected=selected)
             if selected:
                 end = record.known if isinstance(record, HostRecord) else record.t
                 if isinstance(record, DeviceRecord) and record.instruction is None:
                     end += settings["skew"]
-                times.add(record.t, end)
-        times.add_exchanges(pairs.settled())
+                spans.append((record.t, end))
+        times.add([*spans, *_spans(pairs.settled())])
     pairs.give_up()
-    times.add_exchanges(pairs.rest)
+    times.add(_spans(pairs.rest))
     return times.in_order()
 
 
