@@ -26,7 +26,7 @@ from construct import (
 from msgspec import Meta
 
 from bilprov.spec.checks import Crc, Fletcher, Sum, Xor
-from bilprov.spec.errors import Declared, WrongValue, checked, require_word
+from bilprov.spec.errors import Declared, WrongValue, checked
 from bilprov.spec.motion import Wheels
 from bilprov.spec.state import (
     AllOf,
@@ -227,7 +227,7 @@ class Answer(Declared, frozen=True):
     It may stand for several outcomes, and with () for none: it tells the device's own condition.
     """
 
-    name: str
+    name: Annotated[str, Meta(min_length=1, max_length=64)]
     outcome: Outcome | tuple[Outcome, ...]
     document: str
     prose: str
@@ -237,10 +237,6 @@ class Answer(Declared, frozen=True):
         """The outcomes that it stands for."""
         several = self.outcome if isinstance(self.outcome, tuple) else (self.outcome,)
         return tuple(map(Outcome, several))
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_word("the name of an Answer", self.name)
 
 
 class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types

@@ -919,6 +919,10 @@ def _instruction(
         raise GrammarError(
             f"{name} has {data.length} data bytes; a header announces at most {announced.most}"
         )
+    if announced and data.length < -announced.also and not announced.number.signed:
+        raise GrammarError(
+            f"{name} has {data.length} data bytes; a header announces at least {-announced.also}"
+        )
     for shared in {part.name for part in layout.parts} & {part.name for part in data.fields} - {""}:
         raise GrammarError(f"{name}.{shared} has the name of a part of FRAME; give it another")
     answer = None
@@ -953,7 +957,7 @@ def _instruction(
 def _require_memory(
     instructions: tuple[InstructionSpec, ...], declared: tuple[Memory, ...]
 ) -> None:
-    """Raise GrammarError for a memory that no instruction uses, or that names one that is none."""
+    """Raise GrammarError for a memory that no instruction uses, or that is not as it says."""
     names = {"", *(spec.name for spec in instructions)}
     for memory in declared:
         if not any(memory in (spec.writes, spec.reads) for spec in instructions):
@@ -965,6 +969,22 @@ def _require_memory(
             if name not in names:
                 raise GrammarError(
                     f"MEMORY has {memory.name} {word} {name}, and there is no such instruction"
+                )
+    for spec in instructions:
+        many = {part.name: part.many for part in spec.fields}
+        for one in filter(None, (spec.writes, spec.reads)):
+            # A place may be bytes, the beginning of which is the first cell.
+            at = many.get(one.at)
+            wrong = [one.at] if at and at.element else []
+            wrong += [name for name in (one.count, one.keep) if many.get(name)]
+            if wrong:
+                raise GrammarError(
+                    f"MEMORY has {one.name} by {spec.name}.{wrong[0]}, allowed is one number"
+                )
+            if one is spec.writes and not many[one.value] and (one.blocks or one.count in many):
+                raise GrammarError(
+                    f"MEMORY has {one.name} with a count, and {spec.name}.{one.value} is one "
+                    "number; leave the count out"
                 )
 
 
