@@ -266,7 +266,7 @@ class Capture:
         order = Order(0 if whole else None)
         first, place = (after.volume, after.place) if after else (0, None)
         if place:
-            order.expected = place.sequence + 1
+            order.expected = (place.sequence + 1) & 0xFFFF_FFFF
         for number, volume in enumerate(self.volumes[first:], first):
             # What is missing before the part of a checkpoint is no loss behind it.
             order.missing = "" if place else volume.missing

@@ -118,6 +118,20 @@ def test_what_follows_a_checkpoint_is_what_stands_behind_it_in_the_file(tmp_path
         assert list(capture.events(found)) == rest
 
 
+def test_behind_a_checkpoint_with_the_last_number_any_number_may_come(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with CaptureWriter(path, start_wall=START, metadata={}, version="1") as writer:
+        writer._sequence = 0xFFFF_FFFF
+        writer.write(Checkpoint.of(1, GRAMMAR, "{}"), 1)
+        writer._sequence = 5
+        writer.chunk(Chunk(2, "host", b"a"))
+
+    found = opened(path).checkpoint_before(2)
+
+    lost = Line(2, "gap", "", "5 messages are lost here, the file is damaged")
+    assert list(opened(path).events(found)) == [lost, Chunk(2, "host", b"a")]
+
+
 def test_nothing_before_the_checkpoint_is_read(path: Path) -> None:
     capture = opened(path)
     found = capture.checkpoint_before(1 << 62, GRAMMAR)
