@@ -655,6 +655,9 @@ def _read(declared: _Grammar, source: str, origin: str) -> Protocol:
             declared,
             **{name: getattr(declared, name) or getattr(grammar, name) for name in _OF_A_CAR},
         )
+    for name in ("FAULTY", "POWER_ON") if declared.WHEELS else ():
+        if getattr(declared, name) is None:
+            raise GrammarError(f"it declares no {name}")
     variables = _variables(declared, every)
     *effects, on_fault, at_power_on = (_effect(variables, *one) for one in every)
     instructions = tuple(

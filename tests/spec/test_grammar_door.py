@@ -33,6 +33,8 @@ def field(declaration: str) -> dict[str, str]:
 
 # What is replaced by what, and a piece of the sentence: one row for each rule.
 WRONG: list[tuple[dict[str, str], str]] = [
+    ({"\nFAULTY = Sets(": "\n_ = Sets("}, "it declares no FAULTY"),
+    ({"\nPOWER_ON = Sets(": "\n_ = Sets("}, "it declares no POWER_ON"),
     (
         {"truncation_timeout=50": 'truncation_timeout="a"'},
         "Timing.truncation_timeout is 'a', allowed is a number",
