@@ -868,9 +868,13 @@ def _require_each_outcome(declared: _Grammar, protocol: Protocol) -> None:
         Outcome.BAD_CHECKSUM: layout.check,
         Outcome.BAD_SYNC: any(part.offset < 0 for part in layout.constants),
     }
-    answered = {outcome for spec in protocol.responses for outcome in spec.outcomes}
-    silent = {*declared.SILENT} if declared.REPLY else {*()}
-    missing = [one for one, can_be in possible.items() if can_be and one not in answered | silent]
+    answered = [outcome for spec in protocol.responses for outcome in spec.outcomes]
+    silent = declared.SILENT if declared.REPLY else ()
+    twice = [outcome.value for outcome in silent if outcome in answered]
+    if twice:
+        raise GrammarError(f"{twice[0]} stands in RESPONSE and in SILENT, allowed is one of them")
+    met = {*answered, *silent}
+    missing = [outcome for outcome, can_be in possible.items() if can_be and outcome not in met]
     if missing and (declared.REPLY or declared.RESPONSE):
         told = ", ".join(f"Outcome.{one.name}" for one in missing)
         where = f"; give it an Answer in RESPONSE, or put {told} into SILENT"
@@ -878,6 +882,8 @@ def _require_each_outcome(declared: _Grammar, protocol: Protocol) -> None:
             f"no response stands for {', '.join(one.value for one in missing)}"
             f"{where if declared.REPLY else ''}"
         )
+    if not declared.REPLY:
+        _require_each_name_once("two responses stand for", (one.value for one in answered))
 
 
 def _require_codes(

@@ -33,6 +33,10 @@ def field(declaration: str) -> dict[str, str]:
 
 # What is replaced by what, and a piece of the sentence: one row for each rule.
 WRONG: list[tuple[dict[str, str], str]] = [
+    (
+        {'"BAD_DATA", Outcome.BAD_DATA': '"BAD_DATA", Outcome.VALID'},
+        "two responses stand for valid",
+    ),
     ({"\nFAULTY = Sets(": "\n_ = Sets("}, "it declares no FAULTY"),
     ({"\nPOWER_ON = Sets(": "\n_ = Sets("}, "it declares no POWER_ON"),
     (
