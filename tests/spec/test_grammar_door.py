@@ -34,8 +34,8 @@ def field(declaration: str) -> dict[str, str]:
 # What is replaced by what, and a piece of the sentence: one row for each rule.
 WRONG: list[tuple[dict[str, str], str]] = [
     (
-        {'"BAD_DATA", Outcome.BAD_DATA': '"BAD_DATA", Outcome.VALID'},
-        "two responses stand for valid",
+        {"2: Answer(": '5: Answer("TWO", Outcome.BAD_DATA, "", ""), 2: Answer('},
+        "two responses stand for bad data",
     ),
     ({"\nFAULTY = Sets(": "\n_ = Sets("}, "it declares no FAULTY"),
     ({"\nPOWER_ON = Sets(": "\n_ = Sets("}, "it declares no POWER_ON"),
