@@ -59,12 +59,8 @@ NAMED = [
     ("no-stop-on-bad-data", "stop", "does not stop", "bad data"),
     ("restarts-by-itself", "stop", "moves again by itself", "a faulty frame"),
     ("stops-late", "stop", "stops late or not at all", "a faulty frame"),
-    (
-        "stays-dead-after-two-faults",
-        "state",
-        "is stopped",
-        "a valid frame, with two faults in a row since the last Stop",
-    ),
+    ("stays-dead-after-two-faults", "state", "is stopped",
+     "a valid frame, with two faults in a row since the last Stop"),
     ("rotateleft-does-nothing", "state", "is stopped", "RotateLeft"),
     ("speed-bit-0-lost", "state", "speed lacks bit 0", "Speed"),
     ("led-7-ignored", "state", "led stays as it was", "LED, with rgb 7"),
@@ -101,8 +97,7 @@ NAMED = [
 
 
 def exchanges_of(protocol: Protocol, events: list[Any], *known: Known) -> Exchanges:
-    timing = Timing(50 * MS, 86_806, 250 * MS)
-    return Exchanges(Model(protocol, Choices()), events, timing, *known)
+    return Exchanges(Model(protocol, Choices()), events, Timing(50 * MS, 86_806, 250 * MS), *known)
 
 
 def sent(at: int, frame: str, code: int = 0) -> list[Done]:

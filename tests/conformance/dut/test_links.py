@@ -276,31 +276,7 @@ def unplugged(
         yield PortLink(port, probe, stopper, reconnect=seconds), probe, pair, stopper
 
 
-def test_the_reply_to_a_look_that_an_unplug_cut_short_is_not_that_to_the_next(
-    tmp_path: Path, protocol: Protocol
-) -> None:
-    with unplugged(tmp_path, protocol, PATIENCE) as (link, probe, first, _), open_pty() as second:
-
-        def replug() -> None:
-            probe.asked.wait(PATIENCE)
-            first.close()
-            (tmp_path / "new").symlink_to(second.name)
-            (tmp_path / "new").replace(tmp_path / "port")
-            probe.reply(b"1")
-
-        away = threading.Thread(target=replug)
-        away.start()
-        with pytest.raises(Reconnected):
-            link.do(Observe())
-        away.join()
-        probe.reply(b"0")
-        seen = link.do(Observe())
-
-    assert isinstance(seen, Observation)
-    assert seen.look.moving is False
-
-
-def test_a_look_that_an_unplug_cut_short_is_waited_for_once(
+def test_the_reply_to_a_look_that_an_unplug_cut_short_is_waited_for_once(
     tmp_path: Path, protocol: Protocol
 ) -> None:
     with ExitStack() as stack:
@@ -325,6 +301,11 @@ def test_a_look_that_an_unplug_cut_short_is_waited_for_once(
         replug(lines[0], lines[1])
         with pytest.raises(Reconnected):
             heard_of(link, 1, LONG)
+        probe.reply(b"0")
+        seen = link.do(Observe())
+
+    assert isinstance(seen, Observation)
+    assert seen.look.moving is False  # as of its own reply, not that of the look before
 
 
 def test_a_run_that_was_stopped_does_not_wait_long_for_its_port(
