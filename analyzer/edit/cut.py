@@ -24,11 +24,10 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import chain
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 from msgspec.structs import replace
 
 from bilprov.analyzer.decode.batch import Batch
@@ -456,10 +455,9 @@ class _Times:
 
     def in_order(self) -> Callable[[int, int], bool]:
         """What tells whether a span has some of another one, from a first to a last time."""
-        begun, ended = (np.array(times, np.int64) for times in (self._first, self._last))
-        order = np.argsort(begun, kind="stable")
-        first = array("q", begun[order].tobytes())
-        latest = array("q", np.maximum.accumulate(ended[order]).tobytes())
+        order = array("q", sorted(range(len(self._first)), key=self._first.__getitem__))
+        first = array("q", (self._first[at] for at in order))
+        latest = array("q", accumulate((self._last[at] for at in order), max))
 
         def meets(begin: int, end: int) -> bool:
             begun = bisect_right(first, end)
