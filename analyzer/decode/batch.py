@@ -214,6 +214,8 @@ class DeviceRows:
     def faults(self) -> Kinds:
         """The anomalies, each of which was found at `t`."""
         odd = np.flatnonzero(self.odd)
+        if not len(odd):  # as mostly
+            return Kinds(np.zeros(len(self), np.int64), [()])
         _, first, place = np.unique(self.sort(odd), return_index=True, return_inverse=True)
         code = np.zeros(len(self), np.int64)
         code[odd] = 1 + place

@@ -34,9 +34,9 @@ from bilprov.analyzer.decode.batch import (
     repeated,
     sliced,
 )
-from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState
+from bilprov.analyzer.decode.checkpoint import QUIET, DecoderState, WaitingFrames
 from bilprov.analyzer.decode.decoder import TURNS
-from bilprov.analyzer.decode.pairing import MOST, Held, Waiting, waiting_frames
+from bilprov.analyzer.decode.pairing import MOST, Held, Waiting
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord, Record
 from bilprov.captures.events import DEVICE, HOST, LINE, Events
 from bilprov.captures.schemas import MS, Chunk, Line
@@ -101,7 +101,7 @@ class ColumnBatch(Batch):
             t=self.start,
             end=self.end,
             known=self.end,
-            kind=np.broadcast_to(np.uint8(INSTRUCTION), count),
+            kind=np.full(count, INSTRUCTION, np.uint8),
             data=self.data,
             offset=self.requests.offset,
             size=self.requests.size,
@@ -111,7 +111,7 @@ class ColumnBatch(Batch):
             samples=alone._host_samples,
             header=tables.keys.take(self.requests.kind),
             due=tables.due(self.data, self.requests),
-            uncertain=np.broadcast_to(np.False_, count),
+            uncertain=np.zeros(count, np.bool_),
         )
 
     @cached_property
@@ -468,13 +468,22 @@ class ColumnDecoder:
 
     def state(self, carry: Carry) -> DecoderState:
         """A Carry as the state of a session, without what is `begun`."""
-        frames = sliced(carry.host.data, carry.waiting.offset, carry.waiting.end)
-        times = zip(carry.end.tolist(), (carry.end + self._longest).tolist(), strict=True)
-        rows = zip(carry.sequence.tolist(), times, frames, repeat(False), strict=False)
-        waiting = waiting_frames(rows, numbered=not self._plain)
         answers = carry.device.chunks("device") if self._plain else ()
         held = tuple((chunk.t, byte) for chunk in answers for byte in chunk.data)
-        return replace(carry.rest, waiting=waiting, held=held)
+        return replace(carry.rest, waiting=tuple(self._waiting(carry)), held=held)
+
+    def _waiting(self, carry: Carry) -> Iterator[WaitingFrames]:
+        """Yield the requests that wait: neighbours with equal times together."""
+        offset, upto = carry.waiting.offset, carry.waiting.end
+        apart = np.diff(carry.end) != 0
+        if not self._plain:
+            apart |= np.diff(carry.sequence) != 1  # those between are not answered
+        some = len(offset) > 0
+        first, last = np.append(some, apart).nonzero()[0], np.append(apart, some).nonzero()[0]
+        numbers = repeat(None) if self._plain else carry.sequence[first].tolist()
+        frames = sliced(carry.host.data, offset[first], upto[last])
+        for end, frame, number in zip(carry.end[first].tolist(), frames, numbers, strict=False):
+            yield WaitingFrames(end, end + self._longest, frame, number)
 
     def begun(self, carry: Carry) -> list[Chunk]:
         """The bytes of the frame and of the answer that are not complete, as they came."""

@@ -235,9 +235,7 @@ class Decoder:
             frame=self._framer.held,
             frame_start=start,
             frame_end=end,
-            waiting=pairing.waiting_frames(
-                map(pairing.told, self._waiting), numbered=not self._protocol.plain
-            ),
+            waiting=pairing.waiting_frames(self._waiting, numbered=not self._protocol.plain),
             held=tuple((held.t, held.byte) for held in self._held),
             out_of_step=self._out_of_step,
             lost_at=self._lost_at,

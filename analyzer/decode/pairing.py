@@ -67,32 +67,32 @@ def passes_over(held: Held, waiting: Sequence[Waiting], late: int) -> bool:
     return overdue and codes[0] != held.byte == codes[1]
 
 
-def told(waiting: Waiting) -> tuple[int, tuple[int, int], bytes, bool]:
-    """What `waiting_frames` has of an instruction."""
-    judgement = waiting.judgement
-    times = waiting.end, waiting.expires
-    return waiting.sequence, times, judgement.frame, judgement.truncated
-
-
 def waiting_frames(
-    waiting: Iterable[tuple[int, tuple[int, int], bytes, bool]], *, numbered: bool = False
+    waiting: Iterable[Waiting], *, numbered: bool = False
 ) -> tuple[WaitingFrames, ...]:
     """Instructions that wait: neighbours with equal times together, as far as one cut short.
 
-    Each is its number, when it ended and expires (ns), its bytes, and whether it was cut short.
     With `numbered` there may be some between them that are not answered.
     """
-    groups: list[tuple[tuple[int, int], int, list[bytes]]] = []
-    closed = True
-    for number, times, frame, cut in waiting:
-        follows = not closed and groups[-1][0] == times
-        if not follows or (numbered and groups[-1][1] + len(groups[-1][2]) != number):
-            groups.append((times, number, []))
-        groups[-1][2].append(frame)
-        closed = cut
+    groups: list[list[Waiting]] = []
+    for one in waiting:
+        last = groups[-1][-1] if groups else None
+        if (
+            last is None
+            or last.judgement.truncated
+            or (last.end, last.expires) != (one.end, one.expires)
+            or (numbered and last.sequence + 1 != one.sequence)
+        ):
+            groups.append([])
+        groups[-1].append(one)
     return tuple(
-        WaitingFrames(*times, b"".join(frames), first if numbered else None)
-        for times, first, frames in groups
+        WaitingFrames(
+            group[0].end,
+            group[0].expires,
+            b"".join([one.judgement.frame for one in group]),
+            group[0].sequence if numbered else None,
+        )
+        for group in groups
     )
 
 

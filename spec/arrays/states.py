@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bilprov.spec.arrays.layouts import Bytes, Places, Requests, field_values, part_values
+from bilprov.spec.codec import Steps
 from bilprov.spec.data import FieldSpec
 from bilprov.spec.protocol import Protocol
-from bilprov.spec.state import OTHERS, Changed, From, State, VariableSpec
+from bilprov.spec.state import OTHERS, Changed, From, State, VariableSpec, after
 
 _TAIL = 256  # requests in which each variable is mostly set
 _WIDER = 16  # times as many before them are searched for those that are not
@@ -35,7 +36,7 @@ class StateTables:
     """
 
     def __init__(self, protocol: Protocol, kinds: int) -> None:
-        self._state = protocol.state_type
+        self._state, self._steps = protocol.state_type, Steps(protocol)
         self._layout, part = protocol.layout, protocol.layout.part("address")
         self._broadcast = part.broadcast if part else None
         self._variables = tuple(protocol.variables.values())
@@ -85,8 +86,8 @@ class StateTables:
         found[0] = self._state.code(variable, getattr(before.state, variable))
         to = self._to(data, requests)
         for address in np.unique(to).tolist():
-            rows, codes = self._heard_by(address, to, before.by_address)
-            column = self._column(variable, data, requests.rows(rows), codes)
+            rows, state = self._heard_by(address, to, before.by_address)
+            column = self._column(variable, data, requests.rows(rows), state.codes)
             mine = to[rows] == address
             found[1 + rows[mine]] = column[1:][mine]
         return found
@@ -94,14 +95,14 @@ class StateTables:
     def last(self, data: Bytes, requests: Requests, before: Known) -> Known:
         """What is known after all of the requests."""
         if before.by_address is None:
-            return before._replace(state=self._last(data, requests, before.state.codes))
+            return before._replace(state=self._last(data, requests, before.state))
         to = self._to(data, requests)
         if not len(to):
             return before
         found = {}
         for address in {*before.by_address, *map(self._known_as, np.unique(to))}:
-            rows, codes = self._heard_by(address, to, before.by_address)
-            found[address] = self._last(data, requests.rows(rows), codes)
+            rows, state = self._heard_by(address, to, before.by_address)
+            found[address] = self._last(data, requests.rows(rows), state)
         return Known(found[self._known_as(to[-1])], found)
 
     def _to(self, data: Bytes, requests: Requests) -> Places:
@@ -116,10 +117,10 @@ class StateTables:
 
     def _heard_by(
         self, address: int, to: Places, known: Mapping[int, State]
-    ) -> tuple[Places, Sequence[int]]:
-        """The requests for a device, those to all too, and the values of its variables before."""
+    ) -> tuple[Places, State]:
+        """The requests for a device, those to all too, and its state before."""
         state = known.get(self._known_as(address), known[OTHERS])
-        return np.flatnonzero((to == address) | (to == self._broadcast)), state.codes
+        return np.flatnonzero((to == address) | (to == self._broadcast)), state
 
     def _column(
         self, variable: str, data: Bytes, requests: Requests, before: Sequence[int]
@@ -143,11 +144,12 @@ class StateTables:
         codes = {number: self._state.code(variable, word) for word, number in source.words}
         return [codes[number] for number in numbers.tolist()]
 
-    def _last(self, data: Bytes, requests: Requests, before: Sequence[int]) -> State:
+    def _last(self, data: Bytes, requests: Requests, state: State) -> State:
         """The state after all requests to one device: the last that sets a variable tells."""
-        requests = requests.rows(self._last_rows(requests.kind))
-        columns = (self._column(name, data, requests, before) for name in self._values)
-        return self._state.of_codes([int(column[-1]) for column in columns])
+        last = requests.rows(self._last_rows(requests.kind))
+        for start, end in zip(last.offset.tolist(), last.end.tolist(), strict=True):
+            state = after(state, self._steps[data[start:end].tobytes()].sets)
+        return state
 
     def _last_rows(self, kind: Places) -> Places:
         """The last request that sets each of the variables, of those that are set."""

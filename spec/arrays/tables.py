@@ -80,10 +80,11 @@ class RequestTables:
         self._size_of = np.array([1 + length for length in protocol.lengths], np.int64)
         if protocol.plain:
             self._fill()
-            return
-        self.states = StateTables(protocol, len(self.specs))
-        for place, spec in enumerate(self.specs):
-            self.states.add(place, spec.effect.assignments, spec.fields)
+        else:
+            self.states = StateTables(protocol, len(self.specs))
+            for place, spec in enumerate(self.specs):
+                self.states.add(place, spec.effect.assignments, spec.fields)
+        self._every = bool(self._answered.all()) and layout.part("address") is None
 
     def _fill(self) -> None:
         """Fill the tables of frames with one header byte from the judgements of such frames."""
@@ -216,7 +217,7 @@ class RequestTables:
 
     def due(self, data: Bytes, requests: Requests) -> Mask | None:
         """To which requests a conforming device gives an answer; None: to each."""
-        if self._answered.all() and self.layout.part("address") is None:
+        if self._every:
             return None
         due: Mask = self._answered.take(requests.kind)
         return due & self._to(data, requests.offset, None)

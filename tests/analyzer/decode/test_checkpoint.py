@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from bilprov.analyzer.decode.checkpoint import DecoderState, WaitingFrames, decoded, encoded
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.decode.stream import StreamDecoder
+from bilprov.analyzer.grammar_file import load_protocol
 from bilprov.captures.schemas import Checkpoint, Chunk, Line, Resumption
 from bilprov.spec.codec import build
 from bilprov.spec.protocol import Protocol
@@ -55,6 +56,30 @@ def test_a_session_that_is_resumed_gives_the_records_that_were_left(
     assert session.deadline == decoder.deadline == due
     assert told(session, events[place:]) == left
     assert records_of(told(decoder, events[place:], [7])) == left
+
+
+def test_instructions_that_wait_are_saved_without_one_between_them_that_is_not_answered() -> None:
+    protocol = load_protocol("modbus-rtu")
+    frames = [
+        build(protocol, "WriteSingleRegister", {"address": to, "register": 40, "value": 1})
+        for to in (1, 2, 0, 3)  # 0: to all
+    ]
+    events: list[Event] = [Chunk(0, "host", frame) for frame in frames]
+    decoder = StreamDecoder(protocol)
+    decoder.feed(events)
+
+    state = decoder.saved()
+    assert state is not None
+    assert [(group.first, group.frames) for group in state.waiting] == [
+        (0, frames[0] + frames[1]),
+        (3, frames[3]),
+    ]
+    decoder = StreamDecoder(protocol)
+    decoder.resume(state)
+    decoder.feed([Chunk(MS, "host", frames[0])])
+    again = decoder.saved()
+    assert again is not None
+    assert [group.first for group in again.waiting] == [0, 3, 4]
 
 
 def test_a_frame_that_grows_falls_due_a_time_out_after_its_last_byte(protocol: Protocol) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bilprov.analyzer.decode.decoded_share import Checked, fitting_check, near_miss
-from bilprov.analyzer.decode.pairing import MOST, Waiting, told, waiting_frames
+from bilprov.analyzer.decode.pairing import MOST, Waiting, waiting_frames
 from bilprov.analyzer.decode.records import Severity
 from bilprov.analyzer.decode.session import Session
 from bilprov.analyzer.grammar_file import load_protocol
@@ -111,7 +111,7 @@ def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
     frames = [b"\x20", b"\x11\x05", b"\x11", b"\x20", b"\x20"]
     queue = [waiting(protocol, n, MS * (n > 3), frame) for n, frame in enumerate(frames)]
 
-    groups = waiting_frames(map(told, queue))
+    groups = waiting_frames(queue)
 
     assert [group.frames for group in groups] == [b"\x20\x11\x05\x11", b"\x20", b"\x20"]
     assert [group.end for group in groups] == [0, 0, MS]
