@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from bilprov.analyzer.grammar_file import load_protocol
+from bilprov.spec.checks import Crc
 from bilprov.spec.codec import build
 from bilprov.spec.emit.c import c_header
 from bilprov.spec.protocol import Protocol
@@ -17,12 +18,12 @@ from tests.support.drawn_layouts import drawn_layout
 from tests.support.firmware import needs
 from tests.support.grammars import checked_digits
 from tests.vectors import HEADERS, LINE, LONGEST_FRAME, RESPONSES, TIMING
-from tests.vectors_checks import CHECKS
+from tests.vectors_checks import CHECKS, DIGITS, CheckVector
 
 
-def constants(text: str) -> dict[str, int]:
+def constants(text: str, prefix: str = "ROBOT_CAR") -> dict[str, int]:
     """The header's numbers by their names, without the prefix."""
-    found = re.findall(r"^#define ROBOT_CAR_(\w+) (0x[0-9a-f]+|\d+)\b", text, re.MULTILINE)
+    found = re.findall(rf"^#define {prefix}_(\w+) (0x[0-9a-f]+|\d+)", text, re.MULTILINE)
     assert len(found) == len(dict(found)), "a name is defined twice"
     return {name: int(value, 0) for name, value in found}
 
@@ -57,92 +58,74 @@ FRAMED = ["modbus-rtu", "stk500v1", "dynamixel1", "feetech.py", "relay_board.py"
 GCC = needs("gcc", package="gcc libc6-dev")
 
 
-def compiled(folder: Path, text: str, *options: str) -> list[str]:
-    """The command that a C file compiles to, without a warning."""
-    source, program = folder / "use.c", folder / "use"
-    source.write_text(text, encoding="utf-8")
-    words = ["gcc", "-std=c89", "-pedantic", "-Wall", "-Wextra", "-Werror", *options]
-    done = subprocess.run([*words, "-o", program, source], capture_output=True, text=True)
+def require_compiled(folder: Path, header: str, text: str, *command: str) -> None:
+    """A C file that includes the header compiles without a warning."""
+    (folder / "protocol.h").write_text(header, encoding="utf-8")
+    source = folder / "use.c"
+    source.write_text(f'#include "protocol.h"\n#include "protocol.h"\n{text}\n')
+    words = (*command, "-pedantic", "-Wall", "-Wextra", "-Werror", "-c", "-o", "/dev/null", source)
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    return [str(program)]
 
 
 @GCC
 @pytest.mark.parametrize("name", FRAMED)
 def test_every_constant_of_a_framed_grammar_is_one_of_c(name: str, tmp_path: Path) -> None:
     text = c_header(framed(name))
-    names = re.findall(r"^#define (\w+) (.*?)(?: /\*.*)?$", text, re.MULTILINE)[0:]
+    names = re.findall(r"^#define (\w+) (.*?)(?: /\*.*)?$", text, re.MULTILINE)
     uses = [
-        f"static const unsigned char b{at}[] = {name};" if "{" in value else f"long n{at} = {name};"
+        f"const unsigned char b{at}[] = {name};" if "{" in value else f"long n{at} = {name};"
         for at, (name, value) in enumerate(names)
     ]
-    size = "".join(f"+ sizeof b{at}" for at, (_, value) in enumerate(names) if "{" in value)
-    (tmp_path / "protocol.h").write_text(text, encoding="utf-8")
-    main = f"int main(void) {{ return (0 {size}) > 255; }}"
-    compiled(tmp_path, "\n".join(['#include "protocol.h"', *uses, main]))
+    require_compiled(tmp_path, text, "\n".join(uses), "gcc", "-std=c89")
 
 
 @pytest.mark.sample(8)
 @GCC
 @pytest.mark.parametrize("seed", range(0, 200, 10))
 def test_the_header_of_any_layout_compiles(seed: int, tmp_path: Path) -> None:
-    (tmp_path / "protocol.h").write_text(c_header(drawn_layout(seed).protocol), encoding="utf-8")
-    compiled(tmp_path, '#include "protocol.h"\nint main(void) { return 0; }\n')
+    header = c_header(drawn_layout(seed).protocol)
+    require_compiled(tmp_path, header, "int nothing;", "gcc", "-std=c89")
 
 
-WRITING_A_REGISTER = """
-#include <stdio.h>
-#include "protocol.h"
-
-static unsigned crc(const unsigned char *data, int size) {
-    unsigned value = MODBUS_RTU_FRAME_CHECK_CRC_INIT, poly = 0;
-    int bit, at;
-    for (bit = 0; bit < MODBUS_RTU_FRAME_CHECK_CRC_WIDTH; bit++)
-        if (MODBUS_RTU_FRAME_CHECK_CRC_POLY >> bit & 1)
-            poly |= 1u << (MODBUS_RTU_FRAME_CHECK_CRC_WIDTH - 1 - bit);
-    for (at = 0; at < size; at++) {
-        value ^= data[at];
-        for (bit = 0; bit < 8; bit++) value = value >> 1 ^ (value & 1 ? poly : 0);
-    }
-    return value ^ MODBUS_RTU_FRAME_CHECK_CRC_XOROUT;
-}
-
-static void put(unsigned char *at, unsigned value, int little) {
-    at[little ? 0 : 1] = value & 0xff;
-    at[little ? 1 : 0] = value >> 8;
-}
-
-int main(void) {
-    unsigned char frame[64];
-    unsigned char *data = frame + MODBUS_RTU_FRAME_HEAD;
-    int at, end = MODBUS_RTU_FRAME_HEAD + MODBUS_RTU_WRITE_SINGLE_REGISTER_LENGTH
-        + MODBUS_RTU_FRAME_TAIL;
-    frame[MODBUS_RTU_FRAME_ADDRESS_OFFSET] = 17;
-    frame[MODBUS_RTU_FRAME_ID_OFFSET] = MODBUS_RTU_WRITE_SINGLE_REGISTER_ID;
-    put(data + MODBUS_RTU_WRITE_SINGLE_REGISTER_REGISTER_OFFSET, 1,
-        MODBUS_RTU_WRITE_SINGLE_REGISTER_REGISTER_LITTLE_ENDIAN);
-    put(data + MODBUS_RTU_WRITE_SINGLE_REGISTER_VALUE_OFFSET, 3,
-        MODBUS_RTU_WRITE_SINGLE_REGISTER_VALUE_LITTLE_ENDIAN);
-    put(frame + end - MODBUS_RTU_FRAME_CRC_FROM_END,
-        crc(frame + MODBUS_RTU_FRAME_CHECK_FIRST,
-            end - MODBUS_RTU_FRAME_CHECK_LAST - MODBUS_RTU_FRAME_CHECK_FIRST),
-        MODBUS_RTU_FRAME_CRC_LITTLE_ENDIAN);
-    for (at = 0; at < end; at++) printf("%02x", frame[at]);
-    return 0;
-}
-"""
-
-
-@GCC
-def test_a_program_builds_a_request_from_the_header_alone(tmp_path: Path) -> None:
+def test_a_request_is_built_from_the_header_alone() -> None:
     protocol = load_protocol("modbus-rtu")
-    (tmp_path / "protocol.h").write_text(c_header(protocol), encoding="utf-8")
-    program = compiled(tmp_path, WRITING_A_REGISTER)
-    values = {"address": 17, "register": 1, "value": 3}
+    found = constants(c_header(protocol), "MODBUS_RTU")
+    data, write = found["FRAME_HEAD"], "WRITE_SINGLE_REGISTER"
+    end = data + found[f"{write}_LENGTH"] + found["FRAME_TAIL"]
+    frame = bytearray(end)
+    frame[found["FRAME_ADDRESS_OFFSET"]] = 17
+    frame[found["FRAME_ID_OFFSET"]] = found[f"{write}_ID"]
 
-    told = subprocess.run(program, capture_output=True, check=True).stdout
+    def put(at: int, value: int, name: str) -> None:
+        order = "little" if found[f"{name}_LITTLE_ENDIAN"] else "big"
+        frame[at : at + 2] = value.to_bytes(2, order)  # type: ignore[arg-type]
 
-    assert told.decode() == build(protocol, "WriteSingleRegister", values).hex()
+    for name, value in (("REGISTER", 1), ("VALUE", 3)):
+        put(data + found[f"{write}_{name}_OFFSET"], value, f"{write}_{name}")
+    covered = frame[found["FRAME_CHECK_FIRST"] : end - found["FRAME_CHECK_LAST"]]
+    put(end - found["FRAME_CRC_FROM_END"], declared_crc(found)(covered), "FRAME_CRC")
+
+    assert frame == build(
+        protocol, "WriteSingleRegister", {"address": 17, "register": 1, "value": 3}
+    )
+
+
+def declared_crc(found: dict[str, int]) -> Crc:
+    """The CRC that the constants of a header describe."""
+    words = ("WIDTH", "POLY", "INIT", "REFLECTED", "XOROUT", "REFOUT")
+    width, poly, init, reflected, xorout, refout = (found[f"FRAME_CHECK_CRC_{w}"] for w in words)
+    return Crc(width, poly, init, bool(reflected), xorout, bool(refout))
+
+
+@pytest.mark.parametrize(
+    "vector", [one for one in CHECKS if one.declared.startswith("Crc")], ids=str
+)
+def test_each_published_crc_is_described_by_the_header(vector: CheckVector) -> None:
+    header = c_header(checked_digits(vector, "big")[0])
+    prefix = header.partition("#ifndef ")[2].partition("_PROTOCOL_H")[0]
+
+    assert declared_crc(constants(header, prefix))(DIGITS) == vector.value
 
 
 def test_the_header_has_what_a_request_with_a_length_and_a_register_is_built_of() -> None:
@@ -156,60 +139,7 @@ def test_the_header_has_what_a_request_with_a_length_and_a_register_is_built_of(
         assert f"#define FEETECH_STS3215_{constant}" in text
 
 
-ANY_CRC = r"""
-#include <stdio.h>
-
-static unsigned long turned(unsigned long value, int width) {
-    unsigned long found = 0;
-    int bit;
-    for (bit = 0; bit < width; bit++) found |= (value >> bit & 1) << (width - 1 - bit);
-    return found;
-}
-
-static void crc(int width, unsigned long poly, unsigned long value, int reflected,
-                unsigned long xorout, int refout) {
-    const char *digit;
-    int bit;
-    for (digit = "123456789"; *digit; digit++)
-        for (bit = 0; bit < 8; bit++) {
-            int next = *digit >> (reflected ? bit : 7 - bit) & 1;
-            int top = value >> (width - 1) & 1;
-            value = value << 1 & ((2ul << (width - 1)) - 1);
-            if (top != next) value ^= poly;
-        }
-    printf("%lu\n", (refout ? turned(value, width) : value) ^ xorout);
-}
-"""
-
-
-@GCC
-def test_a_program_computes_each_published_crc_from_the_header_alone(tmp_path: Path) -> None:
-    crcs = [one for one in CHECKS if one.declared.startswith("Crc")]
-    words = ("WIDTH", "POLY", "INIT", "REFLECTED", "XOROUT", "REFOUT")
-    calls = []
-    for at, one in enumerate(crcs):
-        header = c_header(checked_digits(one, "big")[0])
-        (tmp_path / f"{at}.h").write_text(header, encoding="utf-8")
-        prefix = header.partition("#ifndef ")[2].partition("_PROTOCOL_H")[0]
-        given = ", ".join(f"{prefix}_FRAME_CHECK_CRC_{word}" for word in words)
-        calls.append(f"    crc({given});")
-    includes = [f'#include "{at}.h"' for at in range(len(crcs))]
-    text = "\n".join([*includes, ANY_CRC, "int main(void) {", *calls, "    return 0;", "}", ""])
-
-    told = subprocess.run(compiled(tmp_path, text), capture_output=True, check=True).stdout
-
-    assert [int(line) for line in told.splitlines()] == [one.value for one in crcs]
-
-
 @needs("avr-gcc", package="gcc-avr")
 @pytest.mark.parametrize("language", ["-std=c89", "-xc++"])
 def test_it_compiles_without_a_warning(protocol: Protocol, tmp_path: Path, language: str) -> None:
-    header = tmp_path / "protocol.h"
-    header.write_text(c_header(protocol), encoding="utf-8")
-    use = tmp_path / "use.c"
-    use.write_text('#include "protocol.h"\n#include "protocol.h"\nint led = ROBOT_CAR_LED;\n')
-
-    flags = f"-pedantic -Wall -Wextra -Werror {language} -c -o /dev/null".split()
-    done = subprocess.run(["avr-gcc", *flags, use], capture_output=True, text=True, check=False)
-
-    assert (done.returncode, done.stderr) == (0, "")
+    require_compiled(tmp_path, c_header(protocol), "int led = ROBOT_CAR_LED;", "avr-gcc", language)

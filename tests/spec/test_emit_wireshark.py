@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from decimal import Decimal
 from itertools import chain, repeat
 from pathlib import Path
@@ -106,59 +106,59 @@ def test_every_frame_gets_the_verdict_of_the_grammar(
     assert [row["agrees"] for row in rows if row["agrees"]] == ["1"] * len(shown)
 
 
-def found(tshark: Tshark, data: bytes) -> tuple[list[tuple[object, ...]], list[str], list[str]]:
-    """What tshark tells: of each instruction, the garbage, and the bytes that answer nothing."""
-    names = ("data", "kind", "sequence", "latency", "response", "response_to", "response_in")
-    variables = ("motion", "speed", "steering", "led", "moving")
-    names += tuple(f"state.{variable}" for variable in variables)
+Told = tuple[list[tuple[object, ...]], list[tuple[object, ...]], list[str]]
+"""The frames of the host, those of the device, and the bytes that are garbage."""
+
+
+def shown(tshark: Tshark, data: bytes, variables: Sequence[str]) -> Told:
+    """What tshark shows of each frame, with the predicted value of these variables."""
+    names = ["data", "kind", "sequence", "outcome", "name", "reason", "latency", "response_to"]
+    names += ["agrees", *(f"state.{variable}" for variable in variables)]
     rows = [
-        {name.removeprefix("robot_car."): value for name, value in row.items()}
-        for row in tshark.rows(data, "frame.number", *(f"robot_car.{name}" for name in names))
+        {name.removeprefix(f"{tshark.word}."): value for name, value in row.items()}
+        for row in tshark.rows(data, "frame.number", *(f"{tshark.word}.{name}" for name in names))
     ]
-    by_number = {row["frame.number"]: row for row in rows}
-    instructions: list[tuple[object, ...]] = []
-    for row in rows:
-        if row["sequence"]:
-            answer = by_number.get(row["response_in"])
-            if answer:
-                assert answer["response_to"] == row["frame.number"]
-            instructions.append(
-                (
-                    int(row["sequence"]),
-                    row["kind"],
-                    *(row[f"state.{variable}"] for variable in variables),
-                    answer and int(answer["response"]),
-                    answer and round(Decimal(answer["latency"]) * 1_000_000_000),
-                )
-            )
-    garbage = [row["data"] for row in rows if row["kind"] == "garbage"]
-    stray = [row["response"] for row in rows if row["response"] and not row["latency"]]
-    return instructions, garbage, stray
+    sequences = {row["frame.number"]: row["sequence"] for row in rows}
+    asked = [
+        (
+            *(row[name] for name in ("kind", "sequence", "outcome", "name", "reason")),
+            *(row[f"state.{variable}"] for variable in variables),
+        )
+        for row in rows
+        if row["outcome"]
+    ]
+    told = [
+        (
+            sequences.get(row["response_to"], ""),
+            round(Decimal(row["latency"] or 0) * 1_000_000_000),
+            row["agrees"],
+        )
+        for row in rows
+        if row["kind"] == "response"
+    ]
+    return asked, told, [row["data"] for row in rows if row["kind"] == "garbage"]
 
 
-def told(records: list[Record]) -> tuple[list[tuple[object, ...]], list[str], list[str]]:
+def recorded(records: list[Record], variables: Sequence[str]) -> Told:
     """The same as the kit's own records have it."""
-    answers = {record.instruction: record for record in records if isinstance(record, DeviceRecord)}
-    instructions: list[tuple[object, ...]] = []
+    asked, told, garbage = list[tuple[object, ...]](), list[tuple[object, ...]](), list[str]()
     for record in records:
-        if isinstance(record, HostRecord) and record.sequence is not None:
-            state, answer = record.state, answers.get(record.sequence)
-            instructions.append(
-                (
-                    record.sequence,
-                    record.kind,
-                    state.motion,
-                    *(str(number) for number in (state.speed, state.steering, state.led)),
-                    str(int(state.moving)),
-                    answer and answer.byte,
-                    answer and answer.latency,
-                )
-            )
-    garbage = [r.data.hex() for r in records if isinstance(r, HostRecord) and r.sequence is None]
-    stray = [str(r.byte) for r in records if isinstance(r, DeviceRecord) and r.instruction is None]
-    return instructions, garbage, stray
+        if isinstance(record, DeviceRecord):
+            paired = record.instruction is not None
+            words = (str(record.instruction), str(int(record.agrees))) if paired else ("", "")
+            told.append((words[0], record.latency or 0, words[1]))
+        elif isinstance(record, HostRecord) and record.judgement:
+            judged, state = record.judgement, record.state
+            frame = (record.kind, str(record.sequence), judged.outcome.value, judged.name)
+            values = [getattr(state, variable) for variable in variables]
+            words = ["" if v is None else str(int(v) if v in (0, 1) else v) for v in values]
+            asked.append((*frame, judged.reason, *words))
+        elif isinstance(record, HostRecord):
+            garbage.append(record.data.hex())
+    return asked, told, garbage
 
 
+VARIABLES = ("motion", "speed", "steering", "led", "moving")
 LONG = 5_000 * MS
 
 
@@ -189,7 +189,8 @@ def test_it_pairs_and_follows_the_state_as_the_kit_does(
     session = capture_session(capture, each_protocol)
     records = decoded(session, capture.events())
 
-    assert found(Tshark(folder, each_protocol), exported(path, each_protocol)) == told(records)
+    data = exported(path, each_protocol)
+    assert shown(Tshark(folder, each_protocol), data, VARIABLES) == recorded(records, VARIABLES)
 
 
 @pytest.mark.sample(1)
@@ -203,9 +204,9 @@ def test_frames_cut_over_packets_are_put_together(each_protocol: Protocol, tmp_p
         whole.append(Chunk(answered, "device", bytes([judgement.response.code])))
     single = [Chunk(one.t, one.direction, bytes([byte])) for one in whole for byte in one.data]
 
-    once = found(tshark, reads(whole))
+    once = shown(tshark, reads(whole), VARIABLES)
     assert len(once[0]) > 20
-    assert found(tshark, reads(single)) == once
+    assert shown(tshark, reads(single), VARIABLES) == once
 
 
 def test_a_packet_may_hold_many_frames(protocol: Protocol, tmp_path: Path) -> None:
@@ -362,42 +363,13 @@ def test_frames_of_any_layout_are_read_as_the_kit_reads_them(
     }
     # What odd bytes answer is a guess, and the dissector may make another.
     sure = [name for name in protocol.variables if not (odd and name in reported)]
-    variables = [f"state.{name}" for name in sure]
-    names = ["kind", "name", "outcome", "reason", "check_good", "response_to", "agrees", *variables]
-    rows = [
-        {name.removeprefix(f"{tshark.word}."): value for name, value in row.items()}
-        for row in tshark.rows(
-            exported(capture, protocol),
-            "frame.number",
-            *(f"{tshark.word}.{name}" for name in names),
-        )
-    ]
 
-    asked = [row for row in rows if row["kind"] in ("instruction", "truncated")]
-    judged = [(one, one.judgement) for one in records if isinstance(one, HostRecord)]
-    found = [(one, judgement) for one, judgement in judged if judgement]
-    for row, (host, judgement) in zip(asked, found, strict=True):
-        assert (row["kind"] == "truncated") == judgement.truncated
-        assert (row["outcome"], row["name"]) == (judgement.outcome.value, judgement.name)
-        assert row["reason"] == judgement.reason
-        values = [getattr(host.state, name) for name in sure]
-        assert [row[name] for name in variables] == ["" if v is None else str(v) for v in values]
-        if judgement.valid and protocol.layout.check:
-            assert row["check_good"] == "1"
-    number = {
-        host.sequence: row["frame.number"] for row, (host, _) in zip(asked, found, strict=True)
-    }
-    told = [row for row in rows if row["kind"] == "response"]
-    answers = [one for one in records if isinstance(one, DeviceRecord)]
+    asked, told, _ = shown(tshark, exported(capture, protocol), sure)
+    expected, answers, _ = recorded(records, sure)
+
+    assert asked == expected
     assert len(told) == len(answers) > 0
-    if odd:
-        return
-    for row, answer in zip(told, answers, strict=True):
-        assert row["response_to"] == number[answer.instruction]
-        assert row["reason"] == ""
-        assert answer.reply is not None
-        assert row["name"] == (" ".join(answer.reply.names) or "answer")
-        assert row["agrees"] == str(int(answer.agrees))
+    assert odd or told == answers
 
 
 def test_the_values_of_any_layout_are_fields_of_display_filters(tmp_path: Path) -> None:

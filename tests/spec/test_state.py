@@ -227,32 +227,7 @@ def test_a_name_that_is_no_word_is_refused_with_its_line(
     )
 
 
-GRAMMAR = ("--grammar", str(SWITCHES))
-
-
-def test_the_columns_of_its_rows_are_its_variables(tmp_path: Path) -> None:
-    lines = command(*GRAMMAR, "decode", "--format", "jsonl", "1105", "60").stdout.splitlines()
-    states = [json.loads(line)["state"] for line in lines]
-    assert states == [
-        {"relays": 5, "fan": "off", "level": 0, "on": 0},
-        {"relays": 5, "fan": None, "level": 0, "on": None},
-    ]
-    chosen = command(*GRAMMAR, "decode", "--filter", "state.fan == high", "20", "60", "20")
-    assert chosen.stdout.count(b"\n") == 2
-
-
-def test_only_reading_sends_nothing_that_changes_something() -> None:
-    read = command(*GRAMMAR, "send", "sim", "--only-reading", "Read")
-    assert (read.returncode, read.stderr) == (0, b"")
-    for item, why in (("Relays 5", b"sets relays"), ("Store", b"may write flash")):
-        refused = command(*GRAMMAR, "send", "sim", "--only-reading", "Read", item)
-        assert refused.returncode == 2
-        assert why in refused.stderr
-        assert refused.stderr.count(b"\n") == 1
-
-
-def test_conform_ends_with_one_sentence() -> None:
-    refused = command(*GRAMMAR, "conform", "sim")
+def test_conform_needs_wheels() -> None:
+    refused = command("--grammar", str(SWITCHES), "conform", "sim")
     assert refused.returncode == 2
     assert b"declares no WHEELS" in refused.stderr
-    assert refused.stderr.count(b"\n") == 1

@@ -180,12 +180,18 @@ TIMEOUT = 50
 chunks = st.lists(st.tuples(st.binary(max_size=20), st.integers(0, 2 * TIMEOUT)), max_size=12)
 
 
-def _all(chunks: list[tuple[bytes, int]], timeout: int | None) -> tuple[list[Framed], int]:
-    """The records of chunks that each come some time after the one before, and the last time."""
+def _all(
+    chunks: list[tuple[bytes, int]], timeout: int | None, told: bool
+) -> tuple[list[Framed], int]:
+    """The records of chunks that each come some time after the one before, and the last time.
+
+    The time is `told` before each chunk, or not.
+    """
     framer, now = Framer(PROTOCOL, timeout), 0
     records: list[Framed] = []
     for data, pause in chunks:
         now += pause
+        records += framer.advance(now) if told else []
         records += framer.feed(data, now)
     return [*records, *framer.drop(now, "truncated")], now
 
@@ -207,11 +213,11 @@ def _one_by_one(chunks: list[tuple[bytes, int]], timeout: int | None) -> list[by
     return frames
 
 
-@given(chunks=chunks, timeout=st.sampled_from([None, 1, TIMEOUT]))
+@given(chunks=chunks, timeout=st.sampled_from([None, 1, TIMEOUT]), told=st.booleans())
 def test_the_frames_are_those_found_byte_by_byte_with_the_times_of_their_kind(
-    chunks: list[tuple[bytes, int]], timeout: int | None
+    chunks: list[tuple[bytes, int]], timeout: int | None, told: bool
 ) -> None:
-    records, last = _all(chunks, timeout)
+    records, last = _all(chunks, timeout, told)
 
     assert [r.data for r in records] == _one_by_one(chunks, timeout)
     assert [r.start for r in records] == sorted(r.start for r in records)
@@ -234,57 +240,6 @@ def test_the_documents_examples_fall_into_their_frames(stream: StreamVector) -> 
     assert tuple(r.data for r in records) == stream.frames
     assert {r.kind for r in records} == {"instruction"}
     assert framer.held == stream.rest
-
-
-FOREVER = 10**18
-# What comes when (no bytes: time only passes), the time-out, and the records.
-TIMES = {
-    "cut at exactly the deadline": (
-        [(100, b"\x42"), (149, b""), (150, b"")],
-        TIMEOUT,
-        [Framed("truncated", 100, 100, 150, b"\x42")],
-    ),
-    "counted from the last byte": (
-        [(100, b"\x43\x01"), (149, b"\x02"), (198, b"\x03")],
-        TIMEOUT,
-        [Framed("instruction", 100, 198, 198, b"\x43\x01\x02\x03")],
-    ),
-    "a byte at the deadline is a header": (
-        [(100, b"\x41"), (150, b"\x20")],
-        TIMEOUT,
-        [
-            Framed("truncated", 100, 100, 150, b"\x41"),
-            Framed("instruction", 150, 150, 150, b"\x20"),
-        ],
-    ),
-    "known at the deadline however late one looks": (
-        [(100, b"\x41"), (10_000, b"")],
-        TIMEOUT,
-        [Framed("truncated", 100, 100, 150, b"\x41")],
-    ),
-    "nothing is due between frames": (
-        [(3, b"\x20"), (FOREVER, b"")],
-        TIMEOUT,
-        [Framed("instruction", 3, 3, 3, b"\x20")],
-    ),
-    "without a time-out it waits for ever": (
-        [(0, b"\x41"), (FOREVER - 1, b""), (FOREVER, b"\x07")],
-        None,
-        [Framed("instruction", 0, FOREVER, FOREVER, b"\x41\x07")],
-    ),
-}
-
-
-@pytest.mark.parametrize("case", TIMES)
-def test_a_pause_of_the_time_out_ends_a_frame(case: str) -> None:
-    steps, timeout, records = TIMES[case]
-    framer = Framer(PROTOCOL, timeout)
-    found: list[Framed] = []
-    for now, data in steps:
-        found += framer.feed(data, now) if data else framer.advance(now)
-
-    assert found == records
-    assert (framer.held, framer.missing, framer.deadline) == (b"", 0, None)
 
 
 @pytest.mark.parametrize("kind", ["garbage", "truncated"])

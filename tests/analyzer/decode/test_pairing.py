@@ -120,6 +120,9 @@ def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
 # -- near misses -----------------------------------------------------------------------------------
 
 
+RELAY = str(ROOT / "examples" / "relay_board.py")
+
+
 @pytest.mark.parametrize(
     ("grammar", "sent", "name", "obstacle", "reason"),
     [
@@ -141,6 +144,7 @@ def test_what_waits_is_put_together_by_its_times_as_far_as_a_frame_cut_short(
         ("stk500v1", "30 21", "GetSync", "sync", "21 stands where 20 must be"),
         ("stk500v1", "74 0010 58 20", "ReadPage", "range", "memory is 88"),
         ("robot-car", "81 09", "LED", "range", "rgb is 9"),
+        (RELAY, "5556000000 09 01 B5", "On", "address", "address is 9, allowed are 1 to 4"),
     ],
 )
 def test_the_nearest_instruction_is_told_with_what_is_wrong(
@@ -154,8 +158,9 @@ def test_the_nearest_instruction_is_told_with_what_is_wrong(
 
 
 def test_a_field_too_many_is_told_where_the_next_sync_stands_early() -> None:
-    text = (ROOT / "examples" / "relay_board.py").read_text(encoding="utf-8")
-    wrong = text.replace('Instruction(document="close"', 'Instruction("x" / Byte, document="close"')
+    wrong = FRAMED["relay_board"].replace(
+        'Instruction(document="close"', 'Instruction("x" / Byte, document="close"'
+    )
     found = near_miss(load(wrong), bytes.fromhex("5556000000 01 02 AE 5556000000 01 01 AD"))
 
     assert found is not None
