@@ -23,21 +23,26 @@ from bilprov.conformance.cases.levels import (
     reaches,
     single_cases,
 )
-from bilprov.conformance.cases.options import Options as Options
+from bilprov.conformance.cases.levels import Options as Options
 from bilprov.conformance.cases.single_frames import opening_cases, truncation_timeout
 from bilprov.conformance.causes.explained import Explainer
 from bilprov.conformance.causes.trace import Trace
-from bilprov.conformance.dut.link import Device
+from bilprov.conformance.dut.links import Device
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import SIM, Target, device_target
-from bilprov.conformance.oracle.choices import Choices, parse_allowed
-from bilprov.conformance.oracle.profile import Profile, Timers, profile_from, timers_of
+from bilprov.conformance.oracle.profile import (
+    Choices,
+    Profile,
+    Timers,
+    parse_allowed,
+    profile_from,
+    timers_of,
+)
 from bilprov.conformance.oracle.verdicts import CaseResult, Cause
 from bilprov.conformance.report.run_report import Report, make_report
 from bilprov.conformance.runner.discovery.discover import reading_cases
 from bilprov.conformance.runner.executor import Runner, SkipPolicy, is_slow
-from bilprov.conformance.runner.listeners.listener import Meter, ObservedLink, RunListener
-from bilprov.conformance.runner.listeners.wire_log import WireLog
+from bilprov.conformance.runner.listeners.listener import Meter, ObservedLink, RunListener, WireLog
 from bilprov.conformance.runner.run import Run, RunConfig
 from bilprov.spec.protocol import Protocol as Grammar
 from bilprov.spec.protocol import require_family

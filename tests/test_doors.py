@@ -48,8 +48,7 @@ from bilprov.captures.schemas import MS
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.choices import parse_allowed
-from bilprov.conformance.oracle.profile import Figures, profile_from
+from bilprov.conformance.oracle.profile import Figures, parse_allowed, profile_from
 from bilprov.conformance.report.expected import ExpectedError, ExpectedFile
 from bilprov.conformance.report.html.page import as_html
 from bilprov.conformance.report.json_report import ReportError, as_json, parse_report

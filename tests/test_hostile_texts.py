@@ -23,7 +23,7 @@ from bilprov.captures.schemas import Chunk, Line, Log, Time
 from bilprov.captures.text import escape_controls, escape_json
 from bilprov.captures.writer import CaptureWriter
 from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
-from bilprov.conformance.learning.reference import Output
+from bilprov.conformance.learning.learner import Output
 from bilprov.conformance.machines.wp_method import Mealy
 from bilprov.spec.emit.c import c_header
 from bilprov.spec.emit.python import python_stub

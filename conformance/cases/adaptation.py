@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from bilprov.conformance.cases.steps import FrameClass, Step, code_of, framed
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import FAULT, FrameEffect
 from bilprov.conformance.oracle.verdicts import Accepted, Verdict
 from bilprov.spec.fields import Outcome

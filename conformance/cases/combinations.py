@@ -16,9 +16,8 @@ from itertools import combinations, count, islice, product
 from typing import Any, NamedTuple
 
 from bilprov.conformance.cases.case import steps_to
-from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.sequence import Burst, SequenceCase, leading
-from bilprov.conformance.cases.steps import Step, framed, frames_of, step_of
+from bilprov.conformance.cases.steps import Inputs, Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions, setting
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State

@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 
 from bilprov.conformance.cases.case import state_after, steps_to
 from bilprov.conformance.cases.combinations import MARKED, state_classes
-from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks, leading
-from bilprov.conformance.cases.steps import FrameClass, Step, framed, frames_of, step_of
+from bilprov.conformance.cases.steps import FrameClass, Inputs, Step, framed, frames_of, step_of
 from bilprov.spec.by_effect import moving_motions
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State

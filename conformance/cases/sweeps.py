@@ -6,9 +6,17 @@ from collections.abc import Iterator, Sequence
 from itertools import cycle, islice
 
 from bilprov.conformance.cases.case import in_motion, steps_to
-from bilprov.conformance.cases.frame_source import FILLS, Inputs, fill
 from bilprov.conformance.cases.sequence import Burst, SequenceCase, chunks
-from bilprov.conformance.cases.steps import FrameClass, Step, framed, frames_of, step_of
+from bilprov.conformance.cases.steps import (
+    FILLS,
+    FrameClass,
+    Inputs,
+    Step,
+    fill,
+    framed,
+    frames_of,
+    step_of,
+)
 from bilprov.spec.by_effect import moving_motions, moving_to, setting
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State

@@ -11,9 +11,8 @@ import random
 from dataclasses import dataclass
 
 from bilprov.conformance.cases.case import in_motion, state_after, steps_to
-from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
-from bilprov.conformance.cases.steps import FrameClass, Step
+from bilprov.conformance.cases.steps import FrameClass, Inputs, Step
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import State
 

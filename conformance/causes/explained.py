@@ -25,7 +25,7 @@ from bilprov.conformance.causes.trace import Trace
 from bilprov.conformance.oracle.judge import code_words, deviation
 from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict, WireEvent
 from bilprov.conformance.runner.homing import home_after
-from bilprov.conformance.runner.listeners.wire_log import WireLog
+from bilprov.conformance.runner.listeners.listener import WireLog
 from bilprov.conformance.runner.run import Run
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.protocol import Protocol

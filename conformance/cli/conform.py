@@ -48,7 +48,7 @@ from bilprov.conformance.cli.outputs import (
 )
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target, TargetName
-from bilprov.conformance.oracle.choices import parse_allowed
+from bilprov.conformance.oracle.profile import parse_allowed
 from bilprov.conformance.report.expected import ExpectedFile
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.executor import is_slow

@@ -18,7 +18,7 @@ from bilprov.conformance.cli.outputs import write_each
 from bilprov.conformance.cli.robot import RobotOptions
 from bilprov.conformance.dut.target import Target
 from bilprov.conformance.learning.drawing import dot_text, has_graphviz, svg_text
-from bilprov.conformance.oracle.choices import verdict_of
+from bilprov.conformance.oracle.profile import verdict_of
 from bilprov.spec.by_effect import all_movement
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ def complete_faults(ctx: click.Context, param: click.Parameter, incomplete: str)
 
 def complete_variants(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     """The legal variants that begin so."""
-    from bilprov.conformance.mutation.variants import variants as known
+    from bilprov.conformance.mutation.faults import variants as known
 
     return [name for name in known(load_protocol(ctx.obj)) if name.startswith(incomplete)]
 
@@ -63,8 +63,7 @@ def read_profile(protocol: Protocol, path: str | None, allow: tuple[str, ...]) -
     """
     if path is None:
         return ""
-    from bilprov.conformance.oracle.choices import parse_allowed
-    from bilprov.conformance.oracle.profile import profile_from
+    from bilprov.conformance.oracle.profile import parse_allowed, profile_from
 
     file = Path(path)
     try:

@@ -22,8 +22,13 @@ from bilprov.analyzer.transport.port import Port, open_port
 from bilprov.analyzer.transport.replug import Place
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.link import Device, Environment, Observability
-from bilprov.conformance.dut.links import CheckedDevice, VirtualLink
+from bilprov.conformance.dut.links import (
+    CheckedDevice,
+    Device,
+    Environment,
+    Observability,
+    VirtualLink,
+)
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
 from bilprov.spec.protocol import Protocol
 

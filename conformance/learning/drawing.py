@@ -13,7 +13,7 @@ from collections.abc import Collection, Sequence
 from itertools import product
 
 from bilprov.captures.text import escape_controls, quantity
-from bilprov.conformance.learning.reference import Output
+from bilprov.conformance.learning.learner import Output
 from bilprov.conformance.machines.wp_method import Mealy
 from bilprov.conformance.oracle.judge import answer_words
 from bilprov.spec.errors import UserError

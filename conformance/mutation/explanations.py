@@ -19,9 +19,9 @@ from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.effects import then
+from bilprov.conformance.mutation.faults import MIXTURE, hooks_of
 from bilprov.conformance.mutation.score import workers, working
-from bilprov.conformance.mutation.variants import MIXTURE, hooks_of
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import ExpectedState, Model
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report

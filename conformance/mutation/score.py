@@ -20,11 +20,9 @@ from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.cases.steps import FrameClass
 from bilprov.conformance.dut.simulator import CONFORMING, Simulator
 from bilprov.conformance.dut.target import device_target
-from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.random_faults import PREFIX
+from bilprov.conformance.mutation.catalogue import PREFIX, find_fault
+from bilprov.conformance.mutation.faults import fault_bank, mixtures
 from bilprov.conformance.mutation.search import MOST, Search, search
-from bilprov.conformance.mutation.variants import mixtures
 from bilprov.conformance.oracle.verdicts import LABELS, VOUCHED, CaseResult, Verdict
 from bilprov.spec.protocol import Protocol
 

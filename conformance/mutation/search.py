@@ -15,10 +15,9 @@ import msgspec
 
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.captures.schemas import MS
-from bilprov.conformance.cases.frame_source import Inputs
-from bilprov.conformance.cases.steps import FrameClass
+from bilprov.conformance.cases.steps import FrameClass, Inputs
 from bilprov.conformance.dut.simulator import Event, Fault, Simulator
-from bilprov.conformance.mutation.random_faults import Draw
+from bilprov.conformance.mutation.catalogue import Draw
 from bilprov.conformance.mutation.triggers import Trigger
 from bilprov.spec.codec import judge, raw_frame
 from bilprov.spec.protocol import Protocol

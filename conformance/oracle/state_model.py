@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Choices
 from bilprov.spec.motion import MOTIONS, Moment
 from bilprov.spec.protocol import Protocol
 from bilprov.spec.readings import Behaviour, OpenPoint, open_after

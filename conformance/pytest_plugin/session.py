@@ -39,7 +39,7 @@ from bilprov.conformance.api import (
 from bilprov.conformance.cases.levels import LEVELS, STANDARD, AnyCase
 from bilprov.conformance.dut.boards import EmulatorError
 from bilprov.conformance.dut.target import SIM, Target, open_target, target_named
-from bilprov.conformance.oracle.choices import parse_allowed
+from bilprov.conformance.oracle.profile import parse_allowed
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.report.run_report import Report, evidence_lines, reproducer
 from bilprov.conformance.runner.listeners.listener import RunListener

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from bilprov.captures.text import quantity
-from bilprov.conformance.cases.levels import COMPLETE
-from bilprov.conformance.cases.options import Options
+from bilprov.conformance.cases.levels import COMPLETE, Options
 from bilprov.conformance.cases.proof import GROUP, PROOFS, Proof, sequences, silence, suite
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict

@@ -17,8 +17,7 @@ from bilprov.analyzer.files import safe
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.coverage import covered
-from bilprov.conformance.cases.levels import AnyCase
-from bilprov.conformance.cases.options import Options
+from bilprov.conformance.cases.levels import AnyCase, Options
 from bilprov.conformance.cases.sequence import SequenceCase
 from bilprov.conformance.oracle.profile import Figures, Profile
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE

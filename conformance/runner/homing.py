@@ -34,8 +34,7 @@ from bilprov.conformance.oracle.judge import look_words
 from bilprov.conformance.oracle.sight import NOT_OBSERVABLE
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.run import Run
-from bilprov.conformance.runner.trial import Homed, Late, Trial
+from bilprov.conformance.runner.run import Homed, Late, Run, Trial
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.spec.by_effect import frames_to, movers, setting
 from bilprov.spec.protocol import Protocol

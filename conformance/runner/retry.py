@@ -24,11 +24,9 @@ from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.wheel_order import OrderCase
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.homing import home_after, was_too_slow
-from bilprov.conformance.runner.run import Run, result_of
-from bilprov.conformance.runner.sequence import run_sequence
-from bilprov.conformance.runner.sequence_answers import Mismatch
+from bilprov.conformance.runner.run import Homed, Run, Trial, result_of
+from bilprov.conformance.runner.sequence import Mismatch, run_sequence
 from bilprov.conformance.runner.single_frame import run_single_frame
-from bilprov.conformance.runner.trial import Homed, Trial
 from bilprov.conformance.runner.waiting import GaveUp
 from bilprov.conformance.runner.wheel_order import run_wheel_order
 from bilprov.spec.codec import spaced

@@ -35,8 +35,7 @@ from bilprov.conformance.oracle.sight import NOT_OBSERVABLE, facets_of, untold
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.runner.homing import SetUp, home, preamble_of, set_up, watch
-from bilprov.conformance.runner.run import Run
-from bilprov.conformance.runner.trial import Trial
+from bilprov.conformance.runner.run import Run, Trial
 from bilprov.spec.by_effect import moving_to, setting
 from bilprov.spec.codec import judge, spaced
 from bilprov.spec.fields import Outcome

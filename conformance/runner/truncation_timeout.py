@@ -19,8 +19,7 @@ from bilprov.conformance.cases.single_frames import truncation_timeout
 from bilprov.conformance.oracle.judge import judge_answers, look_words
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict
 from bilprov.conformance.runner.homing import home, home_after, set_up_slowly, watch
-from bilprov.conformance.runner.run import Run
-from bilprov.conformance.runner.trial import Trial
+from bilprov.conformance.runner.run import Run, Trial
 
 # Between two looks: half of the time since the header, within these limits.
 _FINEST, _COARSEST = MS, 10 * MS

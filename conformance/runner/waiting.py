@@ -1,8 +1,16 @@
-"""The waiting policy of a run: how long it waits, and what cannot be told for the line's delays."""
+"""The waiting policy of a run, its time limit, and what the delays of its line leave open."""
 
 from __future__ import annotations
 
-from bilprov.analyzer.client.operations import Procedure, Received, listen
+from bilprov.analyzer.client.operations import (
+    Ended,
+    Operation,
+    PowerCycle,
+    Procedure,
+    Received,
+    Reply,
+    listen,
+)
 from bilprov.captures.schemas import MS
 from bilprov.conformance.cases.budget import PAUSE, group
 from bilprov.conformance.cases.levels import AnyCase
@@ -215,3 +223,58 @@ class CoarseLine:
             f"the line delays bytes by up to {late:.0f} ms: pauses inside a frame and time-outs "
             f"below {finest:.0f} ms cannot be judged{behind}"
         )
+
+
+# -- the time limit of a run, which ends one that takes much longer than was announced ------------
+
+
+_TIMES = 3  # what was announced
+_AT_LEAST = 60_000_000_000  # ns more than that, so that no short run ends for a busy moment
+
+
+class TimeLimit:
+    """Follows a run's operations, and ends it once it takes three times what was announced.
+
+    `announced` is in s; None is no limit. Switching the power is not counted.
+    """
+
+    def __init__(self, announced: float | None) -> None:
+        self._announced = None if announced is None else int(announced * 1e9)
+        self._begun: int | None = None
+        self._now = 0
+
+    def announce(self, more: float) -> None:
+        """Take note that the run was said to take so long (s) from now on."""
+        if self._announced is not None:
+            self._announced = max(self._announced, self._taken + int(more * 1e9))
+
+    def leave_out(self, time: int) -> None:
+        """Do not count this time (ns), which is over."""
+        self._begun = (self._begun or 0) + time
+        self._now += time
+
+    def did(self, operation: Operation, reply: Reply) -> None:
+        """Take note of an operation that was done."""
+        before, self._now = self._now, reply if isinstance(reply, int) else reply.now
+        if self._begun is None:
+            self._begun = self._now
+        elif isinstance(operation, PowerCycle):
+            self._begun += self._now - before
+
+    def require(self) -> None:
+        """Raise Ended where the run has taken too long."""
+        announced, taken = self._announced, self._taken
+        if announced is None or taken <= max(_TIMES * announced, announced + _AT_LEAST):
+            return
+        raise Ended(
+            f"about {announced / 1e9:.0f} s were announced and {taken / 1e9:.0f} s have passed; "
+            "--patient continues however long it takes",
+            error=False,
+            line_works=True,
+            by="time",
+        )
+
+    @property
+    def _taken(self) -> int:
+        """How long (ns) the run has taken so far."""
+        return self._now - (self._begun or 0)

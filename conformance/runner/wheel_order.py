@@ -14,7 +14,7 @@ from bilprov.conformance.oracle.judge import answer_words
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
 from bilprov.conformance.oracle.wheel_order import Speeds, judge_order, sizes, spread, tolerance
 from bilprov.conformance.runner.homing import set_up, watch
-from bilprov.conformance.runner.trial import Trial
+from bilprov.conformance.runner.run import Trial
 from bilprov.spec.codec import judge
 
 _NO_SPEEDS = "the probe reports no wheel speeds"

@@ -151,7 +151,7 @@ COMMANDS: dict[str, Row | Tree] = {
     "conform": Row(
         "conformance.conform", "Test a device against the document: answers, stops, state."
     ),
-    "recheck": Row("conformance.recheck", "Judge a recorded run again, from its bytes alone."),
+    "recheck": Row("conformance.report", "Judge a recorded run again, from its bytes alone."),
     "report": Row("conformance.report", "Show and compare runs, from what conform --json wrote."),
     "simulate": Row("conformance.simulate", "Serve a simulated device, or firmware."),
     "lab": lab,

@@ -20,8 +20,7 @@ from bilprov.conformance.cases.single_frames import all_cases
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.mutation.catalogue import find_variant
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.faults import fault_bank, variants
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import Protocol, load

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from bilprov.conformance.cases.options import Options
+from bilprov.conformance.cases.levels import Options
 from bilprov.conformance.cli.last_run import LastRun, last_run
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.recheck import recheck

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bilprov.captures.topics import CAR_STATE
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import FAULT, FrameEffect, Model
 from bilprov.spec import grammar
 from bilprov.spec.motion import Motion

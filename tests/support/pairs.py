@@ -8,7 +8,7 @@ from itertools import combinations
 
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator
 from bilprov.conformance.mutation.effects import then
-from bilprov.conformance.mutation.variants import FAMILY, Variant, hooks_of, variants
+from bilprov.conformance.mutation.faults import FAMILY, Variant, hooks_of, variants
 from bilprov.spec.protocol import Protocol
 
 # What loses an instruction comes first; what delays its answer, then its stop, comes last. Choices

@@ -8,15 +8,13 @@ from typing import Any
 from bilprov.analyzer.client.operations import Procedure, drive, followed
 from bilprov.conformance.cases.sequence import Burst, SequenceCase
 from bilprov.conformance.cases.steps import Step, step_of
-from bilprov.conformance.dut.link import Observability
+from bilprov.conformance.dut.links import Observability
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction
 from bilprov.conformance.oracle.profile import Profile, Timers
 from bilprov.conformance.oracle.verdicts import CaseResult
 from bilprov.conformance.runner.homing import home, home_after, see_motions
-from bilprov.conformance.runner.run import Run
-from bilprov.conformance.runner.sequence import run_sequence
-from bilprov.conformance.runner.sequence_answers import Mismatch
-from bilprov.conformance.runner.trial import Trial
+from bilprov.conformance.runner.run import Run, Trial
+from bilprov.conformance.runner.sequence import Mismatch, run_sequence
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import ALL_SEEING, MS, CountingLink, new_run
 

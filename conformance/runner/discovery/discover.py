@@ -13,10 +13,9 @@ from collections.abc import Iterator
 from bilprov.analyzer.client.operations import Procedure
 from bilprov.captures.text import quantity
 from bilprov.conformance.cases.case import Case, runner_case
-from bilprov.conformance.oracle.choices import verdict_of
+from bilprov.conformance.oracle.profile import verdict_of
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.discovery.answers import answer_experiments
-from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
+from bilprov.conformance.runner.discovery.answers import Experiment, Finding, answer_experiments
 from bilprov.conformance.runner.discovery.state import state_experiments
 from bilprov.conformance.runner.homing import home
 from bilprov.conformance.runner.power_on import first_frames_lost

@@ -15,7 +15,7 @@ from bilprov.conformance.cases.case import case_of_the_run, full_state
 from bilprov.conformance.cases.steps import code_of, one_of_each, step_of
 from bilprov.conformance.oracle.judge import differences, look_words
 from bilprov.conformance.oracle.verdicts import Axis, Verdict
-from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
+from bilprov.conformance.runner.discovery.answers import Experiment, Finding
 from bilprov.conformance.runner.homing import set_up, set_up_slowly, watch
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.by_effect import fitted, movers, moving_to, setting

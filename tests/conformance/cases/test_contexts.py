@@ -11,9 +11,8 @@ import pytest
 
 from bilprov.conformance.cases.combinations import MARKED
 from bilprov.conformance.cases.contexts import after_each_kind, truncations
-from bilprov.conformance.cases.frame_source import Inputs
 from bilprov.conformance.cases.sequence import SequenceCase
-from bilprov.conformance.cases.steps import FrameClass, Step, frames_of, kind_of
+from bilprov.conformance.cases.steps import FrameClass, Inputs, Step, frames_of, kind_of
 from bilprov.spec.protocol import Protocol
 
 

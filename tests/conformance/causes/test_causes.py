@@ -41,7 +41,7 @@ from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
 from bilprov.conformance.mutation.explanations import both, explained
 from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.report.run_report import Report
 from bilprov.spec.fields import Outcome

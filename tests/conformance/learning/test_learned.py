@@ -11,28 +11,24 @@ from benchmarks.noisy_device import NoisyDevice
 from bilprov.analyzer.client.operations import Listen, Observation, Observe, Received, Send, drive
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import MS
-from bilprov.conformance.dut.link import Device, Observability
-from bilprov.conformance.dut.links import VirtualLink
+from bilprov.conformance.dut.links import Device, Observability, VirtualLink
 from bilprov.conformance.dut.simulator import Event, Fault, React, Reaction, Simulator, answers
 from bilprov.conformance.dut.target import device_target
 from bilprov.conformance.learning.learner import (
     Difference,
     Learned,
     NotLearned,
-    System,
-    learn_target,
-)
-from bilprov.conformance.learning.reference import (
     Output,
+    System,
     alphabet,
+    learn_target,
     output_of,
     reference_machine,
     reset,
 )
 from bilprov.conformance.machines.wp_method import Mealy
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.oracle.choices import Choices
-from bilprov.conformance.oracle.profile import Profile
+from bilprov.conformance.oracle.profile import Choices, Profile
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.runner.run import Run, RunConfig

@@ -9,17 +9,19 @@ import pytest
 from bilprov.captures.schemas import Look
 from bilprov.captures.topics import CarLook
 from bilprov.conformance.learning.drawing import dot_text
-from bilprov.conformance.learning.learner import Difference, Learner, differences
-from bilprov.conformance.learning.reference import (
+from bilprov.conformance.learning.learner import (
+    Difference,
+    Learner,
     Output,
     alphabet,
+    differences,
     item_of,
     name_of,
     output_of,
     reference_machine,
 )
 from bilprov.conformance.machines.wp_method import Mealy, minimal, state_cover
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import Model
 from bilprov.spec.protocol import Protocol
 

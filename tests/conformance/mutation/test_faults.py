@@ -25,6 +25,7 @@ from bilprov.conformance.mutation.explanations import (
 from bilprov.conformance.mutation.faults import (
     Family,
     Row,
+    VariantRow,
     all_faults,
     fault_bank,
     filled,
@@ -34,7 +35,6 @@ from bilprov.conformance.mutation.faults import (
 )
 from bilprov.conformance.mutation.hooks import HOOKS
 from bilprov.conformance.mutation.triggers import SUBJECTS, trigger
-from bilprov.conformance.mutation.variants import VariantRow
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.spec.fields import Clauses
 from bilprov.spec.protocol import Protocol

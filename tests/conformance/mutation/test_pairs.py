@@ -6,7 +6,7 @@ import pytest
 
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
-from bilprov.conformance.mutation.variants import hooks_of, variants
+from bilprov.conformance.mutation.faults import hooks_of, variants
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import OWN
 from tests.support.pairs import pairs

@@ -19,9 +19,8 @@ import pytest
 from bilprov.conformance.api import Options, run_suite
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.dut.target import device_target
-from bilprov.conformance.mutation.faults import fault_bank
+from bilprov.conformance.mutation.faults import fault_bank, mixtures, variants
 from bilprov.conformance.mutation.score import _try
-from bilprov.conformance.mutation.variants import mixtures, variants
 from bilprov.spec.protocol import Protocol
 from tests.support.faults import BANK, OWN
 

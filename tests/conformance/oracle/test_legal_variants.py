@@ -13,7 +13,7 @@ from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
 from bilprov.conformance.mutation.catalogue import find_fault, find_variant
-from bilprov.conformance.mutation.variants import variants
+from bilprov.conformance.mutation.faults import variants
 from bilprov.conformance.oracle.judge import look_words
 from bilprov.conformance.oracle.verdicts import LABELS, Verdict
 from bilprov.spec.codec import build, raw_frame

@@ -15,7 +15,7 @@ from bilprov.captures.topics import CarLook
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.mutation.catalogue import find_fault
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.sight import Sight, facets_set, untold
 from bilprov.conformance.oracle.state_model import FAULT, ExpectedState, FrameEffect, Model
 from bilprov.conformance.oracle.verdicts import Axis, CaseResult, Verdict

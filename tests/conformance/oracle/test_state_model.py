@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bilprov.conformance.cases.steps import step_of
-from bilprov.conformance.oracle.choices import Choices
+from bilprov.conformance.oracle.profile import Choices
 from bilprov.conformance.oracle.state_model import ExpectedState
 from bilprov.spec.motion import Motion
 from bilprov.spec.protocol import Protocol

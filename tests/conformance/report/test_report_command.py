@@ -12,7 +12,7 @@ import click
 import pytest
 from msgspec.structs import replace
 
-from bilprov.conformance.cases.options import Options
+from bilprov.conformance.cases.levels import Options
 from bilprov.conformance.cli.outputs import Output, require_writable
 from bilprov.conformance.oracle.verdicts import CaseResult, Cause, Verdict
 from bilprov.conformance.report.grouping import changed_cases, changed_causes, names, rows

@@ -14,8 +14,7 @@ from bilprov.conformance.api import Options, conform
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.profile import Figures
 from bilprov.conformance.oracle.verdicts import Axis, Verdict, WireEvent
-from bilprov.conformance.report.html.cases import WireWords
-from bilprov.conformance.report.html.page import as_html
+from bilprov.conformance.report.html.page import WireWords, as_html
 from bilprov.conformance.report.json_report import as_json
 from bilprov.conformance.report.markdown import as_markdown, code, prose
 from bilprov.conformance.report.run_report import Grammar, Report, conclusion

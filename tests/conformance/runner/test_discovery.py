@@ -16,16 +16,14 @@ from bilprov.analyzer.client.operations import (
     listen,
 )
 from bilprov.conformance.api import Options, conform
-from bilprov.conformance.dut.link import Observability
+from bilprov.conformance.dut.links import Observability
 from bilprov.conformance.dut.simulator import Event, Fault, Reaction, Simulator
-from bilprov.conformance.mutation.faults import fault_bank
-from bilprov.conformance.mutation.variants import variants
-from bilprov.conformance.oracle.choices import Choices, parse_allowed, verdict_of
-from bilprov.conformance.oracle.profile import Profile, Timers
+from bilprov.conformance.mutation.faults import fault_bank, variants
+from bilprov.conformance.oracle.profile import Choices, Profile, Timers, parse_allowed, verdict_of
 from bilprov.conformance.oracle.verdicts import CaseResult, Verdict
 from bilprov.conformance.runner.discovery import discover as discovery
+from bilprov.conformance.runner.discovery.answers import Experiment, Finding
 from bilprov.conformance.runner.discovery.discover import reading_cases
-from bilprov.conformance.runner.discovery.experiment import Experiment, Finding
 from bilprov.conformance.runner.executor import Runner
 from bilprov.conformance.runner.run import Run
 from bilprov.spec.protocol import Protocol

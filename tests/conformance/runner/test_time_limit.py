@@ -22,7 +22,7 @@ from bilprov.conformance.recheck import recheck
 from bilprov.conformance.report.run_report import Report
 from bilprov.conformance.runner.listeners.listener import RunListener
 from bilprov.conformance.runner.listeners.recorder import RunRecorder
-from bilprov.conformance.runner.time_limit import TimeLimit
+from bilprov.conformance.runner.waiting import TimeLimit
 from bilprov.spec.protocol import Protocol
 from tests.support.robots import BYTE_TIME, MS, Notes, OnLine, SlowProbe, simulated
 

@@ -15,8 +15,7 @@ from bilprov.analyzer.client.operations import LinkListener, Observation, Observ
 from bilprov.analyzer.taps.relay import Noise
 from bilprov.captures.schemas import Look
 from bilprov.conformance.api import Options, conform, run_suite
-from bilprov.conformance.dut.link import Device
-from bilprov.conformance.dut.links import VirtualLink
+from bilprov.conformance.dut.links import Device, VirtualLink
 from bilprov.conformance.dut.simulator import Simulator
 from bilprov.conformance.oracle.verdicts import Verdict
 from bilprov.conformance.report.run_report import Report

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bilprov.analyzer.client.operations import Listen, Received, Send
 from bilprov.conformance.api import Options, conform
 from bilprov.conformance.oracle.verdicts import Verdict, WireEvent
-from bilprov.conformance.runner.listeners.wire_log import HEAD, TAIL, WIDEST, WireLog
+from bilprov.conformance.runner.listeners.listener import HEAD, TAIL, WIDEST, WireLog
 from bilprov.spec.protocol import Protocol
 from tests.support.reports import a_case, a_run
 from tests.support.robots import simulated
