@@ -50,7 +50,8 @@ def decoded_columns(protocol: Protocol) -> Callable[[bytes], list[Columns]]:
                 for name in CAR_STATE.variables
             }
             columns.append((found.whole.verdict, states))
-            state = state.of_codes([int(column[-1]) for column in states.values()])
+            ends = {name: int(column[-1]) for name, column in states.items()}
+            state = state.of({name: state.value(name, end) for name, end in ends.items()})
             at += found.end or len(data)
         return columns
 

@@ -52,16 +52,15 @@ class Message(NamedTuple):
     sequence: int
 
 
-@dataclass(frozen=True, slots=True)
-class StoredCheckpoint:
+class StoredCheckpoint(NamedTuple):
     """A checkpoint of a file, and the place of its message: what stands behind it comes after.
 
     `volume` tells in which of the capture's volumes, counted from 0.
     """
 
     value: Checkpoint
-    place: Place = field(repr=False)
-    volume: int = field(repr=False)
+    place: Place
+    volume: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -534,8 +533,7 @@ def _check_topics(path: Path, contents: Contents) -> None:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(NamedTuple):
     """A capture whose content is unchanged, and the requested attachments by name.
 
     `capture.unfinished` is true for a file that was never finished; its complete records are then

@@ -16,25 +16,11 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from bilprov.captures.schemas import (
-    Asked,
-    CaseMark,
-    Checkpoint,
-    Chunk,
-    FramedInstruction,
-    FramedResponse,
-    Instruction,
-    Line,
-    Log,
-    Look,
-    Response,
-    Timed,
-    look_class,
-)
+from bilprov.captures import schemas
 from bilprov.spec import grammar
 from bilprov.spec.state import State, state_class
 
-Written: TypeAlias = Timed | State | Log
+Written: TypeAlias = schemas.Timed | State | schemas.Log
 """A value that becomes a message on the topic of its type."""
 
 HOST_RAW = "/host/raw"
@@ -88,17 +74,17 @@ class Topic(msgspec.Struct, frozen=True):
 
 
 TOPICS: tuple[Topic, ...] = (
-    Topic(HOST_RAW, 1, RAW_ENCODING, "", Chunk),
-    Topic(DEVICE_RAW, 2, RAW_ENCODING, "", Chunk),
-    Topic("/host/instructions", 3, JSON_ENCODING, "bilprov.Instruction", Instruction),
-    Topic("/device/responses", 4, JSON_ENCODING, "bilprov.Response", Response),
+    Topic(HOST_RAW, 1, RAW_ENCODING, "", schemas.Chunk),
+    Topic(DEVICE_RAW, 2, RAW_ENCODING, "", schemas.Chunk),
+    Topic("/host/instructions", 3, JSON_ENCODING, "bilprov.Instruction", schemas.Instruction),
+    Topic("/device/responses", 4, JSON_ENCODING, "bilprov.Response", schemas.Response),
     Topic("/state", 5, JSON_ENCODING, "bilprov.State", State),
-    Topic("/faults", 6, JSON_ENCODING, "foxglove.Log", Log),
-    Topic(LINE, 7, JSON_ENCODING, "bilprov.Line", Line),
-    Topic(CASES, 8, JSON_ENCODING, "bilprov.CaseMark", CaseMark),
-    Topic(LOOKS, 9, JSON_ENCODING, "bilprov.Look", Look),
-    Topic(ASKS, 10, JSON_ENCODING, "bilprov.Asked", Asked),
-    Topic(CHECKPOINT, 11, JSON_ENCODING, "bilprov.Checkpoint", Checkpoint),
+    Topic("/faults", 6, JSON_ENCODING, "foxglove.Log", schemas.Log),
+    Topic(LINE, 7, JSON_ENCODING, "bilprov.Line", schemas.Line),
+    Topic(CASES, 8, JSON_ENCODING, "bilprov.CaseMark", schemas.CaseMark),
+    Topic(LOOKS, 9, JSON_ENCODING, "bilprov.Look", schemas.Look),
+    Topic(ASKS, 10, JSON_ENCODING, "bilprov.Asked", schemas.Asked),
+    Topic(CHECKPOINT, 11, JSON_ENCODING, "bilprov.Checkpoint", schemas.Checkpoint),
 )
 
 BY_VALUE = {topic.value: topic for topic in TOPICS if topic.schema}
@@ -108,24 +94,24 @@ Shapes: TypeAlias = Mapping[type, type]
 """The classes of which the values of a capture are, by the class that stands for them here."""
 
 CAR_STATE = state_class(grammar.STATE.specs.values(), grammar.AT_REST, grammar.WHEELS)
-CarLook = look_class(CAR_STATE)
-CarLook.__doc__ = f"""{str(Look.__doc__).partition(chr(10))[0]}
+CarLook = schemas.look_class(CAR_STATE)
+CarLook.__doc__ = f"""{str(schemas.Look.__doc__).partition(chr(10))[0]}
 
 `motion` is a value of `spec.motion.Motion`, `stopped` where the wheels stand. `speed`,
 `steering` (left is negative) and `led` are what was set, whether it moves or not. `left` and
 `right` are the speeds of the wheels, forward positive, in any unit.
 """
-CAR_SHAPES: Shapes = {State: CAR_STATE, Look: CarLook}
+CAR_SHAPES: Shapes = {State: CAR_STATE, schemas.Look: CarLook}
 _STAND_FOR: dict[type, type[msgspec.Struct]] = {
-    FramedInstruction: Instruction,
-    FramedResponse: Response,
+    schemas.FramedInstruction: schemas.Instruction,
+    schemas.FramedResponse: schemas.Response,
 }
 
 
 @cache
 def topic_of(kind: type[Written]) -> Topic:
     """The topic of the values of a class."""
-    standing = next((base for base in (State, Look) if issubclass(kind, base)), kind)
+    standing = next((base for base in (State, schemas.Look) if issubclass(kind, base)), kind)
     return BY_VALUE[_STAND_FOR.get(standing, standing)]
 
 

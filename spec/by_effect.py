@@ -38,7 +38,9 @@ def _fitted_values(spec: InstructionSpec, state: State) -> dict[str, int]:
     for variable, source in spec.effect.assignments:
         if isinstance(source, From):
             wanted = getattr(state, variable)
-            values[source.field] = _nearest(wanted, source.factor, *limits[source.field])
+            number = round(wanted / source.factor) if source.factor else 0
+            low, high = limits[source.field]
+            values[source.field] = min(max(number, low), high)
     return values
 
 
@@ -48,11 +50,6 @@ def _set_by_fitted(spec: InstructionSpec, state: State) -> dict[str, Any]:
         name: value.value(getattr(state, name)) if isinstance(value, Changed) else value
         for name, value in assigned(spec.effect, _fitted_values(spec, state))
     }
-
-
-def _nearest(wanted: int, factor: int, low: int, high: int) -> int:
-    """The value of `low`..`high` which times the factor is nearest to what is wanted."""
-    return min(max(round(wanted / factor) if factor else 0, low), high)
 
 
 def after(spec: InstructionSpec, frame: bytes, state: State) -> State:

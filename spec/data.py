@@ -8,24 +8,9 @@ from math import prod
 from operator import or_
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
+import construct
 import msgspec
-from construct import (
-    Array,
-    Bytes,
-    BytesInteger,
-    Const,
-    Construct,
-    Container,
-    Enum,
-    FlagsEnum,
-    FocusedSeq,
-    FormatField,
-    GreedyBytes,
-    GreedyRange,
-    Int16un,
-    Prefixed,
-    Renamed,
-)
+from construct import Construct
 
 from bilprov.spec.errors import WrongValue, one_line, require, require_word
 from bilprov.spec.fields import Ranged, Reports
@@ -39,7 +24,7 @@ _MOST_FIELDS = 32  # of an instruction: the suite's frames grow with the square 
 _MOST_BYTES = 1 << 16  # of a field
 
 Order = Literal["big", "little"]
-_NATIVE: Order = "little" if Int16un.build(1)[0] else "big"
+_NATIVE: Order = "little" if construct.Int16un.build(1)[0] else "big"
 
 How = Literal["fixed", "bytes in front", "elements in front", "expression", "rest"]
 
@@ -324,21 +309,23 @@ class DataSpec(msgspec.Struct, frozen=True):
         return data[part.offset : None if last else part.offset + part.size]
 
 
-def context_of(values: Mapping[str, Any], asked: Mapping[str, Any]) -> Container:
+def context_of(values: Mapping[str, Any], asked: Mapping[str, Any]) -> construct.Container:
     """What expressions like `this.size` and `asked.size` look into."""
-    return Container(values, _params=Container(asked=Container(asked)))
+    return construct.Container(
+        values, _params=construct.Container(asked=construct.Container(asked))
+    )
 
 
 def unwrapped(declared: Construct) -> Construct:
     """The construct within its names and prose."""
-    while isinstance(declared, Renamed):
+    while isinstance(declared, construct.Renamed):
         declared = declared.subcon
     return declared
 
 
 def prose_of(declared: Construct) -> str:
     """What a declaration is said to be (`* "prose"`), "" if nothing is."""
-    return declared.docs if isinstance(declared, Renamed) else ""
+    return declared.docs if isinstance(declared, construct.Renamed) else ""
 
 
 def read_data(
@@ -377,7 +364,7 @@ def read_data(
 
 def read_register(memory: str, declared: Any) -> FieldSpec:
     """Read a named cell of a memory, or some: one number. Raises WrongValue."""
-    if not isinstance(declared, Renamed):
+    if not isinstance(declared, construct.Renamed):
         raise WrongValue(f'a register of {memory} must be written "name" / type')
     one = _field(f"REGISTERS of {memory}", declared, 0)
     if one.number is None:
@@ -406,7 +393,7 @@ def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
     body = unwrapped(member)
     prose = prose_of(member)
     require(f"the prose of {owner}.{member.name}", prose, str)
-    if isinstance(body, Const):
+    if isinstance(body, construct.Const):
         raw = body.build(None)
         return FieldSpec(member.name or "", prose, offset, len(raw), constant=raw)
     if member.name is None:
@@ -434,20 +421,20 @@ def _field(owner: str, member: Construct, offset: int) -> FieldSpec:
 
 def _counted(name: str, body: Construct) -> tuple[dict[str, Any], Construct | None]:
     """How a field is counted, and what is: none for a single number, None for bytes."""
-    if body is GreedyBytes:
+    if body is construct.GreedyBytes:
         return {"how": "rest"}, None
-    if isinstance(body, GreedyRange):
+    if isinstance(body, construct.GreedyRange):
         return {"how": "rest"}, body.subcon
-    if isinstance(body, Bytes):
+    if isinstance(body, construct.Bytes):
         return _count(name, body.length), None
-    if isinstance(body, Array):
+    if isinstance(body, construct.Array):
         return _count(name, body.count), body.subcon
-    if isinstance(body, Prefixed):
+    if isinstance(body, construct.Prefixed):
         inner, element = _counted(name, unwrapped(body.subcon))
         if inner != {"how": "rest"} or body.includelength:
             raise WrongValue(f"{name} must be written Prefixed(Byte, GreedyRange(Byte))")
         return {"how": "bytes in front", "prefix": _prefix(name, body.lengthfield)}, element
-    if isinstance(body, FocusedSeq) and body.parsebuildfrom == "items":  # PrefixedArray
+    if isinstance(body, construct.FocusedSeq) and body.parsebuildfrom == "items":  # PrefixedArray
         count, items = (unwrapped(part) for part in body.subcons)
         return {"how": "elements in front", "prefix": _prefix(name, count.subcon)}, items.subcon
     return {}, body
@@ -472,19 +459,19 @@ def _number(name: str, declared: Construct, others: str) -> tuple[Number, dict[s
     body = unwrapped(declared)
     ranged = body if isinstance(body, Ranged) else None
     inner = unwrapped(ranged.subcon) if ranged else body
-    named = isinstance(inner, Enum | FlagsEnum)
+    named = isinstance(inner, construct.Enum | construct.FlagsEnum)
     number = number_of(unwrapped(inner.subcon) if named else inner, name, others)
     allowed: dict[str, Any] = {}
     low, high = number.low, number.high
     if named:
-        values = inner.encmapping if isinstance(inner, Enum) else inner.flags
+        values = inner.encmapping if isinstance(inner, construct.Enum) else inner.flags
         for word, value in values.items():
             require(f"the value of {word} of {name}", value, int)
         if not values:
             raise WrongValue(f"{name} names no values; write them, or a number")
         names = tuple((str(word), int(value)) for word, value in values.items())
-        allowed["names" if isinstance(inner, Enum) else "flags"] = names
-    if isinstance(inner, Enum):
+        allowed["names" if isinstance(inner, construct.Enum) else "flags"] = names
+    if isinstance(inner, construct.Enum):
         low, high = min(inner.decmapping), max(inner.decmapping)
     if ranged:
         low, high = ranged.low, ranged.high
@@ -504,11 +491,11 @@ def number_of(declared: Construct, what: str, others: str = "") -> Number:
 
     `others` names what else is allowed there.
     """
-    if isinstance(declared, BytesInteger):
+    if isinstance(declared, construct.BytesInteger):
         size, little = declared.length, declared.swapped
         if isinstance(size, int) and 0 < size < 256 and isinstance(little, bool):
             return Number(size, "little" if little else "big", bool(declared.signed))
-    if isinstance(declared, FormatField):
+    if isinstance(declared, construct.FormatField):
         order, kind = declared.fmtstr
         if kind in "BHLQbhlq":
             orders: dict[str, Order] = {"<": "little", ">": "big"}

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain, repeat
-from typing import Any
+from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
@@ -22,8 +20,7 @@ from bilprov.spec.replies import Reply, Way, covered, read_reply, reply_size
 from bilprov.spec.state import Effect, assigned, value_words
 
 
-@dataclass(frozen=True, slots=True)
-class BitGroup:
+class BitGroup(NamedTuple):
     """Neighbouring bits that have one meaning.
 
     `byte` is the index in the frame of the first byte they lie in, `size` how many bytes that is.
@@ -42,8 +39,7 @@ class BitGroup:
     fault: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class FrameExplanation:
+class FrameExplanation(NamedTuple):
     """One frame of the host: its bits, its judgement, and what a conforming device does.
 
     `offset` is the index of its first byte in the explained bytes, `missing` the number of data
@@ -69,8 +65,7 @@ class FrameExplanation:
     differences: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class ResponseExplanation:
+class ResponseExplanation(NamedTuple):
     """One answer of the device, mostly a byte: its bits, and what it means.
 
     `offset` is the index of its first byte in the explained bytes, `words` is what it is in short.
@@ -87,8 +82,7 @@ class ResponseExplanation:
     reply: Reply | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(NamedTuple):
     """Explanation of some bytes: `frames` if the host sent them, `responses` if the device did."""
 
     data: bytes
@@ -329,7 +323,7 @@ def _group(
 ) -> BitGroup:
     """The group of some bytes of a frame; `of` is their value, where that is not their bits."""
     found = _bits(frame, at, size, 0, 8 * size, name, meaning, fault)
-    return found if of is None else dataclasses.replace(found, value=of)
+    return found if of is None else found._replace(value=of)
 
 
 def _bits(frame: bytes, at: int, size: int, low: int, width: int, *about: Any) -> BitGroup:
@@ -473,8 +467,7 @@ def _whole_group(one: Judgement | Reply, at: int, spec: FieldSpec, value: int) -
     return _group(one.frame, at, spec.size, spec.name, meaning, fault, value)
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
+class Finding(NamedTuple):
     """An example line that a conforming device refuses.
 
     `sent` is the line's bytes, `meant` the nearest valid frame, `erratum` the entry that records

@@ -12,66 +12,19 @@ from enum import Enum
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from construct import (
-    Adapter,
-    BitsInteger,
-    Construct,
-    ExprAdapter,
-    Struct,
-    Subconstruct,
-    ValidationError,
-    Validator,
-    this,
-)
+import construct
+from construct import Construct
 from msgspec import Meta
 
 from bilprov.spec.checks import Crc, Fletcher, Sum, Xor
 from bilprov.spec.errors import Declared, WrongValue, checked
 from bilprov.spec.motion import Wheels
-from bilprov.spec.state import (
-    AllOf,
-    AnyOf,
-    Bits,
-    Changed,
-    From,
-    Unknown,
-    Variables,
-    Whole,
-    Word,
-)
+from bilprov.spec.state import AllOf, AnyOf, Bits, Changed, From, Unknown, Variables, Whole, Word
 
-__all__ = [
-    "Address",
-    "AllOf",
-    "Answer",
-    "Answers",
-    "AnyOf",
-    "Bits",
-    "Changed",
-    "Clauses",
-    "Crc",
-    "Data",
-    "Fletcher",
-    "From",
-    "Instruction",
-    "Length",
-    "LineDefaults",
-    "Memory",
-    "Outcome",
-    "Ranged",
-    "Reports",
-    "Same",
-    "Sets",
-    "Sum",
-    "Timing",
-    "Unknown",
-    "Variables",
-    "Wheels",
-    "Whole",
-    "Word",
-    "Xor",
-    "asked",
-]
+__all__ = ["AllOf", "AnyOf", "Bits", "Changed", "Crc", "Fletcher", "From", "Sum", "Unknown"]
+__all__ += ["Variables", "Wheels", "Whole", "Word", "Xor"]  # above: of other modules
+__all__ += ["Address", "Answer", "Answers", "Clauses", "Data", "Instruction", "Length", "asked"]
+__all__ += ["LineDefaults", "Memory", "Outcome", "Ranged", "Reports", "Same", "Sets", "Timing"]
 
 Natural = Annotated[int, Meta(ge=0)]
 Code = Annotated[int, Meta(ge=0, le=255)]
@@ -91,7 +44,7 @@ class Outcome(Enum):
     OTHER_ADDRESS = "other address"
 
 
-class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
+class Ranged(construct.Validator):  # type: ignore[misc]  # construct ships no types
     """An integer that must lie in `low`..`high` (both included).
 
     `bits` names its lowest bits, most significant first, if each has a meaning: "RGB" says that R
@@ -120,7 +73,7 @@ class Ranged(Validator):  # type: ignore[misc]  # construct ships no types
         return bool(self.low <= obj <= self.high)
 
 
-class Reports(Subconstruct):  # type: ignore[misc]  # construct ships no types
+class Reports(construct.Subconstruct):  # type: ignore[misc]  # construct ships no types
     """A field of an answer that tells the variable `variable` of the state.
 
     It holds the variable's value times `factor` plus `plus`; of a Word the value of that name of an
@@ -194,11 +147,11 @@ class Memory(Declared, frozen=True):
         return number * self.factor
 
 
-NO_DATA = Struct()
+NO_DATA = construct.Struct()
 """The answer of an instruction that asks for no data."""
 
 
-class Instruction(Struct):  # type: ignore[misc]  # construct ships no types
+class Instruction(construct.Struct):  # type: ignore[misc]  # construct ships no types
     """The data of one instruction (its fields in order), its name in the document, its effect.
 
     `answer` is the data of its answer, None where it is not answered at all. `changes` names what
@@ -239,7 +192,7 @@ class Answer(Declared, frozen=True):
         return tuple(map(Outcome, several))
 
 
-class Answers(ExprAdapter):  # type: ignore[misc]  # construct ships no types
+class Answers(construct.ExprAdapter):  # type: ignore[misc]  # construct ships no types
     """A response code that is one of `answers` (code -> Answer); parses to the answer's name.
 
     With `flags` a code other than 0 is one bit, and several may be set: it parses to their names.
@@ -306,11 +259,11 @@ class Clauses(Declared, frozen=True):
     safety: str
 
 
-asked = this._params.asked
+asked = construct.this._params.asked
 """The request that a reply answers: `Bytes(asked.size)` has as many bytes as its field `size`."""
 
 
-class Address(Subconstruct):  # type: ignore[misc]  # construct ships no types
+class Address(construct.Subconstruct):  # type: ignore[misc]  # construct ships no types
     """The part that names who is meant: `low` to `high`, and `broadcast` for all, if there is one.
 
     What is sent to all is not answered.
@@ -328,7 +281,7 @@ class Address(Subconstruct):  # type: ignore[misc]  # construct ships no types
         self.broadcast = broadcast
 
 
-class Length(Adapter):  # type: ignore[misc]  # construct ships no types
+class Length(construct.Adapter):  # type: ignore[misc]  # construct ships no types
     """The part that announces the data; it counts `also` bytes more than the data have."""
 
     @checked
@@ -343,7 +296,7 @@ class Length(Adapter):  # type: ignore[misc]  # construct ships no types
         return int(obj + self.also)
 
 
-class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
+class Same(construct.Subconstruct):  # type: ignore[misc]  # construct ships no types
     """The part of a reply that repeats the request's part `name`, with `plus` added to it.
 
     What does not fit into the type is cut off.
@@ -359,7 +312,9 @@ class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
         value = int(self.subcon._parsereport(stream, context, path))
         expected = self._repeated(context)
         if value != expected:
-            raise ValidationError(f"{self.part} is {value}, the request has {expected}", path)
+            raise construct.ValidationError(
+                f"{self.part} is {value}, the request has {expected}", path
+            )
         return value
 
     def _build(self, obj: Any, stream: Any, context: Any, path: str) -> int:
@@ -369,7 +324,9 @@ class Same(Subconstruct):  # type: ignore[misc]  # construct ships no types
 
     def _repeated(self, context: Any) -> int:
         value = context._params.asked[self.part] + self.plus
-        width = 1 if isinstance(self.subcon, BitsInteger) else 8  # of what the type counts
+        width = (
+            1 if isinstance(self.subcon, construct.BitsInteger) else 8
+        )  # of what the type counts
         return int(value % (1 << width * self.subcon.sizeof()))
 
 

@@ -12,19 +12,9 @@ from functools import cached_property
 from itertools import accumulate
 from typing import Annotated, Any, Literal
 
+import construct
 import msgspec
-from construct import (
-    BitsInteger,
-    BitStruct,
-    Checksum,
-    Const,
-    Construct,
-    Container,
-    FixedSized,
-    RawCopy,
-    Struct,
-    Switch,
-)
+from construct import Construct
 from msgspec.structs import replace
 
 from bilprov.spec.checks import CheckFunction
@@ -36,7 +26,7 @@ Role = Literal["constant", "address", "id", "length", "code", "other", "check"]
 
 Width = Annotated[int, msgspec.Meta(ge=1, le=64)]
 _ROLES: dict[str, Role] = {"id": "id", "length": "length", "address": "address"}
-_BITS = type(BitStruct())
+_BITS = type(construct.BitStruct())
 _MOST_PARTS = 32
 _MOST_DATA = 1 << 20  # bytes of data that a frame may announce; more is no frame
 _ASKED = b"\x01asked"
@@ -330,8 +320,8 @@ def read_layout(what: str, declared: Construct, asked: tuple[str, ...] = ()) -> 
     """
     body = unwrapped(declared)
     if isinstance(body, Answers):
-        body = Struct("code" / body)
-    if not isinstance(body, Struct):
+        body = construct.Struct("code" / body)
+    if not isinstance(body, construct.Struct):
         raise WrongValue(f"{what} is a {type(body).__name__}, it must be a Struct of parts")
     spans: dict[str, tuple[int, int]] = {}
     members = [*_members(what, body, spans, 0)]
@@ -373,7 +363,7 @@ def read_layout(what: str, declared: Construct, asked: tuple[str, ...] = ()) -> 
 
 
 def _members(
-    what: str, declared: Struct, spans: dict[str, tuple[int, int]], at: int
+    what: str, declared: construct.Struct, spans: dict[str, tuple[int, int]], at: int
 ) -> Iterator[tuple[Part | None, Construct]]:
     """Yield each part of a Struct with its declaration, and None with that of the data.
 
@@ -381,17 +371,19 @@ def _members(
     """
     for member in declared.subcons:
         body, found = unwrapped(member), list[tuple[Part | None, Construct]]()
-        inner = unwrapped(body.subcon) if isinstance(body, RawCopy) else body
-        if isinstance(inner, Struct):
+        inner = unwrapped(body.subcon) if isinstance(body, construct.RawCopy) else body
+        if isinstance(inner, construct.Struct):
             found += _members(what, inner, spans, at)
         elif type(inner) is _BITS:
             found += _bits(what, unwrapped(inner.subcon).subcons)
-        elif member.name == "data" or isinstance(inner, Data | Switch | FixedSized):
+        elif member.name == "data" or isinstance(
+            inner, Data | construct.Switch | construct.FixedSized
+        ):
             found.append((None, inner))
         else:
             found.append((_part(what, member), inner))
         yield from found
-        if isinstance(body, RawCopy):
+        if isinstance(body, construct.RawCopy):
             spans[member.name] = at, at + len(found)
         at += len(found)
 
@@ -400,15 +392,15 @@ def _require_paths(what: str, declared: Construct, before: Sequence[Part]) -> No
     """Raise WrongValue unless data are as long as the part before tells, and those of its ID."""
     roles = [part.role for part in before if part.role != "length" or not part.width]
     paths = []
-    if isinstance(declared, FixedSized):
+    if isinstance(declared, construct.FixedSized):
         paths.append(("FixedSized", declared.length, "length"))
         declared = unwrapped(declared.subcon)
-    elif isinstance(declared, Switch) and "length" in roles:
+    elif isinstance(declared, construct.Switch) and "length" in roles:
         raise WrongValue(
             f"the data of {what} must be written FixedSized(this.length, ...), since {what} has a "
             "length"
         )
-    if isinstance(declared, Switch) and "id" in roles:
+    if isinstance(declared, construct.Switch) and "id" in roles:
         paths.append(("Switch", declared.keyfunc, "id"))
     for word, expression, name in paths:
         path = re.sub(r"\['(\w+)'\]", r".\1", repr(expression))
@@ -425,10 +417,10 @@ def _part(what: str, member: Construct, bits: Mapping[str, Any] | None = None) -
     require(f"the prose of {name}", prose_of(member), str)
     if member.name is not None:
         require_word(f"the name of a part of {what}", member.name)
-    elif not isinstance(body, Const):
+    elif not isinstance(body, construct.Const):
         raise WrongValue(f'a part of {what} has no name; write it "name" / type')
     role: Role = _ROLES.get(member.name, "other")
-    if isinstance(body, Const) and not bits:
+    if isinstance(body, construct.Const) and not bits:
         raw = body.build(None)
         require(f"the bytes of {name}", len(raw), Width)
         number = Number(len(raw), "big", signed=False)
@@ -437,7 +429,7 @@ def _part(what: str, member: Construct, bits: Mapping[str, Any] | None = None) -
     most = (1 << bits["width"]) - 1 if bits else place["number"].high
     values: tuple[int, ...] = ()
     more: dict[str, Any] = {}
-    if isinstance(body, Const):
+    if isinstance(body, construct.Const):
         role, values, more = "constant", (body.value,), {"low": body.value}
     elif isinstance(body, Address):
         role, values = "address", (body.high, body.broadcast or 0)
@@ -448,7 +440,7 @@ def _part(what: str, member: Construct, bits: Mapping[str, Any] | None = None) -
         role, more = _ROLES.get(body.part, "other"), {"same": body.part, "plus": body.plus}
     elif isinstance(body, Answers):
         role, values = "code", tuple(body.answers)
-    elif isinstance(body, Checksum):
+    elif isinstance(body, construct.Checksum):
         if not isinstance(body.hashfunc, CheckFunction):
             raise WrongValue(
                 f"{name} must be a Sum, a Fletcher, a Xor or a Crc of bilprov.spec.fields"
@@ -467,7 +459,7 @@ def _bits(what: str, members: Sequence[Construct]) -> Iterator[tuple[Part, Const
     """Yield the parts of a byte (or some) of bits, each with its declaration."""
     types = [_type_of(member) for member in members]
     for member, bits in zip(members, types, strict=True):
-        if type(bits) is not BitsInteger or bits.signed or bits.swapped:
+        if type(bits) is not construct.BitsInteger or bits.signed or bits.swapped:
             raise WrongValue(f"{what}.{member.name} must be written BitsInteger(width)")
         require(f"the width of {what}.{member.name}", bits.length, Width)
     above = sum(bits.length for bits in types)
@@ -481,13 +473,13 @@ def _bits(what: str, members: Sequence[Construct]) -> Iterator[tuple[Part, Const
 
 
 def _covered_name(
-    what: str, declared: Checksum, spans: Iterable[str], asked: tuple[str, ...]
+    what: str, declared: construct.Checksum, spans: Iterable[str], asked: tuple[str, ...]
 ) -> tuple[str, bool]:
     """Which covered part a check counts, and whether the request's stands before it."""
     for name in spans:
-        request = dict.fromkeys(asked, Container(data=_ASKED))
+        request = dict.fromkeys(asked, construct.Container(data=_ASKED))
         try:
-            found = declared.bytesfunc(context_of({name: Container(data=_HERE)}, request))
+            found = declared.bytesfunc(context_of({name: construct.Container(data=_HERE)}, request))
         except Exception:
             continue
         if found in (_HERE, _ASKED + _HERE):
@@ -502,7 +494,7 @@ def _covered_name(
 def _type_of(declared: Construct) -> Construct:
     """The number within what a part is declared as."""
     body = unwrapped(declared)
-    if isinstance(body, Checksum):
+    if isinstance(body, construct.Checksum):
         return unwrapped(body.checksumfield)
-    marks = Address | Answers | Const | Length | Same
+    marks = Address | Answers | construct.Const | Length | Same
     return _type_of(body.subcon) if isinstance(body, marks) else body

@@ -21,14 +21,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from bilprov.spec import grammar
-from bilprov.spec.data import (
-    DataSpec,
-    FieldSpec,
-    prose_of,
-    read_data,
-    read_register,
-    unwrapped,
-)
+from bilprov.spec.data import DataSpec, FieldSpec, prose_of, read_data, read_register, unwrapped
 from bilprov.spec.errors import UserError, WrongValue, one_line, require, require_word, shown
 from bilprov.spec.fields import (
     Answers,
@@ -69,9 +62,8 @@ _LONGEST = 200  # characters of what Python says about a grammar, and of the nam
 # The built-in text is the same grammar as the first one, which did not declare the state: whatever
 # holds the hash of that one still matches, such as recordings, profiles and reports.
 _FIRST = "784fbb0b76e02c6703df30b623f9ed0d040db9d062dba0396b23863fe89ae234"
-_SAME_AS_FIRST = frozenset(
-    {"8a0bb1c6b82900a82100364dd82df18e11664e7845861b36995caedf8583c18d"}
-)  # hashes of the texts that say the same
+# The hashes of the texts that say the same.
+_SAME_AS_FIRST = {"8a0bb1c6b82900a82100364dd82df18e11664e7845861b36995caedf8583c18d"}
 
 
 _NEAR = 0.8  # how alike two names are of which one is a slip of the other

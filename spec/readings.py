@@ -8,7 +8,6 @@ computes from these texts: it judges the document's examples by the grammar.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
 from typing import NamedTuple
@@ -20,8 +19,7 @@ from bilprov.spec.protocol import Protocol
 from bilprov.spec.state import Effect
 
 
-@dataclass(frozen=True, slots=True)
-class Erratum:
+class Erratum(NamedTuple):
     """A place where the document contradicts itself.
 
     `example` is (section, line) of the faulty example where there is one, `meant` the bytes that
@@ -47,8 +45,7 @@ class Behaviour(StrEnum):
     DISCARDED = "discarded"
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
+class Choice(NamedTuple):
     """One way to read an open point.
 
     `word` names it in reports and profiles. `does` is the outcome that is answered, or another
@@ -61,8 +58,7 @@ class Choice:
     option: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class OpenPoint:
+class OpenPoint(NamedTuple):
     """An open point: its id (a reading, or a part of one), and its choices, the default first.
 
     The suite's accepted answers, its model of the state, the experiments that find out a device's
@@ -98,8 +94,7 @@ class OpenPoint:
         return next((choice.word for choice in self.choices if choice.does == seen), seen)
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """A point on which the document is silent: our default, and the verdicts of other choices.
 
     `others` are pairs of (choice, verdict), the best verdict first. `points` are what a device can
@@ -121,8 +116,7 @@ class Reading:
         return first.removeprefix("fail; ").removesuffix(" if allowed")
 
 
-@dataclass(frozen=True, slots=True)
-class Example:
+class Example(NamedTuple):
     """One line of an example: its section, line number, bits as printed, and its comment."""
 
     section: str
@@ -552,7 +546,7 @@ READINGS = (
 )
 
 POINTS = {
-    ident: replace(point, id=ident)
+    ident: point._replace(id=ident)
     for reading in READINGS
     for point in reading.points
     for ident in [f"{reading.id} {point.id}".strip()]

@@ -7,23 +7,11 @@ from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
-from bilprov.spec.codec import (
-    Judgement,
-    Registers,
-    data_bytes,
-    field_words,
-    registers_in,
-)
+from bilprov.spec.codec import Judgement, Registers, data_bytes, field_words, registers_in
 from bilprov.spec.data import DataSpec, FieldSpec
 from bilprov.spec.fields import Outcome, codes_in
 from bilprov.spec.layout import Layout
-from bilprov.spec.protocol import (
-    NO_ANSWER,
-    PLAIN_ANSWER,
-    InstructionSpec,
-    Protocol,
-    ResponseSpec,
-)
+from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, InstructionSpec, Protocol, ResponseSpec
 from bilprov.spec.state import Assigned
 
 GIVES_UP = 5

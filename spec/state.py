@@ -335,11 +335,6 @@ class State(msgspec.Struct, frozen=True, gc=False):
         """The values of all variables as numbers."""
         return tuple(self.code(name, getattr(self, name)) for name in self.variables)
 
-    @classmethod
-    def of_codes(cls, codes: Iterable[int]) -> Self:
-        """The state with these values of all variables."""
-        return cls.of({n: cls.value(n, c) for n, c in zip(cls.variables, codes, strict=True)})
-
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self.made_of, msgspec.structs.astuple(self))
 

@@ -11,28 +11,9 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from bilprov.analyzer.cli import command_files
+from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
-from bilprov.analyzer.cli.command_files import (
-    STANDARD_OUTPUT,
-    force_option,
-    json_object,
-    json_option,
-    opened_captures,
-    protocol_of,
-    reading,
-    require_writable,
-    write_output,
-)
-from bilprov.analyzer.cli.options import (
-    Finite,
-    WindowOptions,
-    compiled,
-    filter_option,
-    half_duplex_option,
-    note,
-    output_option,
-    text_format_option,
-)
 from bilprov.captures.text import printable, quantity
 
 if TYPE_CHECKING:
@@ -45,7 +26,7 @@ class InfoOptions(msgspec.Struct, frozen=True):
     """The options of `capture info`."""
 
     file: str = argument(metavar="FILE.mcap")
-    style: str = text_format_option()
+    style: str = shared.text_format_option()
     as_json: bool = flag("The same as --format json.", "--json")
 
 
@@ -71,7 +52,7 @@ class CheckOptions(msgspec.Struct, frozen=True):
     """The options of `capture check`."""
 
     path: Path = argument(metavar="FILE.mcap", type=click.Path(path_type=Path))
-    style: str = text_format_option()
+    style: str = shared.text_format_option()
 
 
 @command(CheckOptions)
@@ -94,9 +75,9 @@ class CutOptions(msgspec.Struct, frozen=True):
 
     path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
     new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
-    span: WindowOptions = group(WindowOptions)
-    expression: str | None = filter_option()
-    force: bool = force_option()
+    span: shared.WindowOptions = group(shared.WindowOptions)
+    expression: str | None = shared.filter_option()
+    force: bool = command_files.force_option()
 
 
 @command(CutOptions)
@@ -124,12 +105,12 @@ def cut(options: CutOptions) -> None:
     if not window.bounded and options.expression is None:
         raise click.UsageError("name what OUT is to hold: --start, --end, --filter or some of them")
     found = open_quickly(options.path)
-    protocol = protocol_of(found, copied=True)
-    test = compiled(options.expression, protocol)
+    protocol = command_files.protocol_of(found, copied=True)
+    test = shared.compiled(options.expression, protocol)
     opened = opened_at(found, protocol, window.first or 0)
     capture = opened.capture
     require_begun(capture, window.first)
-    note(*said_about(capture, protocol))
+    shared.note(*said_about(capture, protocol))
     metadata = cut_metadata(capture, protocol, window.first, window.after, options.expression)
     times = 1 if test is None else 2
     with _copying(options, [capture], metadata, protocol, times=times) as copy:
@@ -146,7 +127,7 @@ class CopyOptions(msgspec.Struct, frozen=True):
 
     path: Path = argument(metavar="IN.mcap", type=click.Path(path_type=Path))
     new: Path = argument(metavar="OUT.mcap", type=click.Path(path_type=Path))
-    force: bool = force_option()
+    force: bool = command_files.force_option()
 
 
 @command(CopyOptions)
@@ -164,7 +145,7 @@ def repair(options: CopyOptions) -> None:
     capture, copy = _copied(options, partial(edited_metadata, edit=did))
     _note_size(options.new, copy, str(options.path))
     if capture.left_out or not capture.damage:
-        note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
+        shared.note(f"{quantity(capture.left_out, 'byte')} of the file could not be read")
 
 
 class JoinOptions(msgspec.Struct, frozen=True):
@@ -173,13 +154,13 @@ class JoinOptions(msgspec.Struct, frozen=True):
     paths: tuple[Path, ...] = argument(
         metavar="FILE.mcap...", nargs=-1, required=True, type=click.Path(path_type=Path)
     )
-    new: Path = output_option(
+    new: Path = shared.output_option(
         metavar="OUT.mcap",
         required=True,
         type=click.Path(path_type=Path),
         help="The new capture.",
     )
-    force: bool = force_option()
+    force: bool = command_files.force_option()
 
 
 @command(JoinOptions)
@@ -200,7 +181,7 @@ def join(options: JoinOptions) -> None:
 
     if len(options.paths) < 2:
         raise click.UsageError("name two captures or more to join")
-    captures, protocol = opened_captures(options.paths, copied=True)
+    captures, protocol = command_files.opened_captures(options.paths, copied=True)
     joined = Joined(protocol, captures)
     inputs_in_order = [source.capture for source in joined.sources]
     with _copying(options, inputs_in_order, joined.metadata(), protocol) as copy:
@@ -211,7 +192,7 @@ def join(options: JoinOptions) -> None:
 class DecodeOptions(CopyOptions, frozen=True):
     """The options of `capture decode`."""
 
-    half_duplex: bool = half_duplex_option()
+    half_duplex: bool = shared.half_duplex_option()
 
 
 @command(DecodeOptions)
@@ -226,7 +207,7 @@ def decode(options: DecodeOptions) -> None:
     from bilprov.analyzer.edit.cut import decoded_metadata
 
     _copied(options, decoded_metadata, decoded=True, half_duplex=options.half_duplex)
-    note(f"{options.path} is in {options.new}, with everything decoded from it")
+    shared.note(f"{options.path} is in {options.new}, with everything decoded from it")
 
 
 class DiffOptions(msgspec.Struct, frozen=True):
@@ -237,13 +218,13 @@ class DiffOptions(msgspec.Struct, frozen=True):
     tolerance: float = option(
         "--latency",
         metavar="MS",
-        type=Finite(0),
+        type=shared.Finite(0),
         default=20.0,
         help="By how many milliseconds the latencies of a frame may differ: an adapter alone may "
         "delay an answer by 16.",
     )
-    output: str | None = json_option()
-    force: bool = force_option()
+    output: str | None = command_files.json_option()
+    force: bool = command_files.force_option()
 
 
 @command(DiffOptions, only_with={"output": ("force",)})
@@ -266,13 +247,15 @@ def diff(options: DiffOptions) -> int:
 
     promise_verdict()
     output, paths = options.output, (options.first, options.second)
-    require_writable([("--json", output)], paths, force=options.force)
-    captures, protocol = opened_captures(paths)
-    with reading(captures) as progress:
+    command_files.require_writable([("--json", output)], paths, force=options.force)
+    captures, protocol = command_files.opened_captures(paths)
+    with command_files.reading(captures) as progress:
         comparison = compared(captures, protocol, progress, round(options.tolerance * 1e6))
     if output is not None:
-        write_output(output, json_object(as_json(comparison, protocol, paths)))
-    if output != STANDARD_OUTPUT:
+        command_files.write_output(
+            output, command_files.json_object(as_json(comparison, protocol, paths))
+        )
+    if output != command_files.STANDARD_OUTPUT:
         show(*drawn(comparison, paths))
     return comparison.exit
 
@@ -289,7 +272,9 @@ def _copied(
     from bilprov.analyzer.output.outputs import Window
     from bilprov.analyzer.replay.capture_decoding import opened_whole
 
-    (capture,), protocol = opened_captures([options.path], copied=True, half_duplex=half_duplex)
+    (capture,), protocol = command_files.opened_captures(
+        [options.path], copied=True, half_duplex=half_duplex
+    )
     # To write each frame takes long, however few bytes there are.
     shown = {"least": 0} if decoded else {}
     with _copying(options, [capture], metadata(capture, protocol), protocol, **shown) as copy:
@@ -298,7 +283,7 @@ def _copied(
 
 
 def _note_size(new: Path, copy: Copy, of: str) -> None:
-    note(f"{new} holds {quantity(copy.raw_bytes, 'byte')} of {of}")
+    shared.note(f"{new} holds {quantity(copy.raw_bytes, 'byte')} of {of}")
 
 
 @contextmanager
@@ -314,13 +299,15 @@ def _copying(
     from bilprov.captures.topics import TOPICS
 
     inputs = [str(capture.path) for capture in captures]
-    require_writable([("OUT", str(options.new))], inputs, force=options.force, regular=True)
+    command_files.require_writable(
+        [("OUT", str(options.new))], inputs, force=options.force, regular=True
+    )
     known = {topic.name for topic in TOPICS}
     for capture in captures:
         if others := [topic for topic in capture.contents.counts if topic not in known]:
-            note(f"left out, since they are not bilprov's topics: {', '.join(others)}")
+            shared.note(f"left out, since they are not bilprov's topics: {', '.join(others)}")
     with (
-        reading(captures, **shown) as progress,
+        command_files.reading(captures, **shown) as progress,
         new_capture(
             options.new, captures, metadata, protocol, progress, force=options.force
         ) as copy,

@@ -13,17 +13,8 @@ import click
 import msgspec
 from msgspec.structs import replace
 
+from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, flag, option, protocol_in_use
-from bilprov.analyzer.cli.options import (
-    compiled,
-    filter_option,
-    half_duplex_option,
-    only_for_bytes,
-    refused,
-    request_option,
-    sender_option,
-    text_format_option,
-)
 from bilprov.analyzer.output.console import show_as
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.schemas import Chunk, Direction
@@ -40,16 +31,16 @@ class DecodeOptions(msgspec.Struct, frozen=True):
     """The options of `decode`."""
 
     words: tuple[str, ...] = argument(metavar="[FILE|-|HEX]...", nargs=-1)
-    sender: Direction = sender_option()
-    request: str | None = request_option()
+    sender: Direction = shared.sender_option()
+    request: str | None = shared.request_option()
     style: Literal["lines", "jsonl"] = option(
         "--format",
         type=click.Choice(["lines", "jsonl"]),
         default="lines",
         help="Text lines or JSON lines.",
     )
-    expression: str | None = filter_option()
-    half_duplex: bool = half_duplex_option()
+    expression: str | None = shared.filter_option()
+    half_duplex: bool = shared.half_duplex_option()
 
 
 @command(DecodeOptions)
@@ -78,7 +69,7 @@ def decode(options: DecodeOptions) -> None:
     if options.request is not None and kind != "bytes":
         raise click.UsageError(f"{kind} have the requests: leave out --request")
     if kind == "captures":
-        only_for_bytes()
+        shared.only_for_bytes()
         from bilprov.analyzer.cli.command_files import opened_captures
         from bilprov.analyzer.replay.capture_decoding import opened_whole
 
@@ -86,10 +77,10 @@ def decode(options: DecodeOptions) -> None:
         batches, start = opened_whole(capture, protocol).decoded(), capture.start
     else:
         protocol, start = protocol_in_use(), 0
-    test = compiled(options.expression, protocol)
+    test = shared.compiled(options.expression, protocol)
     out = opened_output(options.style, protocol)
     if kind == "bytes":
-        with refused():
+        with shared.refused():
             requests = typed_input.requests_typed(protocol, options.request, sender)
         asked = b"".join(one.frame for one in requests)
         if isinstance(source, bytes) and test is None:
@@ -175,9 +166,9 @@ class ExplainOptions(msgspec.Struct, frozen=True):
     """The options of `explain`."""
 
     words: tuple[str, ...] = argument(metavar="HEX...", nargs=-1, required=True)
-    sender: str = sender_option()
-    request: str | None = request_option()
-    style: str = text_format_option()
+    sender: str = shared.sender_option()
+    request: str | None = shared.request_option()
+    style: str = shared.text_format_option()
 
 
 @command(ExplainOptions)
@@ -195,7 +186,7 @@ def explain(options: ExplainOptions) -> None:
     from bilprov.spec import explain as explaining
 
     protocol = protocol_in_use()
-    with refused():
+    with shared.refused():
         data = bytes_from_hex(" ".join(options.words))
         asked = requests_typed(protocol, options.request, options.sender)
         if options.sender == "host":
@@ -229,7 +220,7 @@ def encode(options: EncodeOptions) -> None:
     from bilprov.spec.codec import spaced
 
     protocol = protocol_in_use()
-    with refused():
+    with shared.refused():
         frame = encoded(protocol, options.name, options.values)
     if options.raw:
         sys.stdout.buffer.write(frame)

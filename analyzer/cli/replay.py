@@ -8,43 +8,15 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, flag, group, option
 from bilprov.analyzer.cli.command_files import protocol_of, split
-from bilprov.analyzer.cli.options import (
-    SENDING_LINE,
-    Finite,
-    SendingLineOptions,
-    ShownOptions,
-    WindowOptions,
-    compiled,
-    confirm_effect,
-    half_duplex_option,
-    max_drive_option,
-    note,
-    note_suspension,
-    only_reading_option,
-    port_option,
-    require_reading,
-    timeout_option,
-)
 from bilprov.analyzer.cli.streams import promise_verdict
 from bilprov.analyzer.decode.records import FaultRecord, HostRecord, Record
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.output.outputs import Shown, opened_output
 from bilprov.analyzer.pipeline import Pipeline
-from bilprov.analyzer.replay.capture_decoding import (
-    TEXT_BATCH,
-    capture_decoder,
-    capture_line,
-    capture_timeout,
-    heard,
-    interruptible,
-    opened_at,
-    opened_whole,
-    paced,
-    require_begun,
-    said_about,
-)
+from bilprov.analyzer.replay import capture_decoding as decoding
 from bilprov.analyzer.transport.signals import Stopper
 from bilprov.captures.reader import open_quickly, open_verified
 from bilprov.captures.schemas import MS, Chunk, Look
@@ -63,28 +35,30 @@ class ReplayOptions(msgspec.Struct, frozen=True):
 
     path: str = argument(metavar="FILE.mcap")
     rate: float = option(
-        type=Finite(0),
+        type=shared.Finite(0),
         default=1.0,
         help="How fast it is played: 1 as recorded, 2 twice as fast, 0 without pauses.",
     )
-    span: WindowOptions = group(WindowOptions)
-    shown: ShownOptions = group(ShownOptions)
+    span: shared.WindowOptions = group(shared.WindowOptions)
+    shown: shared.ShownOptions = group(shared.ShownOptions)
     duration: float | None = option(
-        type=Finite(0, min_open=True),
+        type=shared.Finite(0, min_open=True),
         help="End after S seconds of the recording, counted from --start.",
     )
-    port: str | None = port_option(
+    port: str | None = shared.port_option(
         "--to", help="Also send the host's bytes to a device there and compare its answers."
     )
-    half_duplex: bool = half_duplex_option()
+    half_duplex: bool = shared.half_duplex_option()
     yes: bool = flag("With --to: the device may move, do not ask.")
-    only_reading: bool = only_reading_option()
-    max_drive: float = max_drive_option()
-    line: SendingLineOptions = group(SendingLineOptions)
-    truncation_timeout: float | None = timeout_option()
+    only_reading: bool = shared.only_reading_option()
+    max_drive: float = shared.max_drive_option()
+    line: shared.SendingLineOptions = group(shared.SendingLineOptions)
+    truncation_timeout: float | None = shared.timeout_option()
 
 
-@command(ReplayOptions, only_with={"port": ("yes", "only_reading", "max_drive", *SENDING_LINE)})
+@command(
+    ReplayOptions, only_with={"port": ("yes", "only_reading", "max_drive", *shared.SENDING_LINE)}
+)
 def replay(options: ReplayOptions) -> int:
     """Examples:
       bilprov replay drive.mcap
@@ -136,21 +110,21 @@ class _Replay:
             capture = split(capture, self.protocol)
         if seeks:
             first = self.window.first or 0
-            self.opened = opened_at(capture, self.protocol, first, self.timeout)
+            self.opened = decoding.opened_at(capture, self.protocol, first, self.timeout)
         else:
-            self.opened = opened_whole(capture, self.protocol, self.timeout)
+            self.opened = decoding.opened_whole(capture, self.protocol, self.timeout)
         self.capture = self.opened.capture
         self.rows = options.shown.rows.style(self.protocol, self.style)
-        test = compiled(options.shown.expression, self.protocol)
+        test = shared.compiled(options.shown.expression, self.protocol)
         self.test = test and test.started(self.capture.start)
-        require_begun(self.capture, self.window.first)
+        decoding.require_begun(self.capture, self.window.first)
 
     def done(self) -> int:
         """Do what the options ask, and return the exit code."""
         if self.style == "live":
             self.look_through()
             return 0
-        note(*said_about(self.capture, self.protocol))
+        shared.note(*decoding.said_about(self.capture, self.protocol))
         if self.options.port is not None:
             self.require_allowed(self.options.port)
         judge = None
@@ -158,7 +132,7 @@ class _Replay:
             from bilprov.analyzer.monitor.passive_judge import PassiveJudge
 
             attached = self.capture.metadata.get("attached") != "no"
-            paired = heard(self.capture) >= BOTH
+            paired = decoding.heard(self.capture) >= BOTH
             judge = PassiveJudge(self.protocol, paired=paired, attached=attached)
         with Stopper() as stopper:
             output = opened_output(self.style, self.protocol, self.rows, self.capture.start)
@@ -169,7 +143,7 @@ class _Replay:
             if self.options.rate or judge:
                 self.play(pipeline, stopper)
             else:
-                for batch in self.opened.decoded(window=self.window, largest=TEXT_BATCH):
+                for batch in self.opened.decoded(window=self.window, largest=decoding.TEXT_BATCH):
                     if stopper.stopped or shown.full:
                         break
                     shown.show(batch)
@@ -184,15 +158,15 @@ class _Replay:
         if not self.capture.contents.counts.get(HOST_RAW):
             raise click.UsageError(f"{self.options.path} holds no bytes of the host to send")
         if self.options.only_reading:
-            require_reading(self.protocol, self.frames())
+            shared.require_reading(self.protocol, self.frames())
         words = "" if self.options.yes else effect_words(self.protocol, self.frames())
         does = "move" if self.protocol.wheels else "do"
         what = f"the device at {port} will {does} as recorded in {self.options.path}"
-        confirm_effect(self.protocol, what, words, yes=self.options.yes)
+        shared.confirm_effect(self.protocol, what, words, yes=self.options.yes)
 
     def frames(self) -> Iterator[bytes]:
         """The frames that the host sent in the window, those that are cut short among them."""
-        decoder = capture_decoder(self.capture, self.protocol, self.timeout)
+        decoder = decoding.capture_decoder(self.capture, self.protocol, self.timeout)
 
         def batches() -> Iterator[Batch]:
             for event in self.capture.events():
@@ -211,7 +185,7 @@ class _Replay:
 
         capture, options = self.capture, self.options
         feed = capture_feed(self.opened, self.protocol, self.test, options.shown.count, self.window)
-        name, line = capture.path.name, capture_line(capture, self.protocol)
+        name, line = capture.path.name, decoding.capture_line(capture, self.protocol)
         words = options.shown.expression or ""
         told = Told(name, capture.start, line, self.rows, words, self.test, options.rate)
         with Stopper() as stopper:
@@ -226,10 +200,12 @@ class _Replay:
         now, rate, window, judge = 0, self.options.rate, self.window, pipeline.judge
         events = self.capture.sights() if judge else self.opened.capture.events(self.opened.after)
         # Between two events, time passes as it did in the recording.
-        sleep = interruptible(
+        sleep = decoding.interruptible(
             stopper, lambda slept: pipeline.advance(now + int(slept * rate * 1e9))
         )
-        for event in paced(events, rate, sleep=sleep, start=window.first, end=window.after):
+        for event in decoding.paced(
+            events, rate, sleep=sleep, start=window.first, end=window.after
+        ):
             if stopper.stopped or pipeline.shown.full:
                 return
             now = event.t
@@ -248,21 +224,21 @@ class _Replay:
 
         protocol, options = self.protocol, self.options
         recorded, now = Exchanges(), Exchanges()
-        pause = capture_timeout(self.capture, protocol, self.timeout)
+        pause = decoding.capture_timeout(self.capture, protocol, self.timeout)
         pause = scaled_timeout(pause, options.rate)
         opened = open_port(port, options.line.settings(protocol))
         with Target(protocol, opened, pause, stopper, now.record, options.max_drive) as target:
             self.send(target, pipeline, recorded)
             if target.driven_out:
                 words = target.driven_out_words
-                note(f"{words}; --max-drive allows more, and nothing was compared")
+                shared.note(f"{words}; --max-drive allows more, and nothing was compared")
                 code = 1
             else:
                 target.finish()
                 code = self.compare(recorded, now, pipeline, stopper)
         if target.answered_stops:
             return code
-        note(UNANSWERED_STOPS)
+        shared.note(UNANSWERED_STOPS)
         return code or 1
 
     def send(self, target: Target, pipeline: Pipeline, recorded: Exchanges) -> None:
@@ -279,7 +255,7 @@ class _Replay:
 
         target.begin()
         inside = (event for event in self.capture.events() if window.has(event.t))
-        for event in paced(inside, rate, sleep=target.wait, start=window.first):
+        for event in decoding.paced(inside, rate, sleep=target.wait, start=window.first):
             if target.ended:
                 break
             handle(pipeline.events([event]))
@@ -297,18 +273,18 @@ class _Replay:
 
         sent = recorded.instructions()
         if stopper.stopped:
-            note_suspension(stopper)
+            shared.note_suspension(stopper)
             count = quantity(len(now.instructions()), "instruction")
-            note(f"stopped after {count}, nothing was compared")
+            shared.note(f"stopped after {count}, nothing was compared")
             return 0
         if not any(one.answer for one in sent.values()):
-            note("the recording holds no answers: there is nothing to compare with")
+            shared.note("the recording holds no answers: there is nothing to compare with")
             return 3
         found = list(differences(self.protocol, recorded, now))
         for fault in found:
             pipeline.shown.output.show(Records([FaultRecord(fault, self.protocol.power_on)]))
         count = quantity(len(sent), "instruction")
-        note(f"{count} sent, {quantity(len(found), 'difference')}")
+        shared.note(f"{count} sent, {quantity(len(found), 'difference')}")
         return 1 if found else 0
 
 

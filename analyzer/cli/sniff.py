@@ -14,20 +14,8 @@ from typing import TypeAlias
 import click
 import msgspec
 
+from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, flag, group, option, protocol_in_use
-from bilprov.analyzer.cli.options import (
-    Finite,
-    LineOptions,
-    ShownOptions,
-    above_latency,
-    compiled,
-    note,
-    note_hindrances,
-    only_for_ports,
-    port_option,
-    refused,
-    timeout_option,
-)
 from bilprov.analyzer.cli.settings import PortName
 from bilprov.analyzer.cli.streams import say
 from bilprov.analyzer.decode.records import shapes_of
@@ -64,7 +52,7 @@ LONGEST_WAIT = 0.05  # s; the capture is flushed and the screen drawn in between
 
 
 def _rotation_at(ctx: click.Context, param: click.Parameter, text: str | None) -> Rotation | None:
-    with refused(click.BadParameter):
+    with shared.refused(click.BadParameter):
         return None if text is None else rotation_at(text)
 
 
@@ -73,10 +61,10 @@ class SniffOptions(msgspec.Struct, frozen=True):
 
     host: str | None = argument(required=False, type=PortName())
     device: str | None = argument(required=False, type=PortName())
-    bridge: str | None = port_option(
+    bridge: str | None = shared.port_option(
         help="Sit between host and device, at a pty whose name is printed."
     )
-    half_duplex: str | None = port_option(
+    half_duplex: str | None = shared.port_option(
         help="Listen to one wire that has both directions, as RS-485 and servo buses."
     )
     path: str | None = option(
@@ -90,12 +78,14 @@ class SniffOptions(msgspec.Struct, frozen=True):
     keep: int | None = option(
         metavar="N", type=click.IntRange(1), help="Keep the newest N parts of this log only."
     )
-    shown: ShownOptions = group(ShownOptions)
-    duration: float | None = option(type=Finite(0, min_open=True), help="End after S seconds.")
+    shown: shared.ShownOptions = group(shared.ShownOptions)
+    duration: float | None = option(
+        type=shared.Finite(0, min_open=True), help="End after S seconds."
+    )
     wait: bool = flag("Wait for a port that is not there yet, and for one that is unplugged.")
     quiet: bool = flag("Show nothing but the totals at the end.")
-    line: LineOptions = group(LineOptions)
-    truncation_timeout: float | None = timeout_option()
+    line: shared.LineOptions = group(shared.LineOptions)
+    truncation_timeout: float | None = shared.timeout_option()
     yes: bool = flag("Accepted for scripts; sniff asks nothing.")
 
 
@@ -134,7 +124,7 @@ def sniff(options: SniffOptions) -> int:
     style = options.shown.style()
     protocol = protocol_in_use()
     settings = options.line.settings(protocol)
-    test = compiled(options.shown.expression, protocol)
+    test = shared.compiled(options.shown.expression, protocol)
     rows = options.shown.rows.style(protocol, style)
     timeout = timeout_in_ns(protocol, options.truncation_timeout)
     preload(protocol)
@@ -145,9 +135,9 @@ def sniff(options: SniffOptions) -> int:
         if opened is None:
             return 0
         source = stack.enter_context(opened)
-        note_hindrances(*source.names.values())
+        shared.note_hindrances(*source.names.values())
         decoding: SessionSettings = {
-            "timeout": above_latency(timeout, *source.names.values()),
+            "timeout": shared.above_latency(timeout, *source.names.values()),
             "heard": source.heard,
             "skew": 0 if source.one_clock else SKEW,
             "attached": source.attached,
@@ -156,21 +146,21 @@ def sniff(options: SniffOptions) -> int:
         metadata = session_metadata(protocol, ports=source.names, line=str(settings), **decoding)
         recorder: Recorder | None = None
         if path:
-            note(not_carried(protocol))
+            shared.note(not_carried(protocol))
             rotation = options.rotate and options.rotate._replace(keep=options.keep)
             recorder = Recorder(path, source.start_wall, metadata, rotation, shapes_of(protocol))
         elif style == "live" and not quiet:
             try:
                 recorder = Spool(source.start_wall, metadata, shapes=shapes_of(protocol))
             except CaptureError as error:
-                note(str(error))
+                shared.note(str(error))
         if recorder:
             stack.enter_context(recorder)
         judge = None
         if options.shown.judged:
             judge = PassiveJudge(protocol, paired=source.heard >= BOTH, attached=source.attached)
         if source.served:
-            note(source.served)
+            shared.note(source.served)
         stack.callback(gc.unfreeze)
         stack.callback(gc.enable)
         title = " ".join(f"{part} {name}" for part, name in source.names.items())
@@ -225,7 +215,7 @@ def sniff(options: SniffOptions) -> int:
     if path or quiet or style == "live":
         counts = zip(pipeline.counts, ("instruction", "answer", "fault"), strict=True)
         words = ", ".join(quantity(count, noun) for count, noun in counts)
-        note(words + (f" in {kept}" if kept else ""))
+        shared.note(words + (f" in {kept}" if kept else ""))
     code = tell_findings(judge.finish(), style) if judge else 0
     if lost and kept:
         raise LinkError(f"{lost}; what was captured is kept in {kept}")
@@ -248,10 +238,10 @@ def _opened(
     if given.host == SIM and not Path(SIM).exists():
         if given != Ports(SIM):
             raise click.UsageError(f"{SIM} is a drive that is simulated as a whole: name it alone")
-        only_for_ports(["wait"], SIM)
+        shared.only_for_ports(["wait"], SIM)
         return SimulatedDrive(protocol, settings)
     open_it = partial(opened_tap, given, settings, protocol, timeout)
-    with refused(click.UsageError):
+    with shared.refused(click.UsageError):
         return (
             opened_when_there(open_it, lambda: stopper.stopped, say) if options.wait else open_it()
         )

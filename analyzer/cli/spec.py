@@ -9,20 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, protocol_in_use
-from bilprov.analyzer.cli.command_files import (
-    force_option,
-    require_writable,
-    write_output,
-)
-from bilprov.analyzer.cli.options import (
-    half_duplex_option,
-    note,
-    only_for_bytes,
-    output_option,
-    sender_option,
-    text_format_option,
-)
+from bilprov.analyzer.cli.command_files import force_option, require_writable, write_output
 from bilprov.analyzer.cli.typed_input import decoded_chunks, file_or_bytes, recorded_chunks
 from bilprov.analyzer.decode.decoded_share import DecodedShare, decoded_share
 from bilprov.analyzer.grammar_file import SHIPPED, dissector_program, load_protocol, not_carried
@@ -41,7 +30,7 @@ if TYPE_CHECKING:
 class FormatOption(msgspec.Struct, frozen=True):
     """The format in which the grammar is shown."""
 
-    style: str = text_format_option()
+    style: str = shared.text_format_option()
 
 
 class ReadingsOptions(FormatOption, frozen=True):
@@ -53,7 +42,7 @@ class ReadingsOptions(FormatOption, frozen=True):
 class EmitOption(msgspec.Struct, frozen=True):
     """Where the grammar is written."""
 
-    output: str = output_option(
+    output: str = shared.output_option(
         metavar="FILE", default="-", help="The file to write; standard output if left out."
     )
 
@@ -215,9 +204,9 @@ class CheckOptions(msgspec.Struct, frozen=True):
 
     grammar: str = argument(metavar="NAME|FILE.py", type=GrammarName(readable=False))
     words: tuple[str, ...] = argument(metavar="FILE|HEX...", nargs=-1, required=True)
-    sender: Direction = sender_option()
-    half_duplex: bool = half_duplex_option()
-    style: str = text_format_option()
+    sender: Direction = shared.sender_option()
+    half_duplex: bool = shared.half_duplex_option()
+    style: str = shared.text_format_option()
 
 
 @command(CheckOptions)
@@ -234,12 +223,12 @@ def check(options: CheckOptions) -> int:
     share = _share(protocol, options, half_duplex=options.half_duplex)
     if not share.sides:
         raise click.ClickException("there is no byte to decode: name a capture or bytes in hex")
-    note(not_carried(protocol))
+    shared.note(not_carried(protocol))
     if not share.whole and list(share.sides) == ["host"]:
         split = _share(protocol, options, half_duplex=True)
         if split.percent > share.percent:
             most = _percent(split)
-            note(f"both directions are in these bytes: --half-duplex decodes {most} of them")
+            shared.note(f"both directions are in these bytes: --half-duplex decodes {most} of them")
     show_as(options.style, lambda: _share_json(share), lambda: _drawn(protocol, share))
     return 0 if share.whole else 1
 
@@ -256,7 +245,7 @@ def _share(protocol: Protocol, options: CheckOptions, *, half_duplex: bool) -> D
         from bilprov.analyzer.api import read_capture
         from bilprov.captures.reader import open_capture
 
-        only_for_bytes()
+        shared.only_for_bytes()
         if not half_duplex:
             return decoded_share(protocol, read_capture(source, protocol))
         chunks = [event for event in open_capture(source) if isinstance(event, Chunk)]

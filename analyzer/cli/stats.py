@@ -10,29 +10,9 @@ from typing import TYPE_CHECKING, Literal, cast
 import click
 import msgspec
 
+from bilprov.analyzer.cli import command_files
+from bilprov.analyzer.cli import options as shared
 from bilprov.analyzer.cli.command import argument, command, group, option, refuse
-from bilprov.analyzer.cli.command_files import (
-    STANDARD_OUTPUT,
-    force_option,
-    json_object,
-    json_option,
-    keep_memory,
-    opened_captures,
-    opened_file,
-    protocol_of,
-    reading,
-    require_writable,
-    write_output,
-)
-from bilprov.analyzer.cli.options import (
-    RowOptions,
-    WindowOptions,
-    compiled,
-    filter_option,
-    half_duplex_option,
-    note,
-    output_option,
-)
 
 if TYPE_CHECKING:
     from bilprov.analyzer.totals.totals import Totals
@@ -44,10 +24,10 @@ class StatsOptions(msgspec.Struct, frozen=True):
     """The options of `stats`."""
 
     files: tuple[str, ...] = argument(metavar="FILE.mcap...", nargs=-1, required=True)
-    expression: str | None = filter_option()
-    json_file: str | None = json_option()
-    half_duplex: bool = half_duplex_option()
-    force: bool = force_option()
+    expression: str | None = shared.filter_option()
+    json_file: str | None = command_files.json_option()
+    half_duplex: bool = shared.half_duplex_option()
+    force: bool = command_files.force_option()
 
 
 @command(StatsOptions, only_with={"json_file": ("force",)})
@@ -69,7 +49,9 @@ def stats(options: StatsOptions) -> None:
     from bilprov.analyzer.totals.totals import Totals
 
     json_file = options.json_file
-    require_writable([("--json", json_file)], inputs=options.files, force=options.force)
+    command_files.require_writable(
+        [("--json", json_file)], inputs=options.files, force=options.force
+    )
     protocol, counted = _counted(options)
     each, together = [], Totals(protocol)
     for capture, totals in counted:
@@ -77,8 +59,8 @@ def stats(options: StatsOptions) -> None:
         each.append(file_stats(capture, totals, capture_line(capture, protocol)))
     found = stats_of(protocol, each, together, options.expression)
     if json_file is not None:
-        write_output(json_file, json_object(found))
-    if json_file != STANDARD_OUTPUT:
+        command_files.write_output(json_file, command_files.json_object(found))
+    if json_file != command_files.STANDARD_OUTPUT:
         show(*drawn(found, moves=protocol.at_rest is not None))
 
 
@@ -88,9 +70,9 @@ def _counted(options: StatsOptions) -> tuple[Protocol, list[tuple[Capture, Total
     from bilprov.captures.reader import open_front
 
     if not options.half_duplex:
-        keep_memory()
+        command_files.keep_memory()
         fronts = [open_front(path) for path in options.files]
-        protocol = protocol_of(*fronts)
+        protocol = command_files.protocol_of(*fronts)
         found = _totals(options, fronts, protocol)
         wholes = [(front, front.whole()) for front in fronts]
         captures = [
@@ -100,17 +82,19 @@ def _counted(options: StatsOptions) -> tuple[Protocol, list[tuple[Capture, Total
         ]
         if len(captures) == len(fronts):
             for capture in captures:
-                note(*said_about(capture, protocol))
+                shared.note(*said_about(capture, protocol))
             return protocol, list(zip(captures, found, strict=True))
-    captures, protocol = opened_captures(options.files, half_duplex=options.half_duplex)
+    captures, protocol = command_files.opened_captures(
+        options.files, half_duplex=options.half_duplex
+    )
     return protocol, list(zip(captures, _totals(options, captures, protocol), strict=True))
 
 
 def _totals(options: StatsOptions, captures: Sequence[Capture], protocol: Protocol) -> list[Totals]:
     from bilprov.analyzer.replay.capture_decoding import capture_totals
 
-    test = compiled(options.expression, protocol)
-    with reading(captures) as progress:
+    test = shared.compiled(options.expression, protocol)
+    with command_files.reading(captures) as progress:
         return [
             capture_totals(capture, protocol, progress, test and test.started(capture.start))
             for capture in captures
@@ -124,8 +108,8 @@ class PlotOptions(msgspec.Struct, frozen=True):
     page: str = option(
         "--html", metavar="OUT.html", required=True, help="The page to write; - is standard output."
     )
-    half_duplex: bool = half_duplex_option()
-    force: bool = force_option()
+    half_duplex: bool = shared.half_duplex_option()
+    force: bool = command_files.force_option()
 
 
 @command(PlotOptions)
@@ -146,16 +130,20 @@ def plot(options: PlotOptions) -> None:
     from bilprov.analyzer.totals.totals import Totals
     from bilprov.analyzer.version import kit_version
 
-    require_writable([("--html", options.page)], inputs=[options.file], force=options.force)
-    (capture,), protocol = opened_captures([options.file], half_duplex=options.half_duplex)
+    command_files.require_writable(
+        [("--html", options.page)], inputs=[options.file], force=options.force
+    )
+    (capture,), protocol = command_files.opened_captures(
+        [options.file], half_duplex=options.half_duplex
+    )
     totals, timeline = Totals(protocol), Timeline(protocol)
-    with reading([capture]) as progress:
+    with command_files.reading([capture]) as progress:
         for batch in opened_whole(capture, protocol).decoded(progress):
             totals.add(batch)
             timeline.add(batch)
     stats = file_stats(capture, totals, capture_line(capture, protocol))
     page = plot_page(capture, protocol, timeline, stats, kit_version())
-    write_output(options.page, page.encode())
+    command_files.write_output(options.page, page.encode())
 
 
 FORMATS = ("csv", "jsonl", "parquet", "pcapng")
@@ -174,14 +162,14 @@ class ExportOptions(msgspec.Struct, frozen=True):
         type=click.Choice(list(FORMATS)),
         help=f"What is written: {', '.join(FORMATS)}. Without it the ending of OUT's name decides.",
     )
-    output: str = output_option(
+    output: str = shared.output_option(
         metavar="OUT", required=True, help="The file to write; - is standard output."
     )
-    expression: str | None = filter_option()
-    span: WindowOptions = group(WindowOptions)
-    rows: RowOptions = group(RowOptions)
-    half_duplex: bool = half_duplex_option()
-    force: bool = force_option()
+    expression: str | None = shared.filter_option()
+    span: shared.WindowOptions = group(shared.WindowOptions)
+    rows: shared.RowOptions = group(shared.RowOptions)
+    half_duplex: bool = shared.half_duplex_option()
+    force: bool = command_files.force_option()
 
 
 @command(ExportOptions)
@@ -209,15 +197,18 @@ def export(options: ExportOptions) -> None:
         if style not in able:
             refuse([parameter], f"is for {' and '.join(able)}, not for {style}")
     window = options.span.window()
-    (capture,), protocol = opened_captures([path], half_duplex=options.half_duplex)
+    (capture,), protocol = command_files.opened_captures([path], half_duplex=options.half_duplex)
     chosen_rows = options.rows.style(protocol)
-    test = compiled(options.expression, protocol)
+    test = shared.compiled(options.expression, protocol)
     require_begun(capture, window.first)
     started = test and test.started(capture.start)
-    if output == STANDARD_OUTPUT and style not in TEXTS and sys.stdout.isatty():
+    if output == command_files.STANDARD_OUTPUT and style not in TEXTS and sys.stdout.isatty():
         raise click.UsageError("-o - is a terminal, and this is not text: name a file")
-    require_writable([("-o", output)], [path], force=options.force)
-    with opened_file(output, replace=options.force) as stream, reading([capture]) as progress:
+    command_files.require_writable([("-o", output)], [path], force=options.force)
+    with (
+        command_files.opened_file(output, replace=options.force) as stream,
+        command_files.reading([capture]) as progress,
+    ):
         chosen = rows.Chosen(capture, protocol, started, window, progress, chosen_rows)
         if style == "pcapng":
             pcapng.write_pcapng(chosen, stream)

@@ -18,13 +18,7 @@ from bilprov.analyzer.transport.errors import first_bytes
 from bilprov.captures.schemas import MS
 from bilprov.spec.by_effect import change_by
 from bilprov.spec.codec import Judgement, build, judge, spaced
-from bilprov.spec.emit.python import (
-    answer_names,
-    method_names,
-    parameter_names,
-    read_by_name,
-    taken_type,
-)
+from bilprov.spec.emit import python as methods
 from bilprov.spec.fields import Outcome
 from bilprov.spec.protocol import InstructionSpec, Protocol
 from bilprov.spec.replies import Reply, read_reply, reply_size
@@ -133,7 +127,7 @@ class InstructionMethods(ABC):
         timing = protocol.timing
         longest = timing.answer_longest + timing.truncation_longest * protocol.plain
         self._patience = longest if timeout is None else timeout
-        self._methods = method_names(protocol)
+        self._methods = methods.method_names(protocol)
         self._in_step = True
         self._turns = Turns()
         self._rest = Rest(protocol)
@@ -178,7 +172,7 @@ class InstructionMethods(ABC):
                 name=name,
                 obj=self,
             )
-        signature, fields = self._signature(spec), parameter_names(spec)
+        signature, fields = self._signature(spec), methods.parameter_names(spec)
 
         def method(*given: Any, **named: Any) -> Any:
             try:
@@ -197,10 +191,10 @@ class InstructionMethods(ABC):
     def _signature(self, spec: InstructionSpec) -> inspect.Signature:
         """The signature of an instruction's method."""
         kind, only = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
-        register, count = read_by_name(self.protocol, spec)
+        register, count = methods.read_by_name(self.protocol, spec)
         parameters = []
-        for word, part in parameter_names(spec).items():
-            taken: Any = "int | str" if part.name == register else taken_type(part)
+        for word, part in methods.parameter_names(spec).items():
+            taken: Any = "int | str" if part.name == register else methods.taken_type(part)
             parameter = inspect.Parameter(word, kind, annotation=int if taken == "int" else taken)
             if part.name == count:
                 parameter = parameter.replace(default=None, annotation="int | None")
@@ -320,7 +314,11 @@ class Driver(InstructionMethods):
             patience = round(self._patience * MS)
             heard = self._do(listen(answers, patience)).answers if answers else ()
             if len(heard) != answers:
-                raise self._miscounted(data, answers, heard)
+                due = "1 answer is" if answers == 1 else f"{answers} answers are"
+                came = self._names(heard) if heard else "nothing"
+                what = f"{self._described(data)}: {due} due in {self._patience:g} ms"
+                sentence = f"{what}, but {came} came"
+                raise RobotError(sentence) if heard else NoAnswer(sentence, data)
             self._in_step = True
         return tuple(Answer(code, self._name(code), round((t - sent) / MS, 3)) for t, code in heard)
 
@@ -338,12 +336,6 @@ class Driver(InstructionMethods):
                 self.home()
             (answer,) = self.send_bytes(frame)
         return answer
-
-    def _miscounted(self, data: bytes, answers: int, heard: Heard) -> RobotError:
-        due = "1 answer is" if answers == 1 else f"{answers} answers are"
-        came = self._names(heard) if heard else "nothing"
-        sentence = f"{self._described(data)}: {due} due in {self._patience:g} ms, but {came} came"
-        return RobotError(sentence) if heard else NoAnswer(sentence, data)
 
     def _described(self, data: bytes) -> str:
         """The bytes in words; in hex only if they are no valid frame."""
@@ -395,14 +387,14 @@ class DeviceDriver(InstructionMethods):
             name = " ".join(answer.names) or spaced(answer.frame)
             code = answer.response.code if answer.response else answer.frame[-1]
             raise self._refused(spec, frame, code, name, name)
-        register = fields.get(read_by_name(self.protocol, spec)[0])
+        register = fields.get(methods.read_by_name(self.protocol, spec)[0])
         for one, value in answer.registers:
             if one.name == register:
                 return one.named(value)
         if not answer.fields or spec.answer is None:
             return None
         told = dict(answer.fields)
-        names = answer_names(spec.answer)
+        names = methods.answer_names(spec.answer)
         values = [part.named(told[part.name]) for part in names.values()]
         return values[0] if len(values) == 1 else _answer_class(tuple(names))(*values)
 

@@ -7,8 +7,7 @@ nanoseconds on the link's clock, virtual or real.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeAlias, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import msgspec
 
@@ -60,8 +59,7 @@ class Received(msgspec.Struct, frozen=True, gc=False):
         return tuple(code for _, code in self.answers)
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
+class Observation(NamedTuple):
     """A look with the times (ns) when the probe was asked and when its reply was complete."""
 
     asked: int

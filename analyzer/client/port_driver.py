@@ -18,31 +18,17 @@ from os import PathLike
 from types import FrameType
 from typing import Self
 
-from bilprov.analyzer.client.driver import (
-    DeviceDriver,
-    Driver,
-    InstructionMethods,
-    RobotError,
-    Turns,
-    require_address,
-)
+from bilprov.analyzer.client import driver
 from bilprov.analyzer.client.operations import done
 from bilprov.analyzer.client.port_link import PortLink
 from bilprov.analyzer.client.rest import Rest
 from bilprov.analyzer.grammar_file import given_protocol
+from bilprov.analyzer.transport import signals
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.line_settings import line_settings
 from bilprov.analyzer.transport.machine import Machine
 from bilprov.analyzer.transport.port import Port, open_port
-from bilprov.analyzer.transport.signals import (
-    SUSPENDING,
-    Stopper,
-    as_usual,
-    handled,
-    handled_from_now_on,
-    in_main_thread,
-    unhandled,
-)
+from bilprov.analyzer.transport.signals import Stopper
 from bilprov.spec.protocol import Protocol
 
 _TURN = 0.01  # s between two looks at the port while a program waits
@@ -61,7 +47,7 @@ class _OpenRobot:
     rest: Rest
     noun: str
     port: Port
-    turns: Turns
+    turns: driver.Turns
     in_block: bool = False
     halted: bool = False
     why: str = ""
@@ -110,7 +96,7 @@ def _halt_all(number: int) -> None:
     except ValueError:  # a real-time signal has no name
         why = f"signal {number} came"
     for robot in list(_open):
-        robot.halt(_SUSPENDED if number in SUSPENDING else why)
+        robot.halt(_SUSPENDED if number in signals.SUSPENDING else why)
 
 
 def _heard(number: int, frame: FrameType | None) -> None:
@@ -123,12 +109,12 @@ def _heard(number: int, frame: FrameType | None) -> None:
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     in_block = any(robot.in_block for robot in _open)
-    if in_block and number not in SUSPENDING:
+    if in_block and number not in signals.SUSPENDING:
         sys.exit(128 + number)
-    as_usual(number)
+    signals.as_usual(number)
     for robot in _open:
         if robot.in_block and robot.halted:
-            raise RobotError(robot.stopped_words(_SUSPENDED))
+            raise driver.RobotError(robot.stopped_words(_SUSPENDED))
 
 
 def _handle_signals() -> None:
@@ -136,8 +122,8 @@ def _handle_signals() -> None:
 
     Raises RuntimeError in a thread that cannot arrange that.
     """
-    if in_main_thread():
-        handled_from_now_on(_heard)
+    if signals.in_main_thread():
+        signals.handled_from_now_on(_heard)
         return
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         raise RuntimeError(
@@ -160,11 +146,11 @@ def _watch_main_thread() -> None:
     threading.Thread(target=watch, name="bilprov robots", daemon=True).start()
 
 
-if in_main_thread():  # a robot that is opened in another thread later needs it
+if signals.in_main_thread():  # a robot that is opened in another thread later needs it
     _handle_signals()
 
 
-class OnPort(InstructionMethods):
+class OnPort(driver.InstructionMethods):
     """One robot on a port; a context manager that homes it on every way out.
 
     `url` is a path or any pyserial URL. `grammar` is the name of a shipped grammar, a file or a
@@ -209,7 +195,7 @@ class OnPort(InstructionMethods):
     ) -> None:
         grammar = given_protocol(grammar)
         if address is not None:
-            require_address(grammar, address)
+            driver.require_address(grammar, address)
         number = timeout is None or isinstance(timeout, int | float)
         if not number or (timeout is not None and not 0 < timeout < math.inf):
             raise ValueError(f"timeout is {timeout!r}, allowed are milliseconds above 0")
@@ -266,15 +252,15 @@ class OnPort(InstructionMethods):
             super().wait(0)
 
     def __enter__(self) -> Self:
-        self._held.in_block = in_main_thread()
-        self._signals.enter_context(handled(unhandled([signal.SIGINT]), _heard))
+        self._held.in_block = signals.in_main_thread()
+        self._signals.enter_context(signals.handled(signals.unhandled([signal.SIGINT]), _heard))
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         with self._signals:
             try:
                 self.close()
-            except (RobotError, LinkError) as left:
+            except (driver.RobotError, LinkError) as left:
                 if error is None:
                     raise
                 error.add_note(
@@ -286,7 +272,7 @@ class OnPort(InstructionMethods):
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        if not in_main_thread():
+        if not signals.in_main_thread():
             _watch_main_thread()
         with super()._alone():
             if not self._open:
@@ -294,15 +280,15 @@ class OnPort(InstructionMethods):
             if self._held.halted:
                 self._in_step, self._held.halted = False, self._held.over
                 if self._held.why:
-                    raise RobotError(self._held.why)
+                    raise driver.RobotError(self._held.why)
             yield
 
 
-class PortDriver(OnPort, Driver):
+class PortDriver(OnPort, driver.Driver):
     """One robot on a port; `OnPort` describes how it is opened, and how it is left."""
 
 
-class Device(OnPort, DeviceDriver):
+class Device(OnPort, driver.DeviceDriver):
     """A device on a port, driven from Python; each instruction of the grammar is a method.
 
         with Device("/dev/ttyUSB0", grammar="modbus-rtu", address=17) as meter:

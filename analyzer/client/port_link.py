@@ -8,20 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from bilprov.analyzer.client.operations import (
-    HELD_ANSWERS,
-    Ended,
-    LinkListener,
-    Listen,
-    Observation,
-    Observe,
-    Operation,
-    PowerCycle,
-    Received,
-    Reconnected,
-    Reply,
-    Send,
-)
+from bilprov.analyzer.client import operations
 from bilprov.analyzer.client.probes import Probe, ProbeError
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import Port
@@ -44,7 +31,7 @@ class PortLink:
     port: Port
     probe: Probe | None = None
     stopper: Stopper | None = None
-    tap: LinkListener | None = None
+    tap: operations.LinkListener | None = None
     power: str | None = None
     reconnect: float = 0.0
     clock: Callable[[], int] = time.monotonic_ns
@@ -61,42 +48,42 @@ class PortLink:
         """The time in ns since the link was made."""
         return self.clock() - self._start
 
-    def do(self, operation: Operation) -> Reply:
+    def do(self, operation: operations.Operation) -> operations.Reply:
         """Do one operation. Raises Ended when the port, the probe or the power switch fails.
 
         It is Reconnected where the port was lost and is there again.
         """
         try:
             match operation:
-                case PowerCycle():
+                case operations.PowerCycle():
                     return self._power_cycle()
-                case Send(data):
+                case operations.Send(data):
                     return self._send(data)
-                case Listen(count, patience):
+                case operations.Listen(count, patience):
                     return self._listen(count, patience)
-                case Observe():
+                case operations.Observe():
                     return self._see()
         except LinkError as error:
             raise self._lost(error) from error
         except ProbeError as error:
             self._asked = False  # no reply is waited for
-            raise Ended(str(error), error=True, line_works=True) from error
+            raise operations.Ended(str(error), error=True, line_works=True) from error
 
-    def _lost(self, error: LinkError) -> Ended:
+    def _lost(self, error: LinkError) -> operations.Ended:
         """Wait for a lost port where that was asked for; returns how that ended."""
         lost = self.now()
         if self._place is None:
-            return Ended(str(error), error=True, line_works=False)
+            return operations.Ended(str(error), error=True, line_works=False)
         self.port.close()
         self._heard.clear()
         # A stop that was asked for before cannot be asked for again.
         longest = min(self.reconnect, _PARTING) if self._stopping else self.reconnect
         again = opened_again(self._place, self.port.settings, error, self._to_stop, longest)
         if again is None and self._to_stop():
-            return Ended("interrupted", error=False, line_works=False)
+            return operations.Ended("interrupted", error=False, line_works=False)
         if again is None:
             sentence = f"{error}, and it was not there again in {longest:g} s (--reconnect)"
-            return Ended(sentence, error=True, line_works=False)
+            return operations.Ended(sentence, error=True, line_works=False)
         self._place = Place(again.name)
         self.port.renew(again)
         now, asked, self._asked = self.now(), self._asked, False
@@ -104,9 +91,9 @@ class PortLink:
             if asked and self.probe is not None:  # or the next look got this one's reply
                 self.probe.look(self.now, asked=True)
         except ProbeError as broken:
-            return Ended(str(broken), error=True, line_works=True)
+            return operations.Ended(str(broken), error=True, line_works=True)
         after = f"it was there again after {(now - lost) / 1e9:.1f} s"
-        return Reconnected(f"{error}; {after}", lost, now)
+        return operations.Reconnected(f"{error}; {after}", lost, now)
 
     def _to_stop(self) -> bool:
         """Whether a stop is asked for that has not ended anything yet."""
@@ -119,7 +106,7 @@ class PortLink:
             subprocess.run(self.power, shell=True, check=True, timeout=60, stdin=nothing)
         except (OSError, subprocess.SubprocessError) as error:
             sentence = f"the power switch {self.power!r} did not work: {error}"
-            raise Ended(sentence, error=True, line_works=True) from error
+            raise operations.Ended(sentence, error=True, line_works=True) from error
         self._read()
         self._heard.clear()
         return self.now()
@@ -133,7 +120,7 @@ class PortLink:
         self._sent = max(self.now(), begun + len(data) * self.port.byte_time)
         return self._sent
 
-    def _listen(self, count: int | None, patience: int) -> Received:
+    def _listen(self, count: int | None, patience: int) -> operations.Received:
         until = max(self.now(), self._sent) + patience
         self._read()
         while True:
@@ -142,9 +129,9 @@ class PortLink:
             if enough or now >= until or self._wait(until - now):
                 break
         heard, self._heard = tuple(self._heard), []
-        return Received(heard, self.now())
+        return operations.Received(heard, self.now())
 
-    def _see(self) -> Observation:
+    def _see(self) -> operations.Observation:
         assert self.probe is not None
         asked = self.now()
         self._asked = True
@@ -152,7 +139,7 @@ class PortLink:
         self._asked = False
         if self.tap:
             self.tap.looked(look)
-        return Observation(asked, self.now(), look)
+        return operations.Observation(asked, self.now(), look)
 
     def attend(self, seconds: float, also: Sequence[int]) -> list[int]:
         """Read what comes, waiting at most `seconds` for that or for a descriptor.
@@ -175,7 +162,7 @@ class PortLink:
         if stop in ready:
             self._stopping = True
             if other not in (None, *ready):
-                raise Ended("interrupted", error=False, line_works=True)
+                raise operations.Ended("interrupted", error=False, line_works=True)
             return True
         return other is not None and other in ready
 
@@ -185,5 +172,5 @@ class PortLink:
             now = self.now()
             if self.tap:
                 self.tap.received(data, now)
-            room = HELD_ANSWERS - len(self._heard)
+            room = operations.HELD_ANSWERS - len(self._heard)
             self._heard += [(now, byte) for byte in data[:room]]

@@ -35,7 +35,7 @@ from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from itertools import islice, takewhile
 from operator import eq
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -50,9 +50,6 @@ from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import MS
 from bilprov.captures.text import printable, quantity
 from bilprov.spec.protocol import Protocol
-
-if TYPE_CHECKING:
-    pass
 
 
 def _exchanges(
@@ -240,10 +237,7 @@ def as_json(comparison: Comparison, protocol: Protocol, paths: tuple[str, str]) 
         "grammar": parts_of(protocol, "name", "version", "sha256"),
         "a": paths[0],
         "b": paths[1],
-        "exit": comparison.exit,
-        "same": comparison.same,
-        "judged": comparison.judged,
-        "unknown": comparison.unknown,
+        **parts_of(comparison, "exit", "same", "judged", "unknown"),
         "tolerance": comparison.tolerance / SECOND,
         "differences": dict(comparison.differences),
         "listed": comparison.listed,

@@ -37,23 +37,9 @@ from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.decode.stream import StreamDecoder
 from bilprov.analyzer.files import replaced_whole
 from bilprov.analyzer.output.outputs import Window
-from bilprov.analyzer.replay.capture_decoding import (
-    AFTERMATH,
-    TEXT_BATCH,
-    Opened,
-    Progress,
-    capture_settings,
-    capture_timeout,
-    heard,
-)
+from bilprov.analyzer.replay import capture_decoding as decoding
+from bilprov.analyzer.replay import recorder
 from bilprov.analyzer.replay.comparison import Exchange, Exchanges
-from bilprov.analyzer.replay.recorder import (
-    CHECKPOINT_STATE,
-    Checkpoints,
-    RecordWriter,
-    decoding_metadata,
-    grammar_metadata,
-)
 from bilprov.analyzer.taps.half_duplex import HalfDuplex
 from bilprov.analyzer.version import kit_version
 from bilprov.captures import topics
@@ -111,7 +97,7 @@ def size_of(batch: list[Timed]) -> int:
     return sum(len(one.value.data) for one in batch if isinstance(one.value, Chunk))
 
 
-class Copy(RecordWriter):
+class Copy(recorder.RecordWriter):
     """A new capture while it is written; `raw_bytes` is how many raw bytes were copied into it.
 
     `progress` is told how many raw bytes were read for it.
@@ -123,13 +109,13 @@ class Copy(RecordWriter):
         start: int,
         metadata: Mapping[str, str],
         protocol: Protocol,
-        progress: Progress,
+        progress: decoding.Progress,
     ) -> None:
         super().__init__(path, start, metadata, shapes_of(protocol))
         self.protocol = protocol
         self.progress = progress
         self.raw_bytes = 0
-        self._checkpoints = Checkpoints(protocol.sha256)
+        self._checkpoints = recorder.Checkpoints(protocol.sha256)
 
     def values(self, values: Iterable[Recorded]) -> None:
         """Write values as they are, but for checkpoints from which decoding need not go on."""
@@ -169,7 +155,7 @@ class Copy(RecordWriter):
         then decoding looks for frame boundaries after the gap.
         """
         text = encoded(state)
-        fits = len(text) <= CHECKPOINT_STATE
+        fits = len(text) <= recorder.CHECKPOINT_STATE
         if gap or not fits:
             self.event(gap or Line(t, "gap"))
         if fits:
@@ -189,7 +175,7 @@ def new_capture(
     captures: Sequence[Capture],
     metadata: Mapping[str, str],
     protocol: Protocol,
-    progress: Progress,
+    progress: decoding.Progress,
     *,
     force: bool,
 ) -> Iterator[Copy]:
@@ -224,7 +210,7 @@ def decoded_metadata(capture: Capture, protocol: Protocol) -> dict[str, str]:
     """The metadata of a capture for a copy whose records are those of this grammar."""
     about = dict(capture.contents.metadata)
     about.pop(topics.START_KEY, None)
-    return about | grammar_metadata(protocol)
+    return about | recorder.grammar_metadata(protocol)
 
 
 def edited_metadata(capture: Capture, protocol: Protocol, edit: str) -> dict[str, str]:
@@ -235,7 +221,7 @@ def edited_metadata(capture: Capture, protocol: Protocol, edit: str) -> dict[str
     """
     about = decoded_metadata(capture, protocol)
     about.pop(topics.PART, None)
-    about |= decoding_metadata(capture_settings(capture, protocol))
+    about |= recorder.decoding_metadata(decoding.capture_settings(capture, protocol))
     done = f"{edit} (bilprov {kit_version()})"
     before = about.get(topics.HISTORY)
     about[topics.HISTORY] = f"{before}; {done}" if before else done
@@ -283,13 +269,13 @@ def write_split(capture: Capture, copy: Copy) -> None:
     Raises UserError where the capture has the directions already, and CaptureError where it cannot
     be read.
     """
-    if heard(capture) >= BOTH:
+    if decoding.heard(capture) >= BOTH:
         raise UserError(
             f"{printable(capture.path)} has the directions apart already: --half-duplex is for a "
             "capture of one tap"
         )
     protocol = copy.protocol
-    wire = HalfDuplex(protocol, capture_timeout(capture, protocol))
+    wire = HalfDuplex(protocol, decoding.capture_timeout(capture, protocol))
     for value in capture.recorded(looks=look_class(protocol.state_type)):
         if isinstance(value, Chunk):
             copy.progress(len(value.data))
@@ -302,7 +288,9 @@ def write_split(capture: Capture, copy: Copy) -> None:
 CUT_THROUGH = "cut here, in the middle of a frame or its answer, which continues after it"
 
 
-def write_window(opened: Opened, window: Window, copy: Copy, *, decoded: bool = False) -> None:
+def write_window(
+    opened: decoding.Opened, window: Window, copy: Copy, *, decoded: bool = False
+) -> None:
     """Write what was recorded in a window.
 
     `opened` stands at any place before the window. With `decoded` each record that is decoded from
@@ -315,7 +303,7 @@ def write_window(opened: Opened, window: Window, copy: Copy, *, decoded: bool = 
     if window.first is not None:
         state, begin = _state_at(decoder, values, window.first, copy.progress)
         values = chain(begin, values)
-        decoder = StreamDecoder(protocol, **capture_settings(opened.capture, protocol))
+        decoder = StreamDecoder(protocol, **decoding.capture_settings(opened.capture, protocol))
         decoder.resume(state)
         # A part of a part may begin before that does; then it has a checkpoint already.
         first = begin[0].value if begin else None
@@ -329,21 +317,21 @@ def write_window(opened: Opened, window: Window, copy: Copy, *, decoded: bool = 
     if behind and window.after is not None:
         decoder.advance(window.after - 1)
         end = decoder.saved()
-        soon = end and behind[0].now <= end.time + AFTERMATH
+        soon = end and behind[0].now <= end.time + decoding.AFTERMATH
         if end and soon and (end.frame or end.held):  # which may go on behind the window
             copy.write(Line(end.time, "gap", "", CUT_THROUGH), end.time)
 
 
 def write_selected(
-    opened_at: Callable[[int], Opened], window: Window, test: Filter, copy: Copy
+    opened_at: Callable[[int], decoding.Opened], window: Window, test: Filter, copy: Copy
 ) -> None:
     """Write the reads of the frames in a window for which a filter holds.
 
     `opened_at` opens the capture at a place before a time (ns). Its events are read twice: first to
     see when something is selected, and there again. Raises as `write_window` does.
     """
-    start = max(0, (window.first or 0) - AFTERMATH)
-    end = None if window.after is None else window.after + AFTERMATH
+    start = max(0, (window.first or 0) - decoding.AFTERMATH)
+    end = None if window.after is None else window.after + decoding.AFTERMATH
     selected = _selected_times(opened_at(start), window, test, copy)
     opened = opened_at(start)
     part = _Part(copy, opened.decoder)
@@ -474,15 +462,15 @@ def _spans(exchanges: Iterable[Exchange]) -> Iterator[tuple[int, int]]:
 
 
 def _selected_times(
-    opened: Opened, window: Window, test: Filter, copy: Copy
+    opened: decoding.Opened, window: Window, test: Filter, copy: Copy
 ) -> Callable[[int, int], bool]:
     """Whether something selected came in a span of time, an instruction with its answer.
 
     An answer may be stamped `skew` before its instruction: it is known only then to have none.
     """
-    settings = capture_settings(opened.capture, copy.protocol)
+    settings = decoding.capture_settings(opened.capture, copy.protocol)
     times, pairs = _Times(), Exchanges(paired=settings["heard"] >= BOTH)
-    for batch in opened.decoded(copy.progress, window, TEXT_BATCH):
+    for batch in opened.decoded(copy.progress, window, decoding.TEXT_BATCH):
         chosen = batch.in_order(test.selection(batch) & batch.inside(window.first, window.after))
         spans: list[tuple[int, int]] = []
         for record, selected in zip(batch.records(), chosen.tolist(), strict=True):
@@ -508,7 +496,7 @@ def _before(values: Iterator[Timed], end: int | None, behind: list[Timed]) -> It
 
 
 def _state_at(
-    decoder: StreamDecoder, values: Iterator[Timed], start: int, progress: Progress
+    decoder: StreamDecoder, values: Iterator[Timed], start: int, progress: decoding.Progress
 ) -> tuple[DecoderState, list[Timed]]:
     """Decode up to `start` (ns); returns a state there, and those of the values that follow it.
 

@@ -23,18 +23,10 @@ from bilprov.analyzer.edit.cut import CUT_THROUGH, Copy, Timed, batched, said_of
 from bilprov.analyzer.replay.capture_decoding import capture_settings
 from bilprov.analyzer.replay.recorder import decoding_metadata, grammar_metadata
 from bilprov.analyzer.version import kit_version
-from bilprov.captures import topics
+from bilprov.captures import schemas, topics
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import Capture
-from bilprov.captures.schemas import (
-    Asked,
-    Checkpoint,
-    Direction,
-    Line,
-    Recorded,
-    Resumption,
-    look_class,
-)
+from bilprov.captures.schemas import Direction, Line, Recorded
 from bilprov.captures.text import printable
 from bilprov.spec.protocol import Protocol
 
@@ -119,7 +111,7 @@ def _values(joined: Joined, place: int, protocol: Protocol) -> Iterator[Timed]:
         begin = source.first - joined.start
         yield Timed(begin, Line(begin, "gap", source.tap, said))
     goes_on = any(_continues(source, after) for after in joined.sources[place + 1 : place + 2])
-    for one in timed(source.capture.recorded(looks=look_class(protocol.state_type)), 0):
+    for one in timed(source.capture.recorded(looks=schemas.look_class(protocol.state_type)), 0):
         cut_through = isinstance(one.value, Line) and one.value.detail == CUT_THROUGH
         if not (_restarts(one.value) or (goes_on and cut_through)):
             yield Timed(one.now + by, _moved(one.value, by, source.tap))
@@ -136,16 +128,18 @@ def _continues(before: _Source, after: _Source) -> bool:
 
 def _moved(value: Recorded, by: int, tap: Tap) -> Recorded:
     """A value `by` ns later. Where bytes are left out, a gap on `tap`."""
-    if isinstance(value, Resumption):
+    if isinstance(value, schemas.Resumption):
         return Line(value.t + by, "gap", tap, value.detail)
-    if isinstance(value, Asked) and value.begun is not None:
+    if isinstance(value, schemas.Asked) and value.begun is not None:
         return replace(value, t=value.t + by, begun=value.begun + by)
     return replace(value, t=value.t + by)
 
 
 def _restarts(value: Recorded) -> bool:
     """Whether a value only tells how decoding goes on, which is by the times of one capture."""
-    return isinstance(value, Checkpoint) or (isinstance(value, Resumption) and value.silent)
+    return isinstance(value, schemas.Checkpoint) or (
+        isinstance(value, schemas.Resumption) and value.silent
+    )
 
 
 def _settings(sources: Sequence[_Source]) -> SessionSettings:

@@ -29,13 +29,7 @@ from bilprov.analyzer.decode.batch import Batch
 from bilprov.analyzer.decode.records import DeviceRecord, HostRecord, LineRecord
 from bilprov.analyzer.decode.session import BOTH
 from bilprov.analyzer.export.rows import Chosen
-from bilprov.analyzer.replay.capture_decoding import (
-    TEXT_BATCH,
-    capture_decoder,
-    capture_line,
-    event_batches,
-    heard,
-)
+from bilprov.analyzer.replay import capture_decoding as decoding
 from bilprov.analyzer.version import kit_version
 from bilprov.captures.reader import Capture
 from bilprov.captures.schemas import Line
@@ -91,12 +85,12 @@ def _packets(chosen: Chosen) -> Iterator[Sequence[Packet]]:
     A frame is decoded when it is known to be over, an answer when it is known what it answers: so
     packets wait until nothing that is older can follow.
     """
-    decoder = capture_decoder(chosen.capture, chosen.protocol)
+    decoder = decoding.capture_decoder(chosen.capture, chosen.protocol)
     # Chosen instructions whose answers may follow; bounded, since a device may never answer.
     asked: deque[int] = deque(maxlen=1 << 18)
     waiting: list[Packet] = []
     read = chosen.capture.batches()
-    for events in event_batches(read, chosen.progress, chosen.window, TEXT_BATCH):
+    for events in decoding.event_batches(read, chosen.progress, chosen.window, decoding.TEXT_BATCH):
         waiting += _made(decoder.decode(events), chosen, asked)
         state = decoder.saved()
         if state:  # else frame boundaries are looked for among bytes that may be old
@@ -113,7 +107,7 @@ def _packets(chosen: Chosen) -> Iterator[Sequence[Packet]]:
 
 def _made(batches: Iterable[Batch], chosen: Chosen, asked: deque[int]) -> Iterator[Packet]:
     """Yield the packets of the rows that pass, and those of the answers that they bring."""
-    paired = heard(chosen.capture) >= BOTH
+    paired = decoding.heard(chosen.capture) >= BOTH
     for batch in batches:
         passing: Iterable[bool] = repeat(True)
         if chosen.test is not None:
@@ -196,7 +190,7 @@ def _section(capture: Capture, protocol: Protocol) -> bytes:
 
 
 def _interface(capture: Capture, protocol: Protocol, tap: str) -> bytes:
-    line = capture_line(capture, protocol)
+    line = decoding.capture_line(capture, protocol)
     port = _ports(capture).get(tap)
     return _any_block(
         _INTERFACE,

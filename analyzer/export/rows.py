@@ -72,14 +72,8 @@ ROWS = 1 << 16
 """Rows of a row group at most, which is what a reader holds in memory."""
 
 _MOST = 1 << 63
-_FOREIGN = {
-    "name",
-    "judgement",
-    "response",
-    "fields",
-    "state",
-    "reason",
-}  # text that may need escapes
+# Text that may need escapes.
+_FOREIGN = {"name", "judgement", "response", "fields", "state", "reason"}
 
 
 class NoPyarrow(UserError):
@@ -92,7 +86,13 @@ def write_parquet(chosen: Chosen, stream: BinaryIO) -> None:
     Raises as `write_text`; NoPyarrow as well, and CaptureError for a time that the format cannot
     hold.
     """
-    pa, parquet = _pyarrow()
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise NoPyarrow(
+            "parquet needs pyarrow, which is not installed: pip install 'bilprov[parquet]'"
+        ) from error
     capture = chosen.capture
     columns = chosen.rows.columns or _usual_columns(chosen.protocol)
     schema = pa.schema([(one.name, _type(pa, one.name, chosen.protocol)) for one in columns])
@@ -145,17 +145,6 @@ def _values(
     if name == "bytes":
         return converted(values, bytes.fromhex)
     return converted(values, _harmless) if name in _FOREIGN else values
-
-
-def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise NoPyarrow(
-            "parquet needs pyarrow, which is not installed: pip install 'bilprov[parquet]'"
-        ) from error
-    return pyarrow, parquet
 
 
 def _usual_columns(protocol: Protocol) -> tuple[Column, ...]:

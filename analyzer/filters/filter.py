@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from decimal import Decimal
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from bilprov.analyzer.filters import fields, masks
 from bilprov.analyzer.filters.fields import Field, Instant, Kind, Value, folded
@@ -337,8 +336,7 @@ def _among(sign: Part, operand: Operand, elements: Sequence[Test]) -> Test:
 _LATEST = 1 << 62  # ns since 1970; with a recording's length it still fits into 64 bits
 
 
-@dataclass(frozen=True, slots=True)
-class Filter:
+class Filter(NamedTuple):
     """A compiled filter.
 
     `start` is the wall clock (ns since 1970) at the recording's start. Where it is not known no row
@@ -354,7 +352,7 @@ class Filter:
 
         A start that no clock shows (0 or less, or after the year 2116) counts as unknown.
         """
-        return replace(self, start=start_wall if 0 < start_wall < _LATEST else None)
+        return self._replace(start=start_wall if 0 < start_wall < _LATEST else None)
 
     def selection(self, batch: Batch) -> Selection:
         """Which rows of a batch pass."""

@@ -68,11 +68,16 @@ def stats_of(
 ) -> Json:
     """The statistics of captures; `together` are the totals of all of them."""
     duration = sum(file["counts"]["duration"] for file in files)
+    spans = [(file["counts"]["load"], file["counts"]["duration"]) for file in files]
+    mean = {  # of the files that have a load, which have a duration
+        side: sum(load[side] * seconds for load, seconds in spans if load) / (duration or 1)
+        for side in ("host", "device")
+    }
     return {
         "grammar": parts_of(protocol, "name", "version", "sha256"),
         "filter": expression,
         "files": files,
-        "total": _counts(together, duration, _mean_load(files, duration)),
+        "total": _counts(together, duration, mean if duration else None),
     }
 
 
@@ -92,16 +97,6 @@ def file_stats(capture: Capture, totals: Totals, line: LineSettings) -> Json:
         "last": None if last is None else last / SECOND,
         "counts": _counts(totals, duration, load),
         "rates": _rates(totals.rates),
-    }
-
-
-def _mean_load(files: list[Json], duration: float) -> Json | None:
-    if not duration:
-        return None
-    loads = [(file["counts"]["load"], file["counts"]["duration"]) for file in files]
-    return {
-        side: sum(load[side] * seconds for load, seconds in loads if load) / duration
-        for side in ("host", "device")
     }
 
 

@@ -119,13 +119,11 @@ def _frame_json(frame: FrameExplanation) -> dict[str, Any]:
         "judgement": judgement.expected,
         "code": judgement.response.code,
         **parts_of(judgement, "reason", "clause"),
-        "bits": [parts_of(group, *group.__slots__) for group in frame.groups],
+        "bits": [group._asdict() for group in frame.groups],
         **parts_of(frame, "answer", "action", "stops"),
         "changes": dict(frame.changes),
         "keeps": list(frame.keeps),
-        "readings": [
-            reading_json(one, "id", "clause", "point", "default") for one in frame.readings
-        ],
+        "readings": [reading_json(one, *_READING) for one in frame.readings],
         "errata": [parts_of(erratum, "id", "clause", "correction") for erratum in frame.errata],
         "nearest": meant
         and {
@@ -145,5 +143,5 @@ def _response_json(response: ResponseExplanation) -> dict[str, Any]:
         **({"fields": plain_values(response.reply.values)} if response.reply else {}),
         "document": known.document if known else None,
         **parts_of(response, "meaning", "clause"),
-        "bits": [parts_of(group, *group.__slots__) for group in response.groups],
+        "bits": [group._asdict() for group in response.groups],
     }

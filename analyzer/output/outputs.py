@@ -94,7 +94,9 @@ def opened_output(
     """
     if style == "jsonl":
         return StreamOutput(write, json_text)
-    colour, time = _wants_colour(sys.stdout), None
+    # https://no-color.org: any value that is not empty.
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    colour, time = sys.stdout.isatty() and not plain, None
     if rows is not None:
         from bilprov.analyzer.output.row_columns import ColumnLines, CsvText, usual_columns
 
@@ -181,11 +183,6 @@ class Shown(msgspec.Struct):
             if self.left is not None and is_frame(record):
                 self.left -= 1
             yield record
-
-
-def _wants_colour(stream: TextIO) -> bool:
-    # https://no-color.org: any value that is not empty.
-    return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 MOST_WAITING = 16 * 1024 * 1024  # characters that may wait; then the writer does

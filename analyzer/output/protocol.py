@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -316,12 +315,12 @@ def errata_json(findings: Sequence[Finding]) -> dict[str, Any]:
         "found": [
             {
                 "id": finding.erratum.id if finding.erratum else None,
-                "example": dataclasses.asdict(finding.example),
+                "example": finding.example._asdict(),
                 "sent": spaced(finding.sent),
                 "reason": finding.reason,
                 "nearest": spaced(finding.meant),
             }
             for finding in findings
         ],
-        "all": [dataclasses.asdict(erratum) for erratum in ERRATA],
+        "all": [erratum._asdict() for erratum in ERRATA],
     }

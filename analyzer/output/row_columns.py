@@ -20,13 +20,13 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import lru_cache
 from itertools import chain
 from operator import attrgetter
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from msgspec import UNSET, UnsetType
 
@@ -107,8 +107,7 @@ def _clock(second: int, utc: bool) -> str:
     return datetime.fromtimestamp(second).strftime("%Y-%m-%d %H:%M:%S")  # noqa: DTZ006
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
+class Column(NamedTuple):
     """One column: its name, and how a list shows it.
 
     `value` gets it from a row and `text` makes it readable for people. `width` is how many
@@ -258,7 +257,7 @@ def columns_of(protocol: Protocol) -> dict[str, Column]:
     if protocol.at_rest:
         columns.insert(at, _key("state.moving", "moving", len("moving")))
     columns = [*fields, *columns, identity, length, *own_columns(protocol)]
-    columns += [replace(column, name=f"fields.{column.name}") for column in fields]
+    columns += [column._replace(name=f"fields.{column.name}") for column in fields]
     return {column.name: column for column in columns}
 
 
@@ -324,8 +323,7 @@ def chosen_columns(names: str, known: Mapping[str, Column]) -> tuple[Column, ...
     return tuple(chosen.values())
 
 
-@dataclass(frozen=True, slots=True)
-class RowStyle:
+class RowStyle(NamedTuple):
     """What was asked for of each row: `--time` and `--columns`; None for what was not."""
 
     time: TimeStyle | None = None

@@ -82,7 +82,11 @@ class LineRenderer:
             text, why = self._host(record)
             return f"{self._time(record.t)} {text}{self._state(record.state)}{why}".rstrip()
         if isinstance(record, DeviceRecord):
-            return f"{self._time(record.t)} {self._device_line(record)}"
+            severity = severity_of(record) if record.faults else None
+            text = self._device(record.hex, record.words, severity)
+            latency = "" if record.latency is None else f" {record.latency / 1e6:8.3f} ms"
+            why = self._why(record.reason, severity)
+            return f"{self._time(record.t)} {text}{latency}{why}".rstrip()
         if isinstance(record, LineRecord) and not record.faults:
             line = record.value
             detail = f": {printable(line.detail)}" if line.detail else ""
@@ -98,12 +102,6 @@ class LineRenderer:
         body = f"{record.hex:<{self._width}}  {record.words:<{WORDS_WIDTH}}"
         text = f"→ {self._paint(body, severity)}"
         return text, self._why(record.reason, severity)
-
-    def _device_line(self, record: DeviceRecord) -> str:
-        severity = severity_of(record) if record.faults else None
-        text = self._device(record.hex, record.words, severity)
-        latency = "" if record.latency is None else f" {record.latency / 1e6:8.3f} ms"
-        return f"{text}{latency}{self._why(record.reason, severity)}".rstrip()
 
     def _device_text(self, coded: str, name: str, severity: Severity | None) -> str:
         body = f"{coded:<{self._width}}  {name:<13}"

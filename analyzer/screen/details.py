@@ -7,7 +7,6 @@ beside it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from itertools import groupby
 from typing import ClassVar, NamedTuple, Self
 
@@ -105,7 +104,7 @@ def _bits(groups: Iterable[BitGroup], data: bytes, look: Look) -> Iterator[Detai
         run, shown = tuple(alike), look if fault else ORDINARY
         if meaning and whole_byte and len(run) > 1:
             told = spaced(data[run[0].byte : run[0].byte + len(run)])
-            yield Detail(name, f"{told}  {meaning}", replace(run[0], size=len(run)), shown)
+            yield Detail(name, f"{told}  {meaning}", run[0]._replace(size=len(run)), shown)
             continue
         for group in run:
             text = f"{bit_picture(group)}  {group.value:>3}  {group.meaning}"

@@ -16,13 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from bilprov.analyzer.decode.batch import Batch, Records
 from bilprov.analyzer.output.outputs import Output, Shown, Window
 from bilprov.analyzer.output.row_columns import RowStyle
-from bilprov.analyzer.replay.capture_decoding import (
-    WHOLE,
-    Opened,
-    event_batches,
-    said_about,
-    unheard,
-)
+from bilprov.analyzer.replay import capture_decoding as decoding
 from bilprov.analyzer.replay.recorder import Recorder, Spool
 from bilprov.analyzer.screen.recording import Recording
 from bilprov.analyzer.transport.line_settings import LineSettings
@@ -102,8 +96,7 @@ class Feed:
         self.start().result()
 
 
-@dataclass(frozen=True, slots=True)
-class Told:
+class Told(NamedTuple):
     """What the screen shows beside the rows.
 
     `title` names the file or the ports, `start_wall` is the wall clock (ns since 1970) at t = 0,
@@ -114,18 +107,18 @@ class Told:
     title: str
     start_wall: int
     line: LineSettings
-    rows: RowStyle = field(default_factory=RowStyle)
+    rows: RowStyle = RowStyle()
     expression: str = ""
     test: Filter | None = None
     rate: float = 1.0
 
 
 def capture_feed(
-    opened: Opened,
+    opened: decoding.Opened,
     protocol: Protocol,
     test: Filter | None = None,
     count: int | None = None,
-    window: Window = WHOLE,
+    window: Window = decoding.WHOLE,
 ) -> Feed:
     """The rows of a capture in a window of time, read to its end as fast as it goes.
 
@@ -159,17 +152,17 @@ def capture_feed(
     live = whole and capture.unfinished and not capture.in_parts and age < _STILL
     # There is one line for it, so the file's name stands without its folder.
     named = replace(capture, path=Path(capture.path.name))
-    notice = "; ".join(said_about(named, protocol, is_written=live))
+    notice = "; ".join(decoding.said_about(named, protocol, is_written=live))
     feed = Feed(Recording(protocol), read, stays=True, live=live, notice=notice)
     rows = (AllShown if count is None else Shown)(ScreenOutput(feed), test, count, window)
     length = max(1, capture.contents.last - capture.start)
-    parts = event_batches(opened.capture.batches(opened.after), unheard, window)
+    parts = decoding.event_batches(opened.capture.batches(opened.after), decoding.unheard, window)
     for events in islice(parts, 1):
         take(events)  # here and now, so that the first page is there when the screen is
     return feed
 
 
-def _followed(opened: Opened, stopped: Event) -> Iterator[Batch]:
+def _followed(opened: decoding.Opened, stopped: Event) -> Iterator[Batch]:
     """Decode what is added to a capture, until its writer finishes it or it is `stopped`."""
     capture = opened.capture
     while capture.unfinished and not stopped.wait(DRAW_EVERY):

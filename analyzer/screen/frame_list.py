@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import ClassVar
 
 from rich.text import Text
@@ -32,7 +31,7 @@ NO = Column("no", "no", 6, lambda line: "", right=True)  # of the row
 DELTA = Column("delta", "+ms", 8, lambda line: "", right=True)  # since the row above
 ARROW = Column("arrow", "", 1, lambda line: "")  # to the device, or from it
 WHAT = Column("what", "what", 36, lambda line: "")  # the frame or the answer in words
-BYTES = replace(COLUMNS["hex"], heading="bytes")
+BYTES = COLUMNS["hex"]._replace(heading="bytes")
 OWN = {column.name: column for column in (NO, TIME, DELTA, ARROW, BYTES, WHAT)}
 """The usual columns."""
 
@@ -314,10 +313,7 @@ def words_of(record: Record) -> tuple[str, str]:
     """What a row is, in words, and why it is odd, "" if it is not."""
     if isinstance(record, LineRecord):
         line = record.value
-        words, why = (
-            f"{line.tap} line {line.event}" if line.tap else f"line {line.event}",
-            line.detail,
-        )
+        words, why = f"{line.tap} line {line.event}".lstrip(), line.detail
     elif isinstance(record, FaultRecord):
         words, why = record.fault.kind, record.fault.reason
     else:

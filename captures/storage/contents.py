@@ -24,15 +24,9 @@ from mcap.records import Attachment, Header, Metadata
 
 from bilprov.captures import topics
 from bilprov.captures.schemas import Checkpoint
+from bilprov.captures.storage import records
 from bilprov.captures.storage.blocks import Messages, Piece, message_starts
-from bilprov.captures.storage.records import (
-    DATA_END_BYTES,
-    MAGIC,
-    MESSAGE_BYTES,
-    OWN_LIBRARY,
-    Damaged,
-    decoded,
-)
+from bilprov.captures.storage.records import MAGIC, Damaged, decoded
 from bilprov.captures.storage.recovery import SKIPPED, Lost, RecordFile, parsed, read_footer
 from bilprov.captures.text import printable
 from bilprov.captures.wall_clock import stated_number
@@ -130,7 +124,7 @@ def _read_index(file: BufferedReader, size: int) -> Contents:
     about = source.record(header.end)
     match header.record, about.record:
         case Header(library=library), Metadata(name=topics.METADATA_NAME, metadata=metadata) if (
-            library.startswith(OWN_LIBRARY)
+            library.startswith(records.OWN_LIBRARY)
         ):
             start = metadata.get(topics.START_KEY)
         case _:
@@ -199,7 +193,7 @@ def _end(file: BufferedReader, size: int) -> tuple[int, bytes, int]:
         raise Damaged("the summary does not begin where it can")
     file.seek(data_end)
     opcode, length, data_crc = _DATA_END.unpack(file.read(_DATA_END.size))
-    if (opcode, length) != (Opcode.DATA_END, DATA_END_BYTES):
+    if (opcode, length) != (Opcode.DATA_END, records.DATA_END_BYTES):
         raise Damaged("the data do not end before the summary")
     summary = file.read(size - start)
     # It covers all but itself and the magic behind it.
@@ -294,7 +288,7 @@ def _in_file_order(blocks: Iterator[Messages], counted: bool, order: Order) -> I
     lost, expected = order.missing, -1
     for block in blocks:
         lost = lost or block.lost
-        rows = np.flatnonzero(block.end - block.start <= MESSAGE_BYTES)
+        rows = np.flatnonzero(block.end - block.start <= records.MESSAGE_BYTES)
         notes = dict.fromkeys(np.flatnonzero(np.diff(rows, prepend=-1) > 1).tolist(), _TOO_LONG)
         if counted and len(rows):
             if expected < 0:

@@ -15,29 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bilprov.spec.arrays.layouts import (
-    BAD_DATA,
-    OUTCOMES,
-    WIDEST,
-    Bytes,
-    Checking,
-    Cut,
-    Mask,
-    Numbers,
-    Places,
-    Requests,
-    Sizes,
-    checks_hold,
-    constants_hold,
-    field_numbers,
-    frame_sizes,
-    in_range,
-    leading,
-    part_values,
-    require_arrays,
-    require_narrow,
-    sized,
-)
+from bilprov.spec.arrays import layouts
+from bilprov.spec.arrays.layouts import Bytes, Cut, Mask, Numbers, Places, Requests
 from bilprov.spec.arrays.states import StateTables
 from bilprov.spec.codec import Step, Steps, judge
 from bilprov.spec.data import DataSpec
@@ -59,18 +38,18 @@ class RequestTables:
         if identity is None:
             raise OverflowError("frames without an ID are not decoded by columns")
         self._id = identity
-        require_narrow(layout)
+        layouts.require_narrow(layout)
         for spec in self.specs:
-            require_arrays(spec)
+            layouts.require_arrays(spec)
             for part in spec.fields:
-                if part.element and part.element.size > WIDEST and not part.unlimited:
+                if part.element and part.element.size > layouts.WIDEST and not part.unlimited:
                     raise OverflowError(f"{part.name} does not fit into 64 bits")
         self._ids = np.array([spec.id for spec in self.specs], np.int64)
         every = np.arange(256)  # each byte, for an ID of one
         self._by_byte = self._kinds_of(
-            part_values(identity, every.astype(np.uint8), every - identity.offset, every)
+            layouts.part_values(identity, every.astype(np.uint8), every - identity.offset, every)
         )
-        self._sizes = Sizes([(layout, spec) for spec in self.specs])
+        self._sizes = layouts.Sizes([(layout, spec) for spec in self.specs])
         silent = protocol.answers[Outcome.VALID] is NO_ANSWER
         self._answered = np.array([not silent and spec.answer is not None for spec in self.specs])
         self.keys = np.array([protocol.key_of(spec.id) for spec in self.specs], np.uint8)
@@ -106,11 +85,11 @@ class RequestTables:
                 spec = self._long[header] = protocol.by_id[protocol.headers[header][0]]
                 self.states.add(kind, spec.effect.assignments, spec.fields)
                 self._answered[kind] = spec.answer is not None
-                self._verdict[kind | 1] = BAD_DATA
+                self._verdict[kind | 1] = layouts.BAD_DATA
                 self.states.add(kind | 1, protocol.on_fault.assignments)
 
     def _add(self, kinds: int | slice, step: Step) -> None:
-        self._verdict[kinds] = OUTCOMES.index(step.judgement.outcome)
+        self._verdict[kinds] = layouts.OUTCOMES.index(step.judgement.outcome)
         self._answered[kinds] = step.judgement.answer_due
         self.states.add(kinds, step.sets)
 
@@ -129,7 +108,7 @@ class RequestTables:
         offset, size = bounds[:-1], np.diff(bounds)
         kind = self._kinds(data, offset)
         good = self._valid(data, offset, bounds[1:], kind)
-        rows = leading(good)
+        rows = layouts.leading(good)
         regular = rows == len(good) and is_open(self._protocol, data[bounds[-1] :].tobytes())
         found = Requests(offset, size, kind, np.zeros(len(kind), np.uint8)).rows(slice(rows))
         return Cut(found, int(bounds[rows]), regular)
@@ -185,12 +164,12 @@ class RequestTables:
         """Where the frames begin of which each is one read, and where the next one begins."""
         bounds = np.append(begun, reads[np.searchsorted(reads, begun, "right") :])
         whole = self._sizes_at(data, bounds[:-1]) == np.diff(bounds)
-        return bounds[: 1 + leading(whole)]
+        return bounds[: 1 + layouts.leading(whole)]
 
     def _sizes_at(self, data: Bytes, offset: Places) -> Places:
         """The sizes of the frames at these places, 0 for none; see `frame_sizes`."""
         if self.layout.part("length") is not None:
-            return frame_sizes(self.layout, DataSpec(), data, offset)
+            return layouts.frame_sizes(self.layout, DataSpec(), data, offset)
         return self._sizes.at(self._kinds(data, offset), data, offset)
 
     def _walk(self, data: Bytes, at: int) -> Places:
@@ -208,7 +187,7 @@ class RequestTables:
         """The place of each frame's instruction; -1 for an unused ID."""
         if self._id.size == 1:
             return self._by_byte.take(data.take(offset + self._id.offset, mode="clip"))
-        return self._kinds_of(part_values(self._id, data, offset, offset))
+        return self._kinds_of(layouts.part_values(self._id, data, offset, offset))
 
     def _kinds_of(self, identity: Places) -> Places:
         """The places of the instructions with these IDs; -1 for an unused one."""
@@ -227,14 +206,14 @@ class RequestTables:
         part = self.layout.part("address")
         if part is None:
             return np.ones(len(offset), np.bool_)
-        to = part_values(part, data, offset, offset)
+        to = layouts.part_values(part, data, offset, offset)
         one = (to >= part.low) & (to <= part.high)
         return one if broadcast is None else one | (to == broadcast)
 
     def _valid(self, data: Bytes, start: Places, end: Places, kind: Places) -> Mask:
         """Which frames a device judges to be valid; see `codec.judge`."""
-        good = (kind >= 0) & constants_hold(self.layout, data, start, end)
-        good &= checks_hold(self.layout, data, start, end)
+        good = (kind >= 0) & layouts.constants_hold(self.layout, data, start, end)
+        good &= layouts.checks_hold(self.layout, data, start, end)
         to = self.layout.part("address")
         good &= self._to(data, start, to.broadcast if to else None)
         for place, spec in enumerate(self.specs):
@@ -245,12 +224,12 @@ class RequestTables:
 
     def _good_data(self, spec: DataSpec, data: Bytes, start: Places, end: Places) -> Mask:
         """Which frames with such data have as many as are needed, all in their ranges."""
-        good = sized(self.layout, spec, data, start, end)
+        good = layouts.sized(self.layout, spec, data, start, end)
         rows = np.flatnonzero(good)
         at = start[rows] + self.layout.head
         size, right = end[rows] - self.layout.tail - at, np.ones(len(rows), np.bool_)
         for part in spec.fields:
-            right &= in_range(part, data, at + part.offset, size - part.offset)
+            right &= layouts.in_range(part, data, at + part.offset, size - part.offset)
         good[rows] = right
         return good
 
@@ -258,9 +237,10 @@ class RequestTables:
         """The parts and the fields of requests of one kind that are numbers, by name."""
         start, end = requests.offset, requests.end
         parts = {
-            name: part_values(part, data, start, end) for name, part in self.layout.told.items()
+            name: layouts.part_values(part, data, start, end)
+            for name, part in self.layout.told.items()
         }
-        return parts | field_numbers(self.specs[kind], data, start + self.layout.head)
+        return parts | layouts.field_numbers(self.specs[kind], data, start + self.layout.head)
 
 
 _BLOCK = 1 << 16  # bytes that are cut at once; the tables of a block fit into a cache
@@ -323,14 +303,14 @@ class AnswerTables:
         for kind, (layout, data) in enumerate(self._ways):
             # Without a length an answer must tell its size by itself.
             asked = self._tables.numbers(np.zeros(1, np.uint8), Requests(two, two, two, two), kind)
-            require_arrays(data, asked if layout.part("length") else {})
+            layouts.require_arrays(data, asked if layout.part("length") else {})
         # For each kind the first one whose answers have their sizes in the same way.
         told = [(own, own.part("length") is None and spec) for own, spec in self._ways]
         self._alike = np.array([told.index(way) for way in told], np.int64)
-        self._sizes = Sizes(self._ways)
+        self._sizes = layouts.Sizes(self._ways)
         self._layouts: list[tuple[Layout, Mask]] = []
         for layout in (protocol.reply, protocol.acknowledgement):
-            require_narrow(layout)
+            layouts.require_narrow(layout)
             code = layout.part("code")
             if code is not None and (code.size > 1 or code.number.signed):
                 raise OverflowError("the code of an answer is more than one byte")
@@ -345,7 +325,7 @@ class AnswerTables:
         ]
         self.bytes = np.array([one.code if one else at for at, one in enumerate(known)], np.int64)
         self._expected = np.array(
-            [max(0, protocol.answers[outcome].code) for outcome in OUTCOMES], np.uint8
+            [max(0, protocol.answers[outcome].code) for outcome in layouts.OUTCOMES], np.uint8
         )
         self.known = np.array([one is not None for one in known], np.bool_)
         # Codes with which the answer may lack its data.
@@ -369,7 +349,7 @@ class AnswerTables:
         end, code = int(bounds[-1]), np.full(len(bounds) - 1, NO_CODE)
         found = Answers(bounds[:-1], np.diff(bounds), code)
         good = self._right(asked, requests.rows(slice(len(code))), data, found)
-        rows = leading(good)
+        rows = layouts.leading(good)
         regular = rows == len(good)
         if regular and end < len(data) and rows < len(requests.kind):
             request = asked[requests.offset[rows] : requests.end[rows]].tobytes()
@@ -409,7 +389,7 @@ class AnswerTables:
             if part is not None:
                 found = found if found.flags.writeable else found.copy()
                 rows = np.flatnonzero(kinds.take(kind))
-                value = part_values(part, data, answers.offset[rows], answers.end[rows])
+                value = layouts.part_values(part, data, answers.offset[rows], answers.end[rows])
                 found[rows] = part.repeated(value)
         return found
 
@@ -418,7 +398,7 @@ class AnswerTables:
         bounds = np.append(0, reads[: len(requests.kind)])
         begun = requests.rows(slice(len(bounds) - 1))
         whole = self._sizes.at(begun.kind, data, bounds[:-1]) == np.diff(bounds)
-        return bounds[: 1 + leading(whole)]
+        return bounds[: 1 + layouts.leading(whole)]
 
     def _walk(self, requests: Requests, data: Bytes, first: int) -> list[int]:
         """Where the answers from byte `first` on begin that are whole, and where the next one does.
@@ -428,7 +408,7 @@ class AnswerTables:
         places = np.arange(first, len(data) + 1)
         fixed, alike = self._sizes.fixed.take(requests.kind), self._alike.take(requests.kind)
         by_place = {
-            kind: frame_sizes(*self._ways[kind], data, places).data
+            kind: layouts.frame_sizes(*self._ways[kind], data, places).data
             for kind in self._sizes.varied
             if kind in alike
         }
@@ -452,12 +432,14 @@ class AnswerTables:
             if layout.check and layout.check.asked:
                 check = self._protocol.layout.check
                 first, last = (check.first, check.last) if check else (0, 0)
-                before = Checking(layout.check.function, len(to.kind))
+                before = layouts.Checking(layout.check.function, len(to.kind))
                 before.take(asked, to.offset + first, to.end - last)
-            right = constants_hold(layout, *where) & checks_hold(layout, *where, before)
+            right = layouts.constants_hold(layout, *where) & layouts.checks_hold(
+                layout, *where, before
+            )
             part = layout.part("code")
             if part is not None:
-                code = part_values(part, *where)
+                code = layouts.part_values(part, *where)
                 answers.code[rows] = code
                 right &= self.known.take(code)
             good[rows] = right
@@ -469,7 +451,7 @@ class AnswerTables:
                 right = _repeats(layout, numbers, data, these.offset)
                 if layout.has_data and layout.part("length"):  # else data make the size
                     size = these.size - layout.head - layout.tail
-                    whole = sized(layout, spec, data, these.offset, these.end, numbers)
+                    whole = layouts.sized(layout, spec, data, these.offset, these.end, numbers)
                     right &= whole | ((size == 0) & self._fails.take(these.code))
                 good[rows] = right
         return good
@@ -481,7 +463,7 @@ def _repeats(layout: Layout, asked: Numbers, data: Bytes, start: Places) -> Mask
     for part in layout.parts:
         if part.same and part.offset >= 0:
             value = asked.get(part.same, np.int64(-1))
-            right = part_values(part, data, start, start) == part.repeating(value)
+            right = layouts.part_values(part, data, start, start) == part.repeating(value)
             found &= right & (value >= 0)
     return found
 

@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -113,7 +112,7 @@ class SlowProbe(VirtualLink):
         if isinstance(operation, Observe):
             self._pass(asked + self._look)
         reply = super().do(operation)
-        return replace(reply, asked=asked) if isinstance(reply, Observation) else reply
+        return reply._replace(asked=asked) if isinstance(reply, Observation) else reply
 
 
 class OnLine:

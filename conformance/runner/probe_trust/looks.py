@@ -7,7 +7,6 @@ none pass. Where many are odd, no look is believed any more.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -70,7 +69,7 @@ class Looks:
             self.made += 1
             shown = _shown(again.look)
             if shown == known[-1]:
-                seen = replace(seen, now=again.now)
+                seen = seen._replace(now=again.now)
                 break
             self.odd += self._last is None or shown in known
             seen = again
