@@ -11,7 +11,7 @@ import hashlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -755,13 +755,11 @@ def _variables(
     return found
 
 
-def _require_variable(
-    where: str, names: Iterable[str], variables: Mapping[str, VariableSpec]
-) -> None:
+def _require_variable(where: str, names: Iterable[str], known: Collection[str]) -> None:
     for name in names:
-        if name not in variables:
+        if name not in known:
             raise GrammarError(
-                f"{where} names the variable {shown(name)}, allowed are {', '.join(variables)}"
+                f"{where} names the variable {shown(name)}, allowed are {', '.join(known)}"
             )
 
 
@@ -878,12 +876,10 @@ def _require_each_outcome(declared: _Grammar, protocol: Protocol) -> None:
         _require_each_name_once("two responses stand for", (one.value for one in answered))
 
 
-def _require_codes(
-    instructions: tuple[InstructionSpec, ...], responses: tuple[ResponseSpec, ...]
-) -> None:
+def _require_codes(specs: Iterable[InstructionSpec], responses: Iterable[ResponseSpec]) -> None:
     """Raise GrammarError for a field or a memory whose code is the name of no Answer."""
     names = ["", *(spec.name for spec in responses)]
-    for spec in instructions:
+    for spec in specs:
         codes = [(f"{spec.name}.{part.name}", part.code) for part in spec.fields]
         codes += [(f"the Memory that {spec.name} writes", spec.writes.code)] if spec.writes else []
         for where, code in codes:
@@ -894,25 +890,23 @@ def _require_codes(
                 )
 
 
-def _instruction(
-    declared: _Grammar, identity: int, layout: Layout, reply: Layout
-) -> InstructionSpec:
+def _instruction(declared: _Grammar, number: int, layout: Layout, reply: Layout) -> InstructionSpec:
     """Read an instruction; its effect and its memory are still open."""
-    declaration = declared.INSTRUCTIONS[identity]
+    declaration = declared.INSTRUCTIONS[number]
     body, name, prose = unwrapped(declaration), declaration.name, prose_of(declaration)
     part = layout.part("id")
     if part is None:
         raise GrammarError("FRAME has no part named id, by which a frame names its instruction")
-    if not 0 <= identity <= part.most:
+    if not 0 <= number <= part.most:
         raise GrammarError(
-            f"the header cannot carry the ID {identity} of {shown(name)}, allowed are 0 to "
+            f"the header cannot carry the ID {number} of {shown(name)}, allowed are 0 to "
             f"{part.most}"
         )
     if not isinstance(body, Instruction) or not name:
         raise GrammarError(
-            f'instruction {identity} of INSTRUCTIONS must be written "Name" / Instruction(...)'
+            f'instruction {number} of INSTRUCTIONS must be written "Name" / Instruction(...)'
         )
-    require_word(f"the name of instruction {identity}", name)
+    require_word(f"the name of instruction {number}", name)
     require(f"the prose of {name}", prose, str)
     announced = layout.part("length")
     data = read_data(name, body.subcons, framed=announced is not None)
@@ -943,7 +937,7 @@ def _instruction(
             asked=[*layout.told, *data.numbers],
         )
     return InstructionSpec(
-        id=identity,
+        id=number,
         name=name,
         document=body.document,
         prose=prose,
@@ -955,9 +949,7 @@ def _instruction(
     )
 
 
-def _require_memory(
-    instructions: tuple[InstructionSpec, ...], declared: tuple[Memory, ...]
-) -> None:
+def _require_memory(instructions: Sequence[InstructionSpec], declared: Iterable[Memory]) -> None:
     """Raise GrammarError for a memory that no instruction uses, or that is not as it says."""
     names = {"", *(spec.name for spec in instructions)}
     for memory in declared:
@@ -1004,11 +996,9 @@ def _registers(
             )
         found[memory] = {place: read_register(memory, cells[place]) for place in sorted(cells)}
     data = [one for spec in instructions for one in (spec, spec.answer) if one]
-    fields = {part.name.lower() for one in data for part in one.fields}
+    taken = {part.name.lower() for one in data for part in one.fields}
     names = (one.name for cells in found.values() for one in cells.values())
-    _require_each_name_once(
-        "two registers, or a field and a register, are named", (*fields, *names)
-    )
+    _require_each_name_once("two registers, or a field and a register, are named", (*taken, *names))
     return found
 
 
