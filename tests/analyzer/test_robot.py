@@ -13,19 +13,18 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
-from bilprov.analyzer.client.operations import Ended, Operation
 from bilprov.analyzer.client.robot import Robot
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import open_port
 from bilprov.analyzer.transport.signals import ENDINGS, SUSPENDING
 from bilprov.captures.schemas import MS
 from bilprov.conformance.dut.simulator import CONFORMING, Fault, Simulator
+from bilprov.conformance.mutation.catalogue import find_variant
 from bilprov.conformance.mutation.faults import fault_bank
 from bilprov.conformance.pytest_plugin.session import Client
 from bilprov.spec.emit.python import RESERVED
@@ -115,59 +114,27 @@ def test_every_instruction_is_a_method_and_sends_its_one_frame(protocol: Protoco
     assert len(METHODS) == len(protocol.instructions)
 
 
-def test_opening_it_sends_stops_and_nothing_else(protocol: Protocol) -> None:
-    device = Scripted(protocol)
-    with served_here(device) as (port, _):
-        robot = Robot(port)
-        sent = device.heard
-        robot.close()
-
-    assert set(sent) == set(STOP)
-
-
-def test_a_robot_that_was_in_the_middle_of_a_frame_is_understood_at_once(
+def test_opening_sends_stops_alone_which_also_end_a_frame_that_was_begun(
     protocol: Protocol,
 ) -> None:
     device = Scripted(protocol, replace(CONFORMING, timeout=3600 * 1000 * MS))
     device.receive(b"\x1f\x01", time.monotonic_ns())  # it waits for the rest as long as it takes
     with served_here(device) as (port, _), Robot(port) as robot:
+        assert set(device.heard[2:]) == set(STOP)
         robot.speed(5)
         assert device.state.speed == 5
 
 
-class Slow(Scripted):
-    """A robot that answers one instruction after the other, each in its time."""
-
-    pace = 30 * MS
-
-    def __init__(self, protocol: Protocol) -> None:
-        super().__init__(protocol)
-        self.owed = bytearray()
-        self.next = 0
-
-    def advance(self, now: int) -> bytes:
-        answers = super().advance(now)
-        if answers and not self.owed:
-            self.next = now + self.pace
-        self.owed += answers
-        if not self.owed or now < self.next:
-            return b""
-        self.next = now + self.pace
-        return bytes([self.owed.pop(0)])
-
-    def deadline(self) -> int | None:
-        return self.next if self.owed else super().deadline()
-
-
 def test_a_robot_that_takes_its_time_is_driven_all_the_same(grammar_text: str) -> None:
-    """It takes longer than the deadline."""
+    """It takes 60 ms for each instruction, which is longer than the deadline."""
     times = {
         "answer_deadline=100": "answer_deadline=20",
         "truncation_timeout=50": "truncation_timeout=20",
     }
     strict = load(mutated(grammar_text, times))
-    with served_here(Slow(strict)) as (port, _), Robot(port, grammar=strict) as robot:
-        assert robot.speed(5).latency >= Slow.pace / MS
+    slow = find_variant(strict, "R-answer-deadline=one-at-a-time")
+    with served_here(Simulator(strict, slow)) as (port, _), Robot(port, grammar=strict) as robot:
+        assert robot.speed(5).latency >= 60
         assert robot.led(3).name == "OK"
 
 
@@ -205,17 +172,13 @@ def test_only_reading_sends_nothing_that_changes_a_robot(protocol: Protocol) -> 
         assert device.heard == b""
 
 
-def test_a_method_that_is_none_is_told_with_those_that_are(protocol: Protocol) -> None:
+def test_the_methods_are_the_instructions_with_their_fields_and_prose(protocol: Protocol) -> None:
     with driven(protocol) as (robot, _, _):
         unknown: Any = robot
         with pytest.raises(AttributeError, match="no instruction 'horn'; there are stop, speed, "):
             unknown.horn(2)
         assert not hasattr(robot, "_horn")
         assert {name for name, _, _ in METHODS} <= set(dir(robot))
-
-
-def test_a_method_tells_its_parameters_and_its_prose(protocol: Protocol) -> None:
-    with driven(protocol) as (robot, _, _):
         assert list(inspect.signature(robot.led).parameters) == ["rgb"]
         assert robot.led.__name__ == "led"
         assert robot.led.__doc__ == protocol.by_name["LED"].prose
@@ -251,57 +214,34 @@ def test_send_gives_a_refusal_back_instead_of_raising_it(protocol: Protocol) -> 
         assert robot.send_bytes(b"\x93\x00\x00\x00")[0].code == 1
 
 
-def test_no_answer_in_time_is_told_and_the_robot_is_homed_before_the_next(
+def test_no_answer_in_time_is_told_and_a_late_one_answers_no_other_instruction(
     protocol: Protocol,
 ) -> None:
     late: list[bytes] = []
 
-    def swallow(data: bytes) -> bytes:
-        late.append(data)
+    def hold(data: bytes) -> bytes:
+        late.extend([data] * bool(data))
         return b""
+
+    def say_all(data: bytes) -> bytes:
+        owed = b"\1" * len(late) if data else b""  # which is another answer than is due
+        late.clear()
+        return owed + data
 
     with driven(protocol, timeout=1000) as (robot, device, _):
         robot.speed(80)
-        device.saying = swallow
+        device.saying = hold
         with pytest.raises(
             NoAnswer, match=r"^Forward \(20\): 1 answer is due in 1000 ms, but "
         ) as e:
             robot.forward()
-        assert device.state.moving
-        assert e.value.frame == FORWARD
+        assert (device.state.moving, e.value.frame, late) == (True, FORWARD, [b"\0"])
         device.heard = b""
-        device.saying = lambda data: data
+        device.saying = say_all
         assert robot.led(3).name == "OK"
 
-    assert b"".join(late) == b"\x00"
     homed = protocol.longest_frame * STOP
     assert device.heard == homed + b"\x81\x03" + homed
-
-
-def test_a_late_answer_is_never_taken_for_the_answer_to_another_instruction(
-    protocol: Protocol,
-) -> None:
-    held = bytearray()
-
-    def hold(data: bytes) -> bytes:
-        held.extend(data)
-        return b""
-
-    def say_all(data: bytes) -> bytes:
-        if not data:
-            return b""
-        owed = bytes(held)
-        held.clear()
-        return owed + data
-
-    with driven(protocol, "always-1", timeout=1000) as (robot, device, _):
-        device.saying = hold
-        with pytest.raises(NoAnswer):
-            robot.forward()
-        # From now on it answers rightly, after what it owes.
-        device.fault = CONFORMING
-        device.saying = say_all
-        assert robot.speed(9).name == "OK"
 
 
 def test_an_answer_too_many_is_an_error(protocol: Protocol) -> None:
@@ -381,20 +321,6 @@ def test_a_port_that_cannot_be_opened_and_wrong_settings_are_one_sentence() -> N
             Robot("/dev/no-such-port", timeout=timeout)
 
 
-class GoneLink:
-    """A link whose port has gone."""
-
-    def do(self, ask: Operation) -> int:
-        raise Ended("the port disappeared", error=True, line_works=False)
-
-
-def test_the_fixtures_robot_tells_of_a_lost_line_in_the_links_own_words(
-    protocol: Protocol,
-) -> None:
-    with pytest.raises(RobotError, match=r"^the port disappeared$"):
-        Client(protocol, GoneLink(), sees=False).home()
-
-
 # -- leaving --------------------------------------------------------------------------------------
 
 
@@ -449,21 +375,27 @@ ENDED = {number: 128 + number for number in ENDINGS} | {signal.SIGINT: -signal.S
 
 
 @contextmanager
-def program(text: str, port: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A program that drives the robot at the port, once it has said so."""
-    with subprocess.Popen(
-        [sys.executable, "-c", text, port],
-        bufsize=0,
-        cwd=ROOT,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        process_group=0,  # in the group of tests run in the background nothing is suspended
-    ) as process:
+def driving(
+    protocol: Protocol, text: str
+) -> Iterator[tuple[Scripted, subprocess.Popen[bytes], str]]:
+    """A robot, a program that drives it, once it has said so, and the port between them."""
+    device = Scripted(protocol)
+    with (
+        served_here(device) as (port, _),
+        subprocess.Popen(
+            [sys.executable, "-c", text, port],
+            bufsize=0,
+            cwd=ROOT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            process_group=0,  # in the group of tests run in the background nothing is suspended
+        ) as process,
+    ):
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == b"driving\n"
-            yield process
+            yield device, process, port
         finally:
             process.kill()
 
@@ -473,7 +405,6 @@ def program(text: str, port: str) -> Iterator[subprocess.Popen[bytes]]:
 def test_a_program_that_is_ended_homes_first_and_a_second_signal_waits(
     protocol: Protocol, number: int
 ) -> None:
-    device = Scripted(protocol)
     alive: list[bool] = []
 
     def ended_again(data: bytes) -> None:
@@ -485,8 +416,8 @@ def test_a_program_that_is_ended_homes_first_and_a_second_signal_waits(
             except subprocess.TimeoutExpired:
                 alive.append(True)
 
-    device.hearing = ended_again
-    with served_here(device) as (port, _), program(DRIVING, port) as process:
+    with driving(protocol, DRIVING) as (device, process, _):
+        device.hearing = ended_again
         assert device.state.moving
         process.send_signal(number)
         process.wait(PATIENCE)
@@ -521,8 +452,7 @@ while thread.is_alive():
 def test_a_robot_in_another_thread_is_stopped_before_a_signal_ends_the_program(
     protocol: Protocol, number: int
 ) -> None:
-    device = Scripted(protocol)
-    with served_here(device) as (port, _), program(THREADED, port) as process:
+    with driving(protocol, THREADED) as (device, process, _):
         assert device.state.moving
         process.send_signal(number)
         process.wait(PATIENCE)
@@ -556,8 +486,7 @@ time.sleep(60)
 def test_ctrl_c_ends_each_thread_that_drives_too(
     protocol: Protocol, text: str, threads: int
 ) -> None:
-    device = Scripted(protocol)
-    with served_here(device) as (port, _), program(text, port) as process:
+    with driving(protocol, text) as (device, process, _):
         process.send_signal(signal.SIGINT)
         _, told = process.communicate(timeout=PATIENCE)
 
@@ -569,8 +498,7 @@ def test_ctrl_c_ends_each_thread_that_drives_too(
 def test_a_robot_in_another_thread_is_stopped_before_the_program_is_suspended(
     protocol: Protocol, number: int
 ) -> None:
-    device = Scripted(protocol)
-    with served_here(device) as (port, _), program(THREADED, port) as process:
+    with driving(protocol, THREADED) as (device, process, _):
         process.send_signal(number)
         os.waitid(os.P_PID, process.pid, os.WSTOPPED)
         moving = device.state.moving
@@ -600,8 +528,7 @@ thread.join()
 
 
 def test_a_robot_that_no_signal_could_stop_is_refused(protocol: Protocol) -> None:
-    device = Scripted(protocol)
-    with served_here(device) as (port, _), program(LATE_IMPORT, port) as process:
+    with driving(protocol, LATE_IMPORT) as (device, process, _):
         told, errors = process.communicate(timeout=PATIENCE)
 
     assert told == (
@@ -626,9 +553,8 @@ sys.stdin.readline()
 
 @pytest.mark.parametrize("how", ["", "del robot\nimport time\ntime.sleep(60)\n", "1 / 0\n"])
 def test_a_robot_that_nobody_closes_is_homed_with_a_warning(protocol: Protocol, how: str) -> None:
-    device = Scripted(protocol)
     text = "import warnings\nwarnings.simplefilter('always')\n" + DROPPED + how
-    with served_here(device) as (port, _), program(text, port) as process:
+    with driving(protocol, text) as (device, process, port):
         assert device.state.moving
         assert process.stdin is not None
         assert process.stderr is not None
@@ -643,15 +569,6 @@ def test_a_robot_that_nobody_closes_is_homed_with_a_warning(protocol: Protocol, 
 
     assert not moving
     assert f"the robot at {port} was never closed, and was stopped only now".encode() in told
-
-
-def test_a_robot_that_is_closed_is_dropped_without_a_warning(protocol: Protocol) -> None:
-    with driven(protocol) as (robot, device, _):
-        robot.close()
-        device.heard = b""
-        del robot
-
-    assert device.heard == b""
 
 
 CHILD = """\
@@ -671,36 +588,27 @@ print("driving", flush=True)
 """
 
 
-def test_a_child_of_multiprocessing_homes_a_robot_that_is_open_at_its_end(
-    protocol: Protocol,
+USED_AT_EXIT = "import atexit\natexit.register(lambda: robot.forward())\n" + DROPPED
+FORKED = DROPPED.replace("sys.stdin.readline()", "import os\nif os.fork(): os.wait(); os._exit(0)")
+
+
+@pytest.mark.parametrize(
+    ("text", "told", "moving"),
+    [
+        (CHILD, b"", False),
+        (USED_AT_EXIT, b"RobotError: the program ended, and the robot was stopped before", False),
+        (FORKED, b"", True),  # a child leaves its parent's robot alone
+    ],
+)
+def test_at_the_end_of_a_process_its_own_robot_is_homed(
+    protocol: Protocol, text: str, told: bytes, moving: bool
 ) -> None:
-    device = Scripted(protocol)
-    with served_here(device) as (port, _), program(CHILD, port) as process:
-        process.wait(PATIENCE)
+    with driving(protocol, text) as (device, process, _):
+        _, errors = process.communicate(timeout=PATIENCE)
 
+    assert told in errors
     assert device.heard
-    assert not device.state.moving
-
-
-def test_a_robot_that_is_used_when_the_program_has_ended_says_so(protocol: Protocol) -> None:
-    begin, last = "import atexit\natexit.register(lambda: robot.forward())\n", "pass\n"
-    device = Scripted(protocol)
-    with served_here(device) as (port, _), program(begin + DROPPED + last, port) as process:
-        _, told = process.communicate(timeout=PATIENCE)
-
-    assert b"RobotError: the program ended, and the robot was stopped before that" in told
-    assert not device.state.moving
-
-
-def test_a_child_process_leaves_its_parents_robot_alone(protocol: Protocol) -> None:
-    text = DROPPED.replace(
-        "sys.stdin.readline()", "import os\nif os.fork(): os.wait(); os._exit(0)"
-    )
-    device = Scripted(protocol)
-    with served_here(device) as (port, _), program(text, port) as process:
-        process.wait(PATIENCE)
-
-    assert device.state.moving
+    assert device.state.moving is moving
 
 
 @pytest.mark.parametrize("threads", [2, 8])
@@ -750,21 +658,6 @@ def test_the_programs_own_handlers_stay_and_ctrl_c_is_given_back() -> None:
 # -- other grammars -------------------------------------------------------------------------------
 
 
-def test_another_grammar_has_other_methods(horn_text: str, tmp_path: Path) -> None:
-    grammar = tmp_path / "horn.py"
-    grammar.write_text(horn_text, encoding="utf-8")
-    with simulate(grammar=str(grammar)) as served:
-        with Robot(served.port, grammar=grammar) as robot:
-            other: Any = robot
-            assert other.horn(2).name == "OK"
-            with pytest.raises(ValueError, match=r"Horn\.sound is 4, allowed are 0 to 3"):
-                other.horn(4)
-        with Robot(served.port) as robot:
-            other = robot
-            with pytest.raises(AttributeError, match="there are stop, "):
-                other.horn(2)
-
-
 def test_an_instruction_whose_name_a_robot_needs_itself_gets_an_underscore(
     horn_text: str,
 ) -> None:
@@ -772,6 +665,8 @@ def test_an_instruction_whose_name_a_robot_needs_itself_gets_an_underscore(
     with driven(protocol) as (robot, device, _):
         other: Any = robot
         other.close_(from_=2)
+        with pytest.raises(ValueError, match=r"Close\.from is 4, allowed are 0 to 3"):
+            other.close_(4)
         assert device.heard == b"\x91\x02"
         robot.stop()
 
