@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from bilprov.analyzer.client.driver import NoAnswer, Refused, RobotError
+from bilprov.analyzer.client.operations import Ended, Operation
 from bilprov.analyzer.client.robot import Robot
 from bilprov.analyzer.transport.errors import LinkError
 from bilprov.analyzer.transport.port import open_port
@@ -319,6 +320,20 @@ def test_a_port_that_cannot_be_opened_and_wrong_settings_are_one_sentence() -> N
     for timeout in (0, -1, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="allowed are milliseconds above 0"):
             Robot("/dev/no-such-port", timeout=timeout)
+
+
+class GoneLink:
+    """A link whose port has gone."""
+
+    def do(self, ask: Operation) -> int:
+        raise Ended("the port disappeared", error=True, line_works=False)
+
+
+def test_the_fixtures_robot_tells_of_a_lost_line_in_the_links_own_words(
+    protocol: Protocol,
+) -> None:
+    with pytest.raises(RobotError, match=r"^the port disappeared$"):
+        Client(protocol, GoneLink(), sees=False).home()
 
 
 # -- leaving --------------------------------------------------------------------------------------
