@@ -100,7 +100,7 @@ def given(grammar_text: str, horn_text: str) -> dict[str, bytes]:
         "old-horn.txt": (older / "horn-grammar.txt").read_bytes(),
         **{file.name: file.read_bytes() for file in older.glob("*.*") if file.suffix != ".gz"},
         "horn.py": horn_text.encode(),
-        "relay_board.py": (ROOT / "examples" / "relay_board.py").read_bytes(),
+        **{file.name: file.read_bytes() for file in (ROOT / "examples").glob("*.py")},
         "wide.py": wide_grammar(grammar_text).encode(),
         "drawn.py": drawn(1).text.encode(),
     }
