@@ -40,7 +40,7 @@ ROOMS = {  # the code, and the tests that are its own
             *("tests/spec", "tests/analyzer/decode/test_framed.py"),
             "tests/analyzer/decode/test_named_registers.py",  # as requests and answers have them
             "tests/analyzer/simulated/test_device.py",  # devices that answer by a grammar
-            "tests/analyzer/cli/test_typed_answers.py",
+            "tests/test_transcripts.py",
         ],
     ),
     "oracle": ("conformance/oracle", ["tests/conformance/oracle", "tests/conformance/cases"]),
@@ -48,10 +48,10 @@ ROOMS = {  # the code, and the tests that are its own
         "analyzer/decode",
         [
             *("tests/analyzer/decode", "tests/analyzer/output/test_row_columns.py"),
-            "tests/analyzer/cli/test_text_commands.py",
+            "tests/test_transcripts.py",
         ],
     ),
-    "filters": ("analyzer/filters", ["tests/analyzer/filters"]),
+    "filters": ("analyzer/filters", ["tests/analyzer/filters", "tests/test_transcripts.py"]),
     "captures": ("captures", ["tests/captures"]),
     "runner": ("conformance/runner", ["tests/conformance/runner"]),
 }

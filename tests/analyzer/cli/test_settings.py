@@ -20,9 +20,6 @@ from tests.support import ROOT, commands
 from tests.support.commands import COMMANDS, PATIENCE, command, command_named, process
 from tests.support.grammars import still_grammar
 
-CAR = "[device.car]\nport = '/nowhere/x'\n"
-SIM = "conform sim --only valid/Stop*"
-
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, horn_text: str) -> Path:
@@ -38,12 +35,6 @@ def shown(place: Path, text: str, line: str) -> str:
     (place / "home" / "bilprov" / "config.toml").write_text(text)
     done = command(*line.split(), cwd=place)
     return (done.stdout + done.stderr).decode()
-
-
-def test_a_file_with_the_name_of_a_device_is_a_path(place: Path) -> None:
-    (place / "car").touch()
-    assert "/nowhere/x" not in shown(place, CAR, "sniff car")
-    assert "socket://car:1" in shown(place, CAR, "sniff socket://car:1")
 
 
 def test_the_users_file_is_in_the_home_where_no_other_place_is_set(
@@ -66,17 +57,6 @@ def test_every_port_of_a_command_may_be_a_named_device() -> None:
         "sniff:host sniff:device sniff:bridge sniff:half_duplex replay:port ports:names "
         "send:target conform:target lab learn:target lab line:a lab line:b"
     )
-
-
-@pytest.mark.waits
-def test_settings_for_ports_are_left_alone_where_the_target_is_none(place: Path) -> None:
-    text = "probe = 'tcp:127.0.0.1:9'\n[conform]\npower = 'exec:false'"
-
-    assert "conforms" in shown(place, text, SIM)
-    for option in ("--probe tcp:127.0.0.1:9", "--power exec:true"):
-        assert "is for ports" in shown(place, text, f"{SIM} {option}")
-    shell = command("send", "sim", stdin=b"Stop\n", cwd=place)
-    assert (shell.returncode, b"Stop" in shell.stdout) == (0, True)
 
 
 def test_every_common_setting_is_an_option_of_some_command() -> None:
@@ -109,49 +89,6 @@ def test_where_no_instruction_sets_a_motion_nothing_is_asked(
 
 
 # -- completion in shells: which values are offered, and what a real bash makes of them ------------
-
-
-def offered(line: str) -> list[str]:
-    """What bash is offered at the end of a line: a type and a value each."""
-    words = line.split(" ")
-    variables = {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
-    shown = command(_BILPROV_COMPLETE="bash_complete", **variables)
-    assert (shown.returncode, shown.stderr) == (0, b"")
-    return shown.stdout.decode().splitlines()
-
-
-@pytest.mark.parametrize(
-    ("line", "some"),
-    [
-        ("bilprov con", ["plain,config", "plain,conform"]),
-        ("bilprov spec emit ", ["plain,c", "plain,grammar", "plain,wireshark"]),
-        ("bilprov sniff --grammar ", ["plain,robot-car", "plain,dynamixel1", "file,"]),
-        ("bilprov spec check dyn", ["plain,dynamixel1", "file,dyn"]),
-        ("bilprov decode --format j", ["plain,jsonl"]),
-        ("bilprov conform sim --fault no-stop-on-bad-d", ["plain,no-stop-on-bad-data"]),
-        ("bilprov simulate --variant R-unused-l", ["plain,R-unused-length=too-many"]),
-        ("bilprov sniff /nowhere/x", ["file,/nowhere/x"]),
-        ("bilprov capture info driv", ["file,driv"]),
-        ("bilprov x.mcap --form", ["plain,--format"]),
-    ],
-)
-def test_values_are_offered(line: str, some: list[str]) -> None:
-    assert set(some) <= set(offered(line))
-
-
-def test_the_devices_of_the_settings_are_offered_for_a_port(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    (tmp_path / "bilprov").mkdir()
-    file = tmp_path / "bilprov" / "config.toml"
-    file.write_text("[device.car]\nport = 'COM7'\n[device.van]\nport = 'COM8'\n")
-    assert offered("bilprov send c") == ["plain,car"]
-    assert {"plain,car", "plain,van"} <= set(offered("bilprov sniff --bridge "))
-
-
-def test_an_error_on_the_line_prints_nothing(tmp_path: Path) -> None:
-    assert offered(f"bilprov --grammar {tmp_path}/absent.py simulate --fault ec") == []
 
 
 def test_every_file_and_port_of_every_command_completes() -> None:

@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 
 from bilprov.captures.schemas import MS, Chunk
-from bilprov.captures.writer import CaptureWriter
 from bilprov.spec.codec import build, judge
 from bilprov.spec.protocol import load
 from bilprov.spec.replies import build_reply
-from tests.analyzer.decode.test_foreign_traffic import FOLDER, events
 from tests.support import ROOT
 from tests.support.commands import Done, command, process
 from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
@@ -21,69 +19,6 @@ from tests.support.framed_traffic import FRAMED, framed_capture, odd_traffic
 
 def checked(*words: str | Path) -> Done:
     return command("spec", "check", *map(str, words))
-
-
-def test_the_first_bytes_that_do_not_decode_are_told(tmp_path: Path) -> None:
-    lines = (FOLDER / "sr_wizmodbus.jsonl").read_text(encoding="utf-8").splitlines()
-    row = json.loads(lines[3])
-    damaged = row["hex"][:-1] + "0"
-    file = tmp_path / "line.jsonl"
-    text = "\n".join([*lines[:3], json.dumps({**row, "hex": damaged}), *lines[4:]])
-    file.write_text(text, encoding="utf-8")
-
-    result = checked("modbus-rtu", file, "--format", "json")
-    told = json.loads(result.stdout)
-
-    assert result.returncode == 1
-    assert told["host"] == {"bytes": 352, "decoded": 352, "frames": 44}
-    assert told["device"] == {"bytes": 364, "decoded": 355, "frames": 43}
-    assert (told["first"]["direction"], told["first"]["offset"]) == ("device", 9)
-    assert told["first"]["hex"].startswith("01 03 04 a4 71 46 2c ba a0")
-    assert told["first"]["nearly"] == {
-        "name": "ReadHoldingRegisters",
-        "obstacle": "checksum",
-        "reason": "crc is ba a0, right is ba a5",
-    }
-
-
-@pytest.mark.parametrize(
-    ("sent", "nearly"),
-    [
-        # A frame with a data byte, whose end only the silence behind it tells.
-        (
-            '{"t": 0, "dir": "host", "hex": "5556000000010900b5"}\n',
-            b"no instruction (id): no instruction has ID 9, used are 0, 1, 2, 3, 4",
-        ),
-        (
-            '{"t": 0, "dir": "device", "hex": "333c000000010171"}\n',
-            b"no instruction (request): they answer no request that waits",
-        ),
-    ],
-)
-def test_an_unused_id_and_an_answer_to_nothing_are_told(
-    sent: str, nearly: bytes, tmp_path: Path
-) -> None:
-    more = '{"t": 1, "dir": "host", "hex": "55560000000102ae"}\n'
-    (tmp_path / "line.jsonl").write_text(sent + more, encoding="utf-8")
-    result = checked(ROOT / "examples" / "relay_board.py", tmp_path / "line.jsonl")
-    assert nearly in result.stdout
-
-
-def test_a_capture_and_hex_are_read_too(tmp_path: Path) -> None:
-    file, text = tmp_path / "line.mcap", tmp_path / "line.txt"
-    sent = list(events("sr_wizmodbus"))
-    with CaptureWriter(file, start_wall=0, metadata={}, version="1") as writer:
-        for chunk in sent:
-            writer.chunk(Chunk(chunk.t, chunk.direction, chunk.data))
-    asked = b"".join(chunk.data for chunk in sent if chunk.direction == "host")
-    text.write_text(asked.hex(" "), encoding="utf-8")
-
-    assert b"device  364 of 364 bytes decode: 44 answers" in checked("modbus-rtu", file).stdout
-    assert b"host  352 of 352 bytes decode: 44 requests" in checked("modbus-rtu", text).stdout
-    result = checked("dynamixel1", "ff", "ff", "01", "02", "01", "fb", "fffe010201fb")
-    assert result.returncode == 1
-    assert b"dynamixel1 decodes 50.0 % of the bytes" in result.stdout
-    assert b"Ping (sync): it begins with ff fe, right is ff ff" in result.stdout
 
 
 def test_a_check_that_fits_the_answers_alone_is_told(tmp_path: Path) -> None:

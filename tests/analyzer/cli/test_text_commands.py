@@ -205,12 +205,6 @@ def test_every_frame_of_the_document_is_decoded_as_typed_by_hand() -> None:
     ]
 
 
-def test_text_in_a_pipe_has_no_colour_codes() -> None:
-    run = command("decode", "81 09 90 20", FORCE_COLOR="1")
-
-    assert b"\x1b" not in run.stdout
-
-
 def test_a_narrow_locale_gets_plain_arrows() -> None:
     run = process("decode", "20", env={"PYTHONIOENCODING": "ascii"})
 
@@ -227,46 +221,3 @@ def test_a_pipe_with_a_name_is_read_from_its_first_byte() -> None:
     os.close(ours)
 
     assert [line["hex"] for line in json_lines(run.stdout)] == ["20", "00", "81 05"]
-
-
-@pytest.mark.parametrize("own", [False, True])
-def test_a_file_of_json_lines_is_read_as_such(tmp_path: Path, own: bool) -> None:
-    rows = [(0.0, "host", "8105"), (0.001, "device", "00"), (0.1, "host", "20")]
-    key = "direction" if own else "dir"
-    lines = [json.dumps({"t": t, key: side, "hex": data}) for t, side, data in rows]
-    if own:  # a fault has no bytes
-        lines.append(json.dumps({"t": 0.2, "direction": None, "hex": ""}))
-    (tmp_path / "rows.jsonl").write_text("\n".join(reversed(lines)))  # in any order
-
-    done = command("decode", "rows.jsonl", "--format", "jsonl", cwd=tmp_path)
-
-    found = [(one["t"], one["direction"], one["hex"]) for one in json_lines(done.stdout)]
-    assert found[:3] == [(t, side, bytes.fromhex(data).hex(" ")) for t, side, data in rows]
-
-
-def test_one_clock_stamped_json_lines_so_no_answer_comes_before_its_request(tmp_path: Path) -> None:
-    """The first request is damaged on the tap alone: its answer is not that of the next."""
-    asked, answer = "010303e80002447b", "010304526657077566"
-    rows = [(0.0, "host", asked[:-2] + "7a"), (0.011, "device", answer)]
-    rows += [(0.024, "host", asked), (0.036, "device", answer)]
-    lines = [json.dumps({"t": t, "dir": side, "hex": data}) for t, side, data in rows]
-    (tmp_path / "rows.jsonl").write_text("\n".join(lines))
-
-    words = ("decode", "rows.jsonl", "--format", "jsonl", "--grammar", "modbus-rtu")
-    done = command(*words, cwd=tmp_path)
-
-    answers = [one["answers"] for one in json_lines(done.stdout) if one["direction"] == "device"]
-    assert answers == [None, 1]
-
-
-def test_bytes_that_begin_with_a_brace_are_bytes_where_they_are_no_json(tmp_path: Path) -> None:
-    (tmp_path / "raw.bin").write_bytes(b'{"\x20\n')
-    done = command("decode", "raw.bin", "--format", "jsonl", cwd=tmp_path)
-    assert json_lines(done.stdout)[0]["hex"].startswith("7b")
-
-
-def test_a_line_that_is_no_recorded_bytes_is_told(tmp_path: Path) -> None:
-    (tmp_path / "rows.jsonl").write_text('{"t": 0.0, "hex": "81"}\n')
-    done = command("decode", "rows.jsonl", cwd=tmp_path)
-    assert done.returncode == 2
-    assert b"line 1 of rows.jsonl cannot be read: dir is missing" in done.stderr

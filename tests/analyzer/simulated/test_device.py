@@ -41,120 +41,14 @@ class Line:
         return dict(reply.fields)
 
 
-def test_modbus_coils_are_read_back_bit_by_bit() -> None:
-    line = Line("modbus-rtu")
-    line.do("WriteSingleCoil", address=1, coil=3, value="on")
-    line.do("WriteMultipleCoils", address=1, start=10, quantity=3, coils="fd")
-    assert line.do("ReadCoils", address=1, start=3, quantity=11) == {"coils": b"\x81\x02"}
-    line.do("WriteSingleCoil", address=1, coil=3, value="off")
-    assert line.do("ReadCoils", address=1, start=3, quantity=1) == {"coils": b"\x00"}
-
-
-def test_each_address_has_its_own_memory_and_a_broadcast_is_for_all() -> None:
-    line = Line("modbus-rtu")
-    line.do("WriteSingleRegister", address=1, register=0, value=5)
-    everybody = build(
-        line.protocol, "WriteSingleRegister", {"address": 0, "register": 1, "value": 7}
-    )
-    assert line.ask(everybody) == b""
-    assert line.do("ReadHoldingRegisters", address=1, start=0, quantity=2) == {"values": (5, 7)}
-    assert line.do("ReadHoldingRegisters", address=2, start=0, quantity=2) == {"values": (0, 7)}
-
-
-@pytest.mark.parametrize(
-    ("sent", "answer"),
-    [
-        ("11 03 00 6b 00 03 76 86", ""),  # one bit of the CRC is wrong
-        ("f8 03 00 6b 00 03 60 87", ""),  # 248 is nobody's address
-        ("01 03 00 00 00 00 45 ca", "01 83 03 01 31"),  # quantity 0
-    ],
-)
-def test_modbus_faults_are_answered_as_the_document_says(sent: str, answer: str) -> None:
-    assert Line("modbus-rtu").ask(bytes.fromhex(sent)) == bytes.fromhex(answer)
-
-
-def test_servo_registers_are_read_back() -> None:
-    line = Line("dynamixel1")
-    line.do("Write", address=3, register=30, values="01 02")
-    assert line.do("Read", address=3, register=29, size=4) == {"values": b"\x00\x01\x02\x00"}
-    assert line.do("Read", address=4, register=30, size=1) == {"values": b"\x00"}
-
-
-def test_a_mask_changes_the_bits_that_it_names() -> None:
-    """The example of the document's clause 6.16."""
-    line = Line("modbus-rtu")
-    line.do("WriteSingleRegister", address=17, register=4, value=0x12)
-    masks = {"and_mask": 0xF2, "or_mask": 0x25}
-    assert line.do("MaskWriteRegister", address=17, register=4, **masks) == {"register": 4, **masks}
-    assert line.do("ReadHoldingRegisters", address=17, start=4, quantity=1) == {"values": (0x17,)}
-
-
-def test_what_a_servo_registers_is_written_by_the_next_action_alone() -> None:
-    line = Line("dynamixel1")
-    for address in (1, 2):
-        line.do("RegWrite", address=address, register=30, values="05")
-        assert line.do("Read", address=address, register=30, size=1) == {"values": b"\x00"}
-    assert line.ask(build(line.protocol, "Action", {"address": 254})) == b""
-    for address in (1, 2):
-        assert line.do("Read", address=address, register=30, size=1) == {"values": b"\x05"}
-    line.do("Write", address=1, register=30, values="06")
-    refused = line.ask(build(line.protocol, "Action", {"address": 1}))
-    assert refused == bytes.fromhex("ff ff 01 02 40 bc")  # Instruction Error
-    assert line.ask(build(line.protocol, "Action", {"address": 254})) == b""
-    assert line.do("Read", address=1, register=30, size=1) == {"values": b"\x06"}
-
-
-def test_a_reset_brings_back_the_registers_of_one_servo() -> None:
-    line = Line("dynamixel1")
-    for address in (1, 2):
-        line.do("Write", address=address, register=30, values="05")
-        line.do("RegWrite", address=address, register=31, values="06")
-    line.do("Reset", address=1)
-    told = [line.do("Read", address=one, register=30, size=1)["values"] for one in (1, 2)]
-    assert told == [b"\x00", b"\x05"]
-    assert line.ask(build(line.protocol, "Action", {"address": 1}))[4] == 0x40
-    line.do("Action", address=2)
-
-
-def test_a_write_to_several_servos_gives_each_its_own_bytes() -> None:
-    line = Line("dynamixel1")
-    sent = {"address": 254, "register": 30, "size": 2, "blocks": "01 aa bb 02 cc dd"}
-    assert line.ask(build(line.protocol, "SyncWrite", sent)) == b""
-    told = [line.do("Read", address=one, register=30, size=3)["values"] for one in (1, 2, 3)]
-    assert told == [b"\xaa\xbb\x00", b"\xcc\xdd\x00", bytes(3)]
-
-
-def test_a_bootloader_tells_its_signature_and_the_parameters_that_were_set() -> None:
+def test_what_was_set_is_forgotten_when_the_power_is_switched_off() -> None:
     line = Line("stk500v1")
-    assert line.do("ReadSign") == {"signature": b"\x1e\x95\x0f"}
-    asked = ("30000000", "30000100", "30000200", "50000000")  # the last one: low fuses
-    told = [line.do("Universal", command=one)["output"] for one in asked]
-    assert told == [0x1E, 0x95, 0x0F, 0]
-    assert line.do("GetParameter", parameter=0x82) == {"value": 16}
     line.do("SetParameter", parameter=0x82, value=17)
-    assert line.do("GetParameter", parameter=0x82) == {"value": 17}
     line.device.power_cycle(line.now)
     assert line.do("GetParameter", parameter=0x82) == {"value": 16}
 
 
-@pytest.mark.parametrize(
-    ("sent", "answer"), [("30 20", "14 10"), ("99 20", "12"), ("30 21", "15"), ("30", "")]
-)
-def test_bootloader_answers_what_it_does_not_know(sent: str, answer: str) -> None:
-    assert Line("stk500v1").ask(bytes.fromhex(sent)) == bytes.fromhex(answer)
-
-
 RELAY = str(ROOT / "examples" / "relay_board.py")
-
-
-def test_an_answer_tells_the_state_that_it_reports() -> None:
-    line = Line(RELAY)
-    told = [
-        line.do(name, address=3)["state"] for name in ("Read", "On", "Read", "Off", "Toggle", "Off")
-    ]
-    assert told == [2, 1, 1, 2, 1, 2]
-    assert line.do("On", address=1) == {"state": 1}
-    assert line.do("Read", address=3) == {"state": 2}
 
 
 @pytest.mark.parametrize(
@@ -195,12 +89,6 @@ def test_a_memory_that_cannot_be_used_is_refused(old: str, new: str, why: str) -
     with pytest.raises(GrammarError) as raised:
         load(text.replace(old, new), "servo.py")
     assert why in str(raised.value)
-
-
-def test_more_than_an_answer_can_hold_is_not_answered() -> None:
-    line = Line("dynamixel1")
-    assert line.ask(build(line.protocol, "Read", {"address": 1, "register": 0, "size": 255})) == b""
-    assert line.ask(build(line.protocol, "Read", {"address": 1, "register": 0, "size": 1}))
 
 
 @pytest.mark.parametrize("name", NAMES)
