@@ -293,6 +293,9 @@ def movement_words(protocol: Protocol, movement: Movement) -> str:
     return f"{words}; its wheels should be off the ground"
 
 
+_NOT_TOLD = "is not known, since the grammar declares no STATE and no `changes`"
+
+
 def effect_words(protocol: Protocol, frames: Iterable[bytes] | None = None) -> str:
     """What frames may change in a device, in words; "" if they are known to change nothing.
 
@@ -310,6 +313,8 @@ def effect_words(protocol: Protocol, frames: Iterable[bytes] | None = None) -> s
         some = [(spec, None) for spec in protocol.instructions]
     words = [*_set_words(protocol, some), *_other_words(spec for spec, _ in some)]
     told = [f"it may {', '.join(words)}"] if words else []
+    if some and not protocol.tells_changes:
+        told.append(f"what the instructions change {_NOT_TOLD}")
     if len(sent) < len(judged):
         told.append("what the faulty instructions change is not known")
     return "; ".join(told)
@@ -349,6 +354,8 @@ def change_by(protocol: Protocol, frame: bytes) -> str:
     judged = judge(protocol, frame)
     if not judged.valid or judged.instruction is None:
         return f"{judged.describe()} is faulty, and what it changes is not known"
+    if not protocol.tells_changes:
+        return f"what {judged.instruction.name} changes {_NOT_TOLD}"
     spec = judged.instruction
     sets = [name for name, _ in spec.effect.assignments]
     changes = [*(f"sets {name}" for name in sets), *(f"may {w}" for w in _other_words([spec]))]

@@ -16,7 +16,14 @@ from msgspec.structs import replace
 from bilprov.spec.data import DataSpec, FieldSpec, Value, shown_value
 from bilprov.spec.fields import Memory, Outcome
 from bilprov.spec.layout import Part
-from bilprov.spec.protocol import NO_ANSWER, PLAIN_ANSWER, InstructionSpec, Protocol, ResponseSpec
+from bilprov.spec.protocol import (
+    NO_ANSWER,
+    PLAIN_ANSWER,
+    InstructionSpec,
+    Protocol,
+    ResponseSpec,
+    cells_in,
+)
 from bilprov.spec.state import Assigned, assigned
 
 Registers: TypeAlias = tuple[tuple[FieldSpec, int], ...]
@@ -215,7 +222,7 @@ def registers_in(
     """
     if not protocol.registers or memory is None or memory.bits or memory.keep or memory.latest:
         return ()
-    part, width = _cells(memory, spec)
+    part, width = cells_in(memory, spec)
     many = part.many
     begin = part.offset + (many.prefix.size if many and many.prefix else 0)
     end = len(data) if many and many.how != "fixed" else part.offset + part.size
@@ -371,7 +378,7 @@ def _by_fields(protocol: Protocol, spec: InstructionSpec, given: dict[str, Any])
     asked = given.get(memory.at)
     if not isinstance(asked, str) or asked not in places or spec.answer is None:
         return given
-    _, width = _cells(memory, spec.answer)
+    _, width = cells_in(memory, spec.answer)
     count = {memory.count: cells[places[asked]].size // width} if memory.count else {}
     return {**count, **given, memory.at: places[asked] // memory.factor}
 
@@ -389,7 +396,7 @@ def _writing(
             f"{spec.name} takes {memory.at} and {memory.value} or {' '.join(sorted(names))}, "
             "not both"
         )
-    part, width = _cells(memory, spec)
+    part, width = cells_in(memory, spec)
     first, built = min(named), b""
     for place in sorted(named):
         one = named[place]
@@ -399,18 +406,17 @@ def _writing(
                 "of its own"
             )
         built += _built(spec.name, one, {one.name: given[one.name]})
+    if not part.many and len(built) > width:
+        raise ValueError(
+            f"{' '.join(sorted(names))} takes {len(built) // width} cells of {memory.name}, and "
+            f"{spec.name} writes one; use an instruction that writes several"
+        )
     fields = {name: value for name, value in given.items() if name not in names}
     if memory.count in spec.names:
         fields[memory.count] = len(built) // width
     fields[memory.at] = first // memory.factor
     fields[memory.value] = built.hex() if part.many else part.parse(built)
     return fields
-
-
-def _cells(memory: Memory, data: DataSpec) -> tuple[FieldSpec, int]:
-    """The field with the cells of a memory in some data, and the bytes of one cell."""
-    part = next(one for one in data.fields if one.name == memory.value)
-    return part, part.many.width if part.many else part.size
 
 
 def free_parts(protocol: Protocol) -> Iterator[Part]:

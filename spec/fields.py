@@ -155,7 +155,7 @@ class Instruction(construct.Struct):  # type: ignore[misc]  # construct ships no
     """The data of one instruction (its fields in order), its name in the document, its effect.
 
     `answer` is the data of its answer, None where it is not answered at all. `changes` names what
-    it changes that the state does not have, such as "flash".
+    it changes that the state does not have, such as "flash", "" that it changes nothing.
     """
 
     @checked
@@ -165,7 +165,7 @@ class Instruction(construct.Struct):  # type: ignore[misc]  # construct ships no
         document: str,
         effect: Sets | None = None,
         answer: Construct | None = NO_DATA,
-        changes: str = "",
+        changes: str | None = None,
     ) -> None:
         super().__init__(*fields)
         self.document = document

@@ -117,7 +117,7 @@ class InstructionSpec(DataSpec, frozen=True, kw_only=True):
 
     `answer` is None where it is not answered at all. `writes` and `reads` are the memory that it
     writes, and that its answer tells. `changes` names what else it changes that the state does not
-    have, "" if there is no such thing.
+    have, "" if there is no such thing, None if that is not said.
     """
 
     id: int
@@ -128,7 +128,7 @@ class InstructionSpec(DataSpec, frozen=True, kw_only=True):
     answer: DataSpec | None
     writes: Memory | None = None
     reads: Memory | None = None
-    changes: str = ""
+    changes: str | None = None
 
     @property
     def names(self) -> frozenset[str]:
@@ -268,6 +268,12 @@ class Protocol(msgspec.Struct, frozen=True, eq=False, dict=True):
             if spec.answer is not None
             and (self.reply if spec.answer.fields else self.acknowledgement).part("code") is None
         )
+
+    @cached_property
+    def tells_changes(self) -> bool:
+        """Whether the grammar says what instructions change; then others change nothing."""
+        said = (s.changes is not None or s.writes or s.reads for s in self.instructions)
+        return bool(self.variables) or any(said)
 
     @cached_property
     def plain(self) -> bool:
@@ -995,11 +1001,43 @@ def _registers(
                 f"place that each request has: {', '.join(sorted(memories)) or 'there is none'}"
             )
         found[memory] = {place: read_register(memory, cells[place]) for place in sorted(cells)}
+        _require_in_cells(memory, found[memory], instructions)
     data = [one for spec in instructions for one in (spec, spec.answer) if one]
     taken = {part.name.lower() for one in data for part in one.fields}
     names = (one.name for cells in found.values() for one in cells.values())
     _require_each_name_once("two registers, or a field and a register, are named", (*taken, *names))
     return found
+
+
+def _require_in_cells(
+    name: str, registers: Mapping[int, FieldSpec], instructions: tuple[InstructionSpec, ...]
+) -> None:
+    """Require that registers are whole cells of a memory, at places that requests can have."""
+    used: list[tuple[InstructionSpec, Memory | None, DataSpec | None]] = []
+    for spec in instructions:
+        used += [(spec, spec.writes, spec), (spec, spec.reads, spec.answer)]
+    for spec, memory, data in used:
+        if memory is None or data is None or memory.name != name:
+            continue
+        _, width = cells_in(memory, data)
+        at = next((part for part in spec.fields if part.name == memory.at and part.number), None)
+        for place, one in registers.items():
+            if one.size % width:
+                raise GrammarError(
+                    f"REGISTERS has {one.name} of size {one.size} in {name}, allowed are "
+                    f"multiples of {width}, the size of a cell of {spec.name}"
+                )
+            if at and place > at.high * memory.factor:
+                raise GrammarError(
+                    f"REGISTERS has {one.name} at {place} in {name}, allowed are places up to "
+                    f"{at.high * memory.factor}, the highest that {spec.name} can ask for"
+                )
+
+
+def cells_in(memory: Memory, data: DataSpec) -> tuple[FieldSpec, int]:
+    """The field with the cells of a memory in some data, and the bytes of one cell."""
+    part = next(one for one in data.fields if one.name == memory.value)
+    return part, part.many.width if part.many else part.size
 
 
 def _uses(spec: InstructionSpec, memory: Memory, how: str) -> bool:

@@ -169,6 +169,26 @@ def test_all_that_a_grammar_may_change_is_told_in_words() -> None:
     )
 
 
+@pytest.mark.parametrize(("changes", "known"), [("", False), (', changes=""', True)])
+def test_a_grammar_that_says_of_nothing_what_it_changes_is_not_known_to_change_nothing(
+    changes: str, known: bool
+) -> None:
+    text = f"""
+from construct import Byte, Const, Struct, Switch, this
+from bilprov.spec.grammars.modbus_rtu import CLAUSES, LINE, TIMING
+from bilprov.spec.fields import Data, Instruction, Outcome
+NAME, VERSION, DOCUMENT = "crane", "1", "a page"
+INSTRUCTIONS = {{1: "Lift" / Instruction(document="lift"{changes}) * "Lifts."}}
+FRAME = Struct("sync" / Const(b"U"), "id" / Byte, "data" / Switch(this.id, INSTRUCTIONS))
+REPLY = Struct("sync" / Const(b"U"), "data" / Data())
+SILENT = (Outcome.UNKNOWN_ID, Outcome.TOO_FEW)
+"""
+    crane = load(text)
+    told = effect_words(crane, [b"U\x01"])
+    assert bool(told) is bool(change_by(crane, b"U\x01")) is not known
+    assert told in ("", effect_words(crane))
+
+
 MODE = mutated(
     TEXT,
     {

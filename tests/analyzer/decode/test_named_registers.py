@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("columns_at_once")
 FEETECH = ROOT / "examples" / "feetech.py"
 SERVO = load_protocol(str(FEETECH))
 METER = """
-from construct import Int16ub, Int32sb
+from construct import Byte, Int16ub, Int32sb
 from bilprov.spec.grammars.modbus_rtu import (
     CLAUSES, ERROR, FRAME, INSTRUCTIONS, LINE, MEMORY, REPLY, RESPONSE, SILENT, TIMING,
 )
@@ -215,6 +215,8 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
     assert dict(judge(meter, write).fields)["quantity"] == 3
     single = build(meter, "WriteSingleRegister", {"address": 17, "voltage": 2300})
     assert judge(meter, single).describe().endswith("register=107 value=2300 voltage=2300")
+    with pytest.raises(ValueError, match="power takes 2 cells of holding, and WriteSingleRegister"):
+        build(meter, "WriteSingleRegister", {"address": 17, "power": 5})
 
 
 @pytest.mark.parametrize(
@@ -228,6 +230,8 @@ def test_registers_of_words_have_a_place_in_words(grammar: Callable[[str], Proto
         ('{"holding": {1: "start" / Int16ub}}', "a field and a register, are named start"),
         ('{"holding": {1: "a" / Int16ub, 2: "A" / Int16ub}}', "are named a"),
         ('{"holding": {1: "a" / Int16ub[2]}}', "the register a of holding must be one number"),
+        ('{"holding": {1: "a" / Byte}}', "a of size 1 in holding, allowed are multiples of 2"),
+        ('{"input": {65536: "a" / Int16ub}}', "a at 65536 in input, allowed are places up to 65535"),
     ],
 )
 def test_registers_that_make_no_sense_are_refused_in_one_sentence(
