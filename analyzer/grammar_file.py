@@ -148,6 +148,8 @@ def carried_protocol(text: str, sha256: str, path: str, origin: str = "") -> Pro
 
     name = printable(path)
     advice = "give the grammar's file with --grammar FILE.py"
+    if sha256 not in ("", grammar_hash(text)):
+        raise GrammarError(f"the grammar in {name} is damaged (its hash is another): {advice}")
     try:
         require_declarations(text)
     except NotDeclared as error:
@@ -155,8 +157,6 @@ def carried_protocol(text: str, sha256: str, path: str, origin: str = "") -> Pro
             f"the grammar in {name} is not run, because it does more than declare ({error}): "
             f"{advice}"
         ) from error
-    if sha256 not in ("", grammar_hash(text)):
-        raise GrammarError(f"the grammar in {name} is damaged (its hash is another): {advice}")
     try:
         return load(text, origin or f"in {name}")
     except GrammarError as error:

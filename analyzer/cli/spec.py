@@ -228,7 +228,8 @@ def check(options: CheckOptions) -> int:
         split = _share(protocol, options, half_duplex=True)
         if split.percent > share.percent:
             most = _percent(split)
-            shared.note(f"both directions are in these bytes: --half-duplex decodes {most} of them")
+            words = f"--half-duplex decodes {most} of these bytes"
+            shared.note(f"if both directions share one wire, {words}")
     show_as(options.style, lambda: _share_json(share), lambda: _drawn(protocol, share))
     return 0 if share.whole else 1
 

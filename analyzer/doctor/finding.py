@@ -18,6 +18,8 @@ from bilprov.analyzer.transport.machine import Machine
 from bilprov.captures.errors import CaptureError
 from bilprov.captures.reader import open_capture
 from bilprov.captures.text import escape_controls, quantity
+from bilprov.captures.topics import GRAMMAR_HASH
+from bilprov.spec.protocol import grammar_hash
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -133,6 +135,10 @@ def of_capture(path: Path) -> Iterator[Finding]:
     seconds = (capture.contents.last - capture.contents.first) / 1e9
     messages = quantity(sum(capture.contents.counts.values()), "message")
     yield Finding("file", Grade.FINE, f"{quantity(size, 'byte')}, {messages} over {seconds:.1f} s")
+    stated = capture.metadata.get(GRAMMAR_HASH)
+    if capture.grammar_text and stated not in (None, grammar_hash(capture.grammar_text)):
+        what = "its grammar is damaged (the hash is another): name the grammar with --grammar"
+        yield Finding("grammar", Grade.BLOCKS, what)
     for sentence in capture.damage:
         yield Finding("damage", Grade.BLOCKS, sentence)
     for before, after, what in losses[:_SHOWN]:

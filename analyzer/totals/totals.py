@@ -359,12 +359,14 @@ class Totals:
 
     def _instruction(self, identity: int) -> Instruction:
         group = self._groups[self._ids == identity]
+        # Of several unused IDs it is not known which latency belongs to which.
+        known = len(group) and np.count_nonzero(self._headers[self._groups == group[0]]) <= 1
         paired = {name: count for (one, name), count in self._paired.items() if one == identity}
         return Instruction(
             frames=int(self._headers[self._ids == identity].sum()),
             responses=self._by_name(paired),
             faults=dict(self.faults_of(identity=identity).most_common()),
-            latencies=self.latencies.spread(int(group[0])) if len(group) else None,
+            latencies=self.latencies.spread(int(group[0])) if known else None,
         )
 
     def _add_hosts(self, hosts: HostRows, mask: Mask | None) -> list[int]:

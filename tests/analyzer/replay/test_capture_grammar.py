@@ -300,13 +300,19 @@ def test_a_text_that_is_no_grammar_is_one_sentence(
     assert "--grammar FILE.py" in sentence(refused)
 
 
-def test_a_text_that_is_not_what_its_hash_tells_is_damaged(told: Callable[..., Path]) -> None:
-    path = told(grammar_text=RELAY.replace("0, 15", "0, 14"))
+@pytest.mark.parametrize("wrong", ["0, 14", "0, )("])
+def test_a_text_that_is_not_what_its_hash_tells_is_damaged(
+    told: Callable[..., Path], wrong: str
+) -> None:
+    path = told(grammar_text=RELAY.replace("0, 15", wrong))
 
     refused = given(READERS["stats"], path)
 
     assert refused.returncode == 2
     assert "the grammar in told.mcap is damaged" in sentence(refused)
+    checked = command("capture", "check", str(path))
+    assert checked.returncode == 2
+    assert b"its grammar is damaged (the hash is another)" in checked.stdout
 
 
 @pytest.mark.parametrize("words", [READERS["diff"], READERS["stats of two"], COPIES["join"]])

@@ -138,7 +138,7 @@ def test_a_grammar_is_checked_against_what_one_tap_recorded(tmp_path: Path) -> N
     split = command("spec", "check", "modbus-rtu", str(wire), "--half-duplex")
 
     assert (alone.returncode, split.returncode) == (1, 0)
-    assert alone.stderr.decode().strip().endswith(": --half-duplex decodes all of them")
+    assert alone.stderr.decode().strip().endswith("--half-duplex decodes all of these bytes")
     assert b"device  1096 of 1096 bytes decode: 66 answers" in split.stdout
     one = command("spec", "check", "modbus-rtu", "11 03 00 6b 00 03 76 88")
     assert (one.returncode, one.stderr) == (1, b"")
